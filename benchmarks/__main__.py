@@ -19,7 +19,8 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 OUT = FOLDER.parent / "out" / "benchmarks"
-BARE = ("online", "reach", "shape", "loop", "startup")  # run as a user would: onebend sees to the BLAS threads itself
+# Run as a user would: onebend sees to the BLAS threads itself.
+BARE = ("online", "one_recording", "reach", "shape", "loop", "startup", "mechanics", "free_vibration")
 PAGES = FOLDER.parent / "docs" / "accuracy"
 REMARKS = "\n## Remarks\n"
 

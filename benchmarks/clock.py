@@ -23,7 +23,7 @@ from onebend.recording.clock.offset import ClockSettings
 from onebend.recording.folder import read_recording
 from onebend.recording.force.cleaning import ForceSettings, force_at, to_beam
 from onebend.recording.force.contact import Contact, find_contact
-from onebend.recording.force.noise import first_guess, fit_noise
+from onebend.recording.force.noise import first_guess, fit_noise, linear_model
 from onebend.recording.pairing import cleaned, match_clocks, read_log
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording
@@ -115,8 +115,8 @@ def bound(rec: Recording, log: ForceLog, truth: Truth, offset: float, rate: floa
         axis=1,
     )
     constant = np.zeros((len(at), 2, 2)) + 10 * np.eye(2)
-    model = fit_noise(at, constant, noise, first_guess(noise, 1 / rate))
-    root = model.root(at)
+    model = fit_noise(at, linear_model(constant, noise), first_guess(noise, 1 / rate))
+    root = np.linalg.cholesky(model.covariance(at))
     step = 0.5 / rate
     slope = (true_at(truth, at - offset + step) - true_at(truth, at - offset - step)) / (2 * step)
     level = np.linalg.solve(root, np.ones(len(at)))

@@ -150,7 +150,7 @@ def _apart(a: Array, b: Array) -> float:
 def _chain_tip(links: int, step: float, frames: int = 1000) -> tuple[Array, float]:
     """(frames + 1, 2) m path of the tip in 1 s after the release, and the CPU time of stepping."""
     inner = round(1.0 / (frames * step))
-    model = mujoco.MjModel.from_xml_string(_chain(links, 1.0 / (frames * inner)))
+    model = mujoco.MjModel.from_xml_string(chain_model(links, 1.0 / (frames * inner)))
     data = mujoco.MjData(model)
     angles = BEAM.equilibrium(TIP_FORCE).angle((np.arange(links) + 0.5) / links)
     data.qpos[:] = np.diff(angles, prepend=0.0)
@@ -163,7 +163,7 @@ def _chain_tip(links: int, step: float, frames: int = 1000) -> tuple[Array, floa
     return np.array(path), time.process_time() - begin
 
 
-def _chain(links: int, step: float) -> str:
+def chain_model(links: int, step: float) -> str:
     """A chain of rods in MuJoCo's language: a spring E I / h at every hinge, twice that at the clamp (half a cell)."""
     h = BEAM.length / links
     spring = float(BEAM.stiffness(0.5)) * BEAM.length / h

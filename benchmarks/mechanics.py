@@ -8,10 +8,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_bvp
+from scipy.linalg import solveh_banded
 
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Table, Uniform, equidistant, gaussian_basis, power_basis
+from onebend.beam.profiles.stiffness import (
+    Gaussians,
+    LogSpline,
+    Table,
+    Uniform,
+    equidistant,
+    gaussian_basis,
+    power_basis,
+)
 from onebend.beam.statics.continuation import equilibrium, follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.problem import Resolution, make_problem
@@ -140,8 +149,78 @@ def speed() -> list[Row]:
             "us",
             "",
         ),
+        *public_calls(force[FRAMES // 4]),
         *derivatives(force),
     ]
+
+
+def public_calls(force: Array) -> list[Row]:
+    """`Beam.equilibrium` as users call it, grid and checks included, beside others at their errors; ratios in pairs."""
+    many, exact = pushes(1000), equilibrium(BEAM, push(force), resolution=Resolution(32)).xy(TIP)[0, 0]
+
+    def off(tip: Array) -> float:
+        return float(np.linalg.norm(tip - exact)) / BEAM.length
+
+    def mine() -> Array:
+        return BEAM.equilibrium(force).xy(1.0)
+
+    spline = wavy_spline()
+    fine = equilibrium(spline, push(force), resolution=Resolution(16, 1.0, at_knots=True)).xy(TIP)[0, 0]
+    tolerance = next(t for t in (1e-7, 1e-8, 1e-9, 1e-10) if off(by_collocation_library(force, t)) <= 1e-8)
+    rows = [
+        Row("Beam.equilibrium, one force", 1e3 * best_of(lambda: BEAM.equilibrium(force), 50), "ms", "<= 0.8"),
+        Row("its error at the tip", off(mine()), "L", "<= 1e-8"),
+        Row("Beam.equilibrium, 1000 forces", 1e3 * best_of(lambda: BEAM.equilibrium(many)), "ms", "<= 12"),
+        Row("one force, k(s) a spline of 45 knots", 1e3 * best_of(lambda: spline.equilibrium(force), 20), "ms", ""),
+        Row(
+            "its error at the tip",
+            float(np.linalg.norm(spline.equilibrium(force).xy(1.0) - fine)) / 0.15,
+            "L",
+            "<= 1e-8",
+        ),
+        Row(
+            f"one force with its tip, times faster than solve_bvp at 1e-8 L (tol {tolerance:g})",
+            in_pairs(mine, lambda: by_collocation_library(force, tolerance)),
+            "",
+            "",
+        ),
+    ]
+    for links in (20, 200, 4500):
+        away, ratio = off(by_hinges(force, links)), in_pairs(mine, lambda n=links: by_hinges(force, n))  # type: ignore[misc]
+        rows.append(Row(f"the same, times faster than a chain of {links} hinges at {away:.0e} L", ratio, "", ""))
+    return rows
+
+
+def in_pairs(ours: Callable[[], object], theirs: Callable[[], object], count: int = 15) -> float:
+    """Median of CPU seconds of theirs over ours, one after the other."""
+    return float(np.median([best_of(theirs, 1) / best_of(ours, 1) for _ in range(count)]))
+
+
+def wavy_spline() -> Beam:
+    """log k(s) a cubic spline with 45 knots inside, its coefficients drawn."""
+    knots = (0.0, 0.0, 0.0, *np.linspace(0.0, 1.0, 47).tolist(), 1.0, 1.0, 1.0)
+    drawn = np.log(0.02) + 0.2 * np.random.default_rng(0).standard_normal(49)
+    return Beam(0.15, LogSpline(knots, tuple(drawn.tolist())))
+
+
+def by_hinges(force: Array, links: int) -> Array:
+    """(2,) m of the tip of rigid links with springs `E I / h` (twice that at the clamp), by Newton's method, banded."""
+    h = BEAM.length / links
+    spring = BEAM.length * BEAM.stiffness(np.arange(links) / links) / h
+    spring[0] *= 2.0
+    band = np.zeros((2, links))
+    band[0, 1:], ahead = -spring[1:], np.append(spring[1:], 0.0)
+    angle = np.zeros(links)
+    for _ in range(12):
+        cos, sin = np.cos(angle), np.sin(angle)
+        turns = spring * np.diff(angle, prepend=0.0)
+        unbalanced = turns - np.append(turns[1:], 0.0) - h * (force[1] * cos - force[0] * sin)
+        band[1] = spring + ahead + h * (force[1] * sin + force[0] * cos)
+        step = solveh_banded(band, unbalanced, check_finite=False)
+        angle -= step
+        if float(np.abs(step).max()) < 1e-7:
+            break
+    return h * np.array([np.sum(np.cos(angle)), np.sum(np.sin(angle))])
 
 
 def derivatives(force: Array) -> list[Row]:

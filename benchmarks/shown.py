@@ -47,7 +47,7 @@ SHOWN = {
     "reproduce": Shown(
         "",
         ("reproduce", "-o", "out/paper", "--force"),
-        ("terminal/reproducing.py", "studies/figures.py", "studies/tables.py"),
+        ("terminal/long_runs.py", "studies/figures.py", "studies/tables.py"),
         (*LEARNING, "lab", "control", "studies"),
         (("out/paper/figures/summary.png", "docs/images/reproduce.png"),),
         long=True,

@@ -111,6 +111,21 @@ def test_learn_writes_results_and_shows_them(tmp_path: Path, pipeline: list[dict
     assert pipeline[0]["validate_on"] == [Path("A"), Path("B")]
 
 
+def test_learn_without_a_report_draws_nothing(
+    tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(learning_commands, "draw_all", fails(AssertionError()))
+    result = run("learn", "REC", "-o", out, "--no-report")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines()[-1] == f"results {out}"
+    written = {path.name for path in out.rglob("*")}
+    assert {"model.json", "stiffness.csv", "summary.json"} <= written
+    assert not written & {"report.html", "figures"}
+    assert "no report to open" in run("learn", "REC", "-o", tmp_path / "b", "--no-report", "--open").stderr
+    assert len(pipeline) == 1
+
+
 def test_learn_shows_all_of_it_when_asked(
     tmp_path: Path, pipeline: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,19 @@ import pytest
 
 import onebend
 
-FACES = ("", ".beam", ".control", ".design", ".forecast", ".lab", ".learning", ".paper", ".recording", ".results")
+FACES = (
+    "",
+    ".beam",
+    ".control",
+    ".design",
+    ".forecast",
+    ".lab",
+    ".learning",
+    ".paper",
+    ".recording",
+    ".results",
+    ".streaming",
+)
 PLAIN = (".errors", ".progress", ".records")  # modules of which everything is public
 MOST_AT_THE_TOP = 28
 

@@ -20,7 +20,8 @@ ROOT = Path(__file__).parents[1]
 # Those that take seconds need the result of `make demo` itself, or make films; the others do with a designed beam.
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
-    "rerun", "mould", "film", "calibrate", "reproduce", "rehearse",
+    "rerun", "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
+    "population",
 )  # fmt: skip
 
 

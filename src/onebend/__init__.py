@@ -2,7 +2,7 @@
 
 Most work needs the verbs and records here. The rest is in `onebend.beam`, `recording`, `learning`, `control`, `lab`
 (beams that do not exist or are still to be made), `design` (which push to make next), `paper` (the paper's own
-regression), `forecast`, `results`, `records` and `errors`.
+regression), `forecast`, `streaming` (a camera and a sensor that still run), `results`, `records` and `errors`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from onebend import recording as recording
     from onebend import records as records
     from onebend import results as results
+    from onebend import streaming as streaming
     from onebend.beam.model import Beam as Beam
     from onebend.beam.model import Shape as Shape
     from onebend.beam.profiles.stiffness import Steps as Steps
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from onebend.results.model import save_model as save_model
     from onebend.results.observations_file import load_observations as load_observations
     from onebend.results.observations_file import save_observations as save_observations
+    from onebend.streaming.live import Live as Live
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -76,8 +78,9 @@ else:
             "onebend.records": "Observations",
             "onebend.results.model": "load_model load_uncertain save_model",
             "onebend.results.observations_file": "load_observations save_observations",
+            "onebend.streaming.live": "Live",
         },
-        inside="beam control design errors forecast lab learning paper progress recording records results",
+        inside="beam control design errors forecast lab learning paper progress recording records results streaming",
     )
 
 __version__ = "0.1.0"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -72,8 +72,8 @@ class Run:
 
 @one_blas_thread
 def learn(
-    folder: Path | str,
-    *more: Path | str,
+    folder: Recording | Path | str,
+    *more: Recording | Path | str,
     settings: RegressionSettings = RegressionSettings(),
     fitting: FitSettings | None = FitSettings(),
     observing: ObserveSettings = ObserveSettings(),
@@ -83,6 +83,8 @@ def learn(
 ) -> Run:
     """Learn k(s) from the recording in `folder` (and `more` of the same beam), then compare it with `validate_on`.
 
+    What is a `Recording` already is learned from as it was read.
+
     The paper's regression learns from the first recording; the fit begins there and uses all. `fitting` None: only the
     regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video.
 
@@ -90,7 +92,7 @@ def learn(
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
     """
     folders, others = (folder, *more), tuple(validate_on)
-    wanted = [read_recording(one) for one in folders]
+    wanted = [one if isinstance(one, Recording) else read_recording(one) for one in folders]
     for one in others:
         read_recording(one)
     check_together(wanted, fitting)
@@ -98,6 +100,37 @@ def learn(
     watch = Stopwatch(progress)
     with watch.whole("observe"):
         every = [observe(one, settings=observing, detect=detect, progress=watch) for one in wanted]
+
+    def compared(beam: Beam, known: UncertainStiffness | None) -> list[tuple[Comparison, Observations]]:
+        return compare(beam, others, stiffness=known, observing=observing, detect=detect, progress=watch)
+
+    return _learned(every, settings, fitting, compared, watch)
+
+
+@one_blas_thread
+def learn_observed(
+    *observed: Observations,
+    settings: RegressionSettings = RegressionSettings(),
+    fitting: FitSettings | None = FitSettings(),
+    progress: Progress = Silent(),
+) -> Run:
+    """`learn` from what was observed already: one or several recordings of one beam, none to validate on.
+
+    Raises:
+        LearningError: what is wrong with the observations, and what to do.
+    """
+    return _learned(observed, settings, fitting, lambda _beam, _known: [], Stopwatch(progress))
+
+
+def _learned(
+    every: Sequence[Observations],
+    settings: RegressionSettings,
+    fitting: FitSettings | None,
+    validated: Callable[[Beam, UncertainStiffness | None], list[tuple[Comparison, Observations]]],
+    watch: Stopwatch,
+) -> Run:
+    """Regression, fit and validation, in order; `validated` compares the beam with other recordings."""
+    with watch.whole("observe"):
         seen = with_mass(with_seen_tags(every))
     with watch.whole("learn"):
         learned, remarks = _regression(seen[0], settings, needed=fitting is None, progress=watch)
@@ -110,8 +143,7 @@ def learn(
         beam, trainings = _result(seen, learned, posterior)
         remarks += modulus_remarks(beam, None if posterior is None else posterior.stiffness, seen)
         known = None if posterior is None else posterior.stiffness
-        compared = compare(beam, others, stiffness=known, observing=observing, detect=detect, progress=watch)
-        pairs, said = _not_learned_from(compared, seen)
+        pairs, said = _not_learned_from(validated(beam, known), seen)
         remarks += said
     films = (*seen, *(where for _, where in pairs))
     return Run(

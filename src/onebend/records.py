@@ -129,10 +129,6 @@ class ForceNoise:
         out[np.diag_indices(len(time))] += self.white**2 + 1e-12 * out.max() + np.finfo(float).tiny
         return np.asarray(out)
 
-    def root(self, time: Array) -> Array:
-        """(N, N) N, Cholesky factor of the covariance."""
-        return np.asarray(np.linalg.cholesky(self.covariance(time)))
-
     def passed(self, cutoff: float) -> float:
         """N, sd of the coloured part that an ideal low-pass at `cutoff` [Hz] lets through (its Lorentz spectrum)."""
         share = 1.0 if not np.isfinite(cutoff) else 2 / np.pi * np.arctan(2 * np.pi * cutoff * self.tau)
@@ -289,6 +285,7 @@ class Source:
     clock: ClockOffset | None = None  # between the force log and the video; None for static poses
     clean_force: CleanForce | None = None  # the log that `Observations.force` was read from
     remarks: tuple[Remark, ...] = ()
+    place_seen: bool = False  # the film shows the tool where the push is said to act
 
 
 @dataclass(frozen=True)

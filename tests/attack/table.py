@@ -17,9 +17,13 @@ from tests.attack.conftest import EXAMPLE
 from tests.attack.family import Case
 from tests.attack.hostile_bags import BAG
 from tests.attack.hostile_bags import CASES as BAGS
+from tests.attack.hostile_films import CASES as HARD
 from tests.attack.test_absurd_options import REQUESTS
+from tests.attack.test_bench_poses import CASES as BENCHES
+from tests.attack.test_bench_poses import on_example
 from tests.attack.test_check import CASES as FILMS
 from tests.attack.test_check import ELSEWHERE
+from tests.attack.test_hostile_films import CASES as HOSTILE
 from tests.attack.test_hostile_text import CSV_CASES, FILE_CASES, MODEL_CASES, TOML_CASES
 from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.test_parquet import CASES as PARQUET
@@ -71,6 +75,8 @@ FAMILIES = (
     Family("Parquet, check", PARQUET, on_tracks, lambda _: ["check", "rec"]),
     Family("model.json, show", MODEL_CASES, on_model, lambda _: ["show", "model.json"]),
     Family("bags, check", BAGS, on_bag, lambda _: ["check", "rec"]),
+    Family("bench poses and frequencies, check", BENCHES, on_example, lambda _: ["check", "rec"]),
+    Family("films, check", [*HOSTILE, *HARD], on_film, lambda _: ["check", "rec"]),
     Family(
         "options",
         [Case(name, lambda _: None) for name in REQUESTS],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 from tests.attack.family import Case, Harm, edit, params, sparse, withstood, written
+from tests.attack.hostile_films import CASES as HARD
 from tests.attack.victim import Victim
 
 FILM = "video.mp4"
@@ -142,9 +144,18 @@ CASES = [
     Case("another family", edit(TOML, '"tag36h11"', '"tag25h9"'), r"look like tag36h11 \(ids 0, 1, 2, 3\)"),
 ]
 QUICK = {"a list of films", "a cover before the film", "pictures of 256 megapixels", "a tag that is not there"}
+QUICK_HARD = {"a pipe", "a circle of links", "two sizes in one film", "every packet twice"}
 
 
 @pytest.mark.parametrize("case", params(CASES, QUICK))
 def test_a_film(victim: Victim, film: Path, case: Case) -> None:
     case.harm(film)
     withstood(victim.attack(["check", "rec"], film.parent), case, seconds=40.0)
+
+
+@pytest.mark.parametrize("case", params(HARD, QUICK_HARD))
+def test_a_film_that_is_hard_to_read(victim: Victim, film: Path, case: Case) -> None:
+    case.harm(film)
+    outcome = victim.attack(["check", "rec"], film.parent)
+    withstood(outcome, case, seconds=40.0)
+    assert re.search(case.words, " ".join(outcome.err.split()))

@@ -148,7 +148,7 @@ FILE_CASES = [
     Case("force = /proc/kmsg", edit(TOML, '"force.csv"', '"/proc/kmsg"'), "is empty"),
     Case("force = /proc/self/mem", edit(TOML, '"force.csv"', '"/proc/self/mem"'), "is empty"),
     Case("force = /dev/zero", edit(TOML, '"force.csv"', '"/dev/zero"'), "there is no file"),
-    Case("force is a fifo", special("fifo"), "there is no file"),
+    Case("force is a fifo", special("fifo"), "is a pipe, and no file"),
     Case("force is a circle of links", special("loop"), "there is no file"),
 ]
 QUICK = {

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from onebend.beam.loads import push, weight
@@ -37,6 +38,30 @@ def test_its_weight_is_a_force_where_it_rides() -> None:
     both = follow(make_problems([BEAM, LADEN], weight(np.tile(GRAVITY, (2, 1)))))
     np.testing.assert_allclose(both.xy(S)[1], laden.xy(S)[0], atol=1e-10)
     np.testing.assert_allclose(both.xy(S)[0], follow(make_problem(BEAM, weight(GRAVITY))).xy(S)[0], atol=1e-10)
+
+
+def test_public_call_agrees_with_an_initial_value_solver() -> None:
+    """`alpha' = q0 + M / k` and `M' = -L (cos alpha Fy - sin alpha Fx)`, piece by piece between the masses."""
+    force = np.array([0.1, 0.2])
+
+    def shot(base_moment: float) -> Array:
+        state = np.array([LADEN.clamp_angle, base_moment, 0.0, 0.0])
+        for piece in ((0.0, 0.37), (0.37, 0.5), (0.5, 1.0)):
+            k, riding = 0.05 if piece[0] < 0.5 else 0.02, sum(one.mass for one in CLIPS if one.s > piece[0])
+
+            def slopes(s: float, y: Array, k: float = k, riding: float = riding) -> list[float]:
+                fx, fy = force + (0.05 * LADEN.length * (1.0 - s) + riding) * GRAVITY
+                cos, sin = np.cos(y[0]), np.sin(y[0])
+                return [0.4 + y[1] / k, -LADEN.length * (cos * fy - sin * fx), LADEN.length * cos, LADEN.length * sin]
+
+            state = solve_ivp(slopes, piece, state, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+        return state
+
+    base_moment = brentq(lambda m: shot(m)[1], -0.1, 0.1, xtol=1e-15)
+    assert shot(base_moment - 1e-3)[1] < 0.0 < shot(base_moment + 1e-3)[1]  # there is no other near it
+    found = LADEN.equilibrium(force, gravity=GRAVITY)
+    assert np.max(np.abs(found.xy(1.0) - shot(base_moment)[2:])) < 1e-8 * LADEN.length
+    assert float(found.angle(1.0)) == pytest.approx(shot(base_moment)[0], abs=1e-8)
 
 
 @pytest.mark.parametrize("ratio", [0.3, 2.0])

@@ -98,10 +98,11 @@ def test_the_unit_goes_by_the_size() -> None:
 
 @pytest.mark.parametrize(("size", "known"), [("0.006", True), ("6", False)])
 def test_a_run_has_the_modulus_and_says_where_there_is_no_such_material(tmp_path: Path, size: str, known: bool) -> None:
-    """A rod of 6 mm, and one that was written in millimetres."""
+    """A rod of 6 mm, and one that was written in millimetres, of a mass that is not known."""
     for file in WEIGHTS.iterdir():
         (tmp_path / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8")
     text = (WEIGHTS / "recording.toml").read_text(encoding="utf-8")
+    text = text if known else text.replace("mass_kg = 0.045\n", "")  # which would be refused with such a section
     (tmp_path / "recording.toml").write_text(text.replace("[beam]", f"[beam]\ndiameter_m = {size}"), encoding="utf-8")
     run = learn(tmp_path / "recording.toml", fitting=FitSettings(functions=6, most_frames=10))
     found = run.modulus(S)

@@ -127,3 +127,27 @@ def test_angles_that_turn_against_the_places_are_refused() -> None:
         check_angles(xy, s, -angle, "mirrored")
     with pytest.raises(ObservationError, match=r"57 times as far"):
         check_angles(xy, s, np.degrees(angle), "degrees")
+
+
+def robot_log(pushed: VirtualRecording, error: tuple[float, float]) -> VirtualRecording:
+    """The push in a log that is off by `error` [N] while the load grows, and right before and after."""
+    begin, _ = pushed.bench.push.contact
+    when = pushed.log.time - pushed.bench.clock.offset
+    rising = (when > begin + 0.3) & (when < begin + pushed.bench.push.rise)
+    return replace(pushed, log=replace(pushed.log, force=pushed.log.force + rising[:, None] * np.array(error)))
+
+
+def test_an_error_that_comes_with_the_load_is_no_turn_of_the_axes(pushed: VirtualRecording) -> None:
+    peak = pushed.bench.push.peak
+    seen = observe_virtual(robot_log(pushed, (0.8 * peak, 0.3 * peak)))
+    said = [one for one in seen.source.remarks if one.about == "axes"]
+    assert [one.doubt for one in said] == [False]
+    assert "Or it is the sensor's own error, which changes with the load" in said[0].text
+
+
+def test_axes_that_are_merely_turned_are_in_doubt(pushed: VirtualRecording) -> None:
+    cos, sin = np.cos(radians(70.0)), np.sin(radians(70.0))
+    turned = pushed.log.force @ np.array([[cos, sin], [-sin, cos]])
+    said = observe_virtual(replace(pushed, log=replace(pushed.log, force=turned))).source.remarks
+    assert [one.doubt for one in said if one.about == "axes"] == [True]
+    assert not any("sensor's own error" in one.text for one in said)

@@ -15,6 +15,7 @@ from onebend.learning.criticism.criticism import Finding
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fit_remarks, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
+from onebend.report.confidence import model_test_rows
 from onebend.report.findings import another_beam
 from onebend.report.page.cards import cards
 from onebend.report.page.page import page
@@ -156,6 +157,24 @@ def test_poses_have_no_place_of_a_push_and_no_log(name: str) -> None:
     assert "rotation_deg" not in words
     assert "1 stands out" in verdict.rests_on  # what does not fit is said nevertheless
     assert any("nothing that is known of explains it" in remark.text for remark in fit_remarks(poses))
+
+
+def test_a_test_of_which_the_data_tell_nothing_is_none() -> None:
+    found = fitted()
+    critic = found.criticism
+    count = len(possible(found).criticism.findings)
+    first, *others = critic.findings
+
+    def blind(finding: Finding) -> Finding:
+        return replace(finding, score=replace(finding.score, value=np.full_like(finding.score.value, np.nan)))
+
+    one = replace(found, criticism=replace(critic, findings=(blind(first), *others)))
+    assert verdict_of(replace(made_up.findings(0), posterior=one)).rests_on.startswith(f"{count - 1} tests")
+    assert len(model_test_rows(one, most=100)) == count - 1
+    all_blind = replace(found, criticism=replace(critic, findings=tuple(map(blind, critic.findings))))
+    none = replace(made_up.findings(0), posterior=all_blind)
+    assert verdict_of(none).rests_on.startswith("no test")
+    assert "no test was possible" in page(none, {}, version="1")
 
 
 def test_no_weight_is_named_that_the_beam_cannot_bear() -> None:

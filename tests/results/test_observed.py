@@ -41,6 +41,7 @@ def full() -> Observations:
     source = replace(
         made.source,
         video=Path("film") / "video.mp4",
+        place_seen=True,
         video_topic="/camera",
         clean_force=replace(
             clean,

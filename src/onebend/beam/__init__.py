@@ -29,11 +29,15 @@ if TYPE_CHECKING:
     from onebend.beam.profiles.stiffness import Scaled as Scaled
     from onebend.beam.profiles.stiffness import Table as Table
     from onebend.beam.statics.equilibrium import Equilibrium as Equilibrium
+    from onebend.beam.statics.nodal_beam import FirstGrid as FirstGrid
+    from onebend.beam.statics.nodal_beam import GridMemory as GridMemory
+    from onebend.beam.statics.nodal_beam import MomentBasis as MomentBasis
+    from onebend.beam.statics.nodal_beam import NodalBeam as NodalBeam
     from onebend.beam.statics.nodal_forces import NodalForces as NodalForces
     from onebend.beam.statics.perturbation import Perturbation as Perturbation
     from onebend.beam.statics.problem import Problem as Problem
     from onebend.beam.statics.problem import Resolution as Resolution
-    from onebend.beam.statics.problem import Rod as Rod
+    from onebend.beam.statics.rod import Rod as Rod
     from onebend.records import PointMass as PointMass
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -52,6 +56,7 @@ else:
             "onebend.beam.profiles.section": "SectionProfiles",
             "onebend.beam.profiles.stiffness": "Gaussians LogSpline Powers Profile Scaled Table",
             "onebend.beam.statics.equilibrium": "Equilibrium",
+            "onebend.beam.statics.nodal_beam": "FirstGrid GridMemory MomentBasis NodalBeam",
             "onebend.beam.statics.nodal_forces": "NodalForces",
             "onebend.beam.statics.perturbation": "Perturbation",
             "onebend.beam.statics.problem": "Problem Resolution Rod",

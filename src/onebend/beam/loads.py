@@ -34,6 +34,8 @@ class Loads:
     def __post_init__(self) -> None:
         for item in fields(self):
             values = getattr(self, item.name)
+            if values.size == 0:
+                continue
             if not np.all(np.isfinite(values)):
                 raise MechanicsError(f"{item.name} must be finite numbers; leave out the frames where it is unknown")
             outside = ~((values >= 0.0) & (values <= 1.0))
@@ -49,7 +51,8 @@ class Loads:
     def places(self) -> Array:
         """(T, a + b + c) every place where something acts."""
         full = self.spread(self.size)
-        return np.concatenate([full.force_s, full.moment_s, full.follower_s], axis=1)
+        some = [places for places in (full.force_s, full.moment_s, full.follower_s) if places.shape[1]]
+        return some[0] if len(some) == 1 else np.concatenate([full.force_s[:, :0], *some], axis=1)
 
     def __add__(self, other: Loads) -> Loads:
         """Both loads together, in the same frames."""
@@ -70,6 +73,8 @@ class Loads:
                 raise MechanicsError(f"loads for {x.shape[0]} frames do not fit {size} frames")
             return np.broadcast_to(x, (size, *x.shape[1:]))
 
+        if all(len(getattr(self, item.name)) == size for item in fields(self)):
+            return self
         return Loads(**{item.name: spread(getattr(self, item.name)) for item in fields(self)})
 
     def take(self, chosen: IntArray | BoolArray | slice) -> Loads:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from onebend.beam.profiles.rectangular import POISSON, RectangularSection
 from onebend.beam.profiles.stiffness import Profile, Uniform, profile_from_dict
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium
+from onebend.beam.statics.nodal_beam import GridMemory
 from onebend.beam.statics.snap_through import Side
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
@@ -72,6 +74,15 @@ class Beam:
     def section(self) -> RectangularSection | None:
         """From which EA and kGA follow; None for a beam that neither stretches nor shears."""
         return None if self.thickness is None else RectangularSection(self.thickness, self.poisson, self.varies)
+
+    @cached_property
+    def memory(self) -> GridMemory:
+        """What it remembers from one equilibrium to the next; the numbers do not depend on it."""
+        return GridMemory()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: what is remembered is not copied."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
     @one_blas_thread
     def equilibrium(

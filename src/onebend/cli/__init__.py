@@ -45,6 +45,20 @@ COMMANDS = {
         "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
         "examples/linear-beam/train -o out/linear-beam --force",
     ),
+    "batch": Place(
+        "long_runs",
+        "batch",
+        "Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped.",
+        "out/stems -o out/stems-learned",
+        "onebend film linear --markers -o out/stems/dry/stem-1",
+    ),
+    "population": Place(
+        "long_runs",
+        "population",
+        "Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers.",
+        "out/pushes-learned --by group -o out/population",
+        "onebend batch examples/linear-beam -o out/pushes-learned",
+    ),
     "validate": Place(
         "learning",
         "validate",
@@ -174,7 +188,7 @@ COMMANDS = {
         "linear --push free --sensor wrist -o out/released",
     ),
     "reproduce": Place(
-        "reproducing",
+        "long_runs",
         "reproduce",
         "Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report.",
         "-o out/paper --quick --without-video",

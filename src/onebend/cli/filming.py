@@ -19,6 +19,7 @@ from onebend.lab.effects.real_bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
 from onebend.lab.filming.film import film as make_film
 from onebend.lab.filming.film_setup import Filming, check
+from onebend.lab.marker_folder import check_trackable, marker_recording
 from onebend.lab.random_bench import BenchRanges, design_with_effects, random_bench
 from onebend.lab.random_effects import LABORATORY
 from onebend.progress import Progress
@@ -83,6 +84,10 @@ Effect = Annotated[
         help="One effect of a real bench by its size in SI units, as relaxation=0.1. More than one can be given.",
     ),
 ]
+Markers = Annotated[
+    bool,
+    typer.Option("--markers", help="Tracked markers in place of a film: no pixels, so it takes a second. Slow pushes."),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
 
 FILM_FORMAT = "onebend-film-1"
@@ -109,6 +114,7 @@ def film(
     uncalibrated: Uncalibrated = False,
     effects: Effects = False,
     effect: Effect = None,
+    markers: Markers = False,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -133,8 +139,11 @@ def film(
         if effect:
             filming = _with_effects(filming, effect, effects)
         check(filming, folder)
+        if markers:
+            check_trackable(filming)
+        make = partial(_make, filming, markers=markers, seed=seed, progress=progress)
         with workplace(folder, FILM_FORMAT, overwrite=False) as place:
-            put_in_place(place, partial(_make, filming, seed=seed, progress=progress))
+            put_in_place(place, make)
     bench = filming.bench
     if as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
@@ -146,7 +155,10 @@ def film(
     )
 
 
-def _make(filming: Filming, folder: Path, *, seed: int, progress: Progress) -> None:
+def _make(filming: Filming, folder: Path, *, markers: bool, seed: int, progress: Progress) -> None:
+    if markers:
+        marker_recording(filming.bench, folder, seed=seed)
+        return
     make_film(filming, folder, seed=seed, progress=progress)
 
 

@@ -29,12 +29,12 @@ from onebend.learning.design.planning import PlanSettings
 from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Priors
 from onebend.learning.paper.selection import RegressionSettings
-from onebend.pipeline import compare, plan_next
+from onebend.pipeline import Run, compare, plan_next
 from onebend.pipeline import learn as learn_from
+from onebend.progress import Progress
 from onebend.recording.folder import folder_of
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
-from onebend.report.figures.drawing import draw_all, validation_figures
 from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import learned_writer, validation_writer
@@ -72,6 +72,9 @@ Width = Annotated[
     typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
 ]
 Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
+NoReport = Annotated[
+    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a quarter of the time.")
+]
 OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
 Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
 Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
@@ -131,6 +134,7 @@ def learn(
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     log: LogAxis = False,
+    no_report: NoReport = False,
     open_report: OpenReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -143,6 +147,8 @@ def learn(
     regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
     settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
     fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
+    if no_report and open_report:
+        raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
         with progress_of(quiet) as progress:
@@ -159,17 +165,18 @@ def learn(
         summary = summary_of(run, written_by=BY)
         settled = {"fit": fitting, "regression": settings, "observing": observing}
 
-        def put(pictures: Pictures) -> None:
+        def put(pictures: Pictures | None) -> None:
             made_from = made_from_files(inputs, settled)
             write = learned_writer(run, pictures, summary, version=onebend.__version__, made_from=made_from)
-            put_in_place(place, write, pictures, made_from=made_from)
+            put_in_place(place, write, pictures or Pictures(), made_from=made_from)
 
-        put(Pictures())  # the fit is safe before a picture is drawn
+        put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
         if not as_json:
-            show_run(screen(), run, out, verbose=verbose, log=log)
-        with progress_of(quiet) as progress:
-            pictures = draw_all(run, progress=progress)
-        put(pictures)
+            show_run(screen(), run, out, verbose=verbose, log=log, report=not no_report)
+        if not no_report:
+            with progress_of(quiet) as progress:
+                pictures = draw_all(run, progress=progress)
+            put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
         print_json({**summary, "stage_seconds": seconds, "output": str(out)})
@@ -177,6 +184,13 @@ def learn(
         show_times(screen(), run, seconds)
     if open_report:
         open_in_browser(out / "report.html")
+
+
+def draw_all(run: Run, *, progress: Progress) -> Pictures:
+    """Every figure of a report."""
+    from onebend.report.figures import drawing  # here: Matplotlib takes a third of a second to load
+
+    return drawing.draw_all(run, progress=progress)
 
 
 def validate(
@@ -208,6 +222,8 @@ def validate(
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
+            from onebend.report.figures.drawing import validation_figures  # here, as above
+
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
                 inputs = inputs_of([model_file(model), *recording_files(recordings)])
                 pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from onebend.beam.model import Beam
-from onebend.beam.statics.problem import has_mass
+from onebend.beam.statics.rod import has_mass
 from onebend.cli.common import clean_errors, print_json, say_warning, screen
 from onebend.cli.options import Json, LogAxis, Model
 from onebend.errors import ControlError

@@ -82,10 +82,15 @@ Swinging = Annotated[
         help="A recording (film or tracks) with a free swing, or a CSV with time_s and a column for each signal.",
     ),
 ]
+FASTEST = 1e5  # frames a second over frames a second: no camera slows a swing down by more
 Slowed = Annotated[
     float,
     typer.Option(
-        "--slowed", min=LEAST, metavar="TIMES", help="It plays so many times slower than it was, as slow motion does."
+        "--slowed",
+        min=LEAST,
+        max=FASTEST,
+        metavar="TIMES",
+        help="It plays so many times slower than it was, as slow motion does.",
     ),
 ]
 MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="How many modes, at most.")]

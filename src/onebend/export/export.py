@@ -8,7 +8,6 @@ from typing import Literal, get_args
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as parquet
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
@@ -20,6 +19,7 @@ from onebend.export.mujoco import mjcf
 from onebend.export.pyelastica import pyelastica
 from onebend.export.robot import sdf, urdf
 from onebend.export.table import columns
+from onebend.files.arrow import as_parquet
 
 DAMPING_TIME = 0.02  # s, where no swing was filmed
 
@@ -91,9 +91,8 @@ def export(
 
 def _table(beam: Beam, uncertain: UncertainStiffness | None, *, parquet_file: bool) -> bytes:
     table = columns(beam, uncertain)
-    memory = io.BytesIO()
     if parquet_file:
-        parquet.write_table(pa.table(table), memory)
-    else:
-        np.savez(memory, **table)  # type: ignore[arg-type]
+        return as_parquet(pa.table(table))
+    memory = io.BytesIO()
+    np.savez(memory, **table)  # type: ignore[arg-type]
     return memory.getvalue()

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from onebend.learning.criticism.alternatives import Suspect as Suspect
     from onebend.learning.criticism.criticism import Criticism as Criticism
     from onebend.learning.criticism.criticism import Finding as Finding
+    from onebend.learning.criticism.push_place import PlaceSearch as PlaceSearch
     from onebend.learning.criticism.score_tests import Score as Score
     from onebend.learning.frequencies.frequency_data import FrequencyData as FrequencyData
     from onebend.learning.frequencies.frequency_data import Posture as Posture
@@ -67,6 +68,7 @@ else:
             "onebend.learning.attribution": "Attribution",
             "onebend.learning.criticism.alternatives": "Suspect",
             "onebend.learning.criticism.criticism": "Criticism Finding",
+            "onebend.learning.criticism.push_place": "PlaceSearch",
             "onebend.learning.criticism.score_tests": "Score",
             "onebend.learning.frequencies.frequency_data": "FrequencyData Posture",
             "onebend.learning.frequencies.predicted": "PredictedFrequencies",

@@ -122,7 +122,7 @@ def supposed_words(finding: Finding, posterior: Posterior) -> str:
         suspect = finding.score.suspect
         whose = f"{suspect.recording}: " if len(posterior.recordings) > 1 else ""
         return f"{whose}{_residuals(suspect)}"
-    if not np.all(np.isfinite(finding.score.value)):
+    if not finding.score.able:
         return f"{finding.score.suspect.name}: nothing in the data tells"
     return cause_words(finding, posterior)[0]
 

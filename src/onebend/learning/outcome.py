@@ -47,7 +47,7 @@ class Trial:
     n: int
     m: int
     coefficients: Array  # (m,) gamma of (17), N m
-    rms: Array  # (tags,) m, per marker on the training recording; NaN if the learned beam cannot be simulated
+    rms: Array  # (tags,) m, per marker in some hundred frames of the training recording; NaN if it cannot be simulated
     bic: float  # infinity if out of the running
     lowest_k: float  # N m, min of k(s) on [0, 1]
     condition: float  # of X in X gamma = Y

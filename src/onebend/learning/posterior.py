@@ -23,6 +23,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
+from onebend.learning.criticism.push_place import PlaceSearch, doubtful, search_place, with_places
 from onebend.learning.frequencies.compared import GROSS, worst_off
 from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import PredictedFrequencies
@@ -53,7 +54,7 @@ from onebend.learning.model.frames import check_same_beam
 from onebend.learning.model.mass import LearnedMass
 from onebend.learning.model.parameters import Layout
 from onebend.learning.start import start_of
-from onebend.learning.stiffness_band import stiffness_of
+from onebend.learning.stiffness_band import prior_part, stiffness_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
@@ -80,6 +81,7 @@ class Posterior:
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
+    place: PlaceSearch | None = None  # other places of the push, where they are worth a look
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -127,6 +129,8 @@ class Posterior:
         ideal = not any(recording.allowances for recording in self.recordings)
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
+        if self.place is not None and self.place.accused:
+            doubts.append("the push hardly acts where at_s says")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
         for o in (recording.observations for recording in self.recordings):
@@ -157,6 +161,10 @@ class Posterior:
     def stiffness(self) -> UncertainStiffness:
         """k(s), its band, and the doubts about both; the force's declared gain widens all of it alike."""
         return replace(stiffness_of(self.problem, self.optimum, self.gain_sd), doubts=self.doubts)
+
+    def prior_part(self, s: Array) -> Array:
+        """(S, S) the part of log k's covariance at `s` that comes from the prior: recordings of like beams share it."""
+        return prior_part(self.problem, self.optimum, s)
 
     def band(self, s: Array, level: float = 0.95) -> Band:
         """k(s) with its band."""
@@ -268,7 +276,11 @@ def _fit(
     every = whole_problem(recordings, problem, settings)
     whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
     optimum = laplace_posterior(whole, estimate, late)
+    found = stiffness_of(whole, optimum, gain_sd)
+    critic = criticise(whole, optimum, found)
+    known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
+    ask = known and optimum.converged
+    place = search_place(whole, optimum, settings, thorough=doubtful(critic)) if ask else None
     progress.done()
-    critic = criticise(whole, optimum, stiffness_of(whole, optimum, gain_sd))
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
-    return Posterior(whole, optimum, gain_sd, critic, left_out)
+    return Posterior(whole, with_places(optimum, place), gain_sd, critic, left_out, place)

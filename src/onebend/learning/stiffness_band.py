@@ -38,6 +38,28 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     )
 
 
+def prior_part(problem: FitProblem, optimum: Optimum, s: Array) -> Array:
+    """(S, S) the part of log k's covariance at `s` that comes from the prior, and not from errors of the data.
+
+    The fit's log k is off by `C P^-1 (m - k)`, drawn towards the prior's mean m, plus what errors of the data do; C is
+    the covariance, P the prior's. Over the beams that the prior expects, the first has the covariance `C P^-1 C`. A
+    second recording of this beam, or of one like it, is off by the same. P is that of the mean sizes of the prior's
+    parts; the part is never more than the covariance of the spline's coefficients.
+    """
+    layout = problem.layout
+    p, fine = layout.spline.count, layout.spline.finer
+    own = _symmetric(optimum.covariance.of_shared[:p, :p])
+    values, vectors = np.linalg.eigh(own)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    inner = np.linalg.solve(layout.stiffness_root(optimum.hyperparameters.part_variances), root)
+    share, turned = np.linalg.eigh(inner.T @ inner)
+    drawn = layout.spline.on_finer @ root @ (turned * np.sqrt(np.clip(share, 0.0, 1.0)))
+    covariance = drawn @ drawn.T + np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
+    return UncertainStiffness(
+        fine.knots, np.zeros(len(covariance)), _symmetric(covariance), shape=optimum.shape
+    ).log_covariance(s)
+
+
 def without_section_errors(layout: Layout, variances: Array, log_k: Array, covariance: Array) -> tuple[Array, Array]:
     """Mean (p,) and covariance (p, p) of log k's coefficients less what the stated section is off by, from those of the
     coefficients c, over the prior's mean; `variances` (n,) are of the prior's parts.

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow
+from onebend.beam.statics.continuation import follow, refine
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import has_mass, make_problem
+from onebend.beam.statics.problem import make_problem
+from onebend.beam.statics.rod import has_mass
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
@@ -28,10 +31,10 @@ _MOST_NAMED = 6  # poses
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
-def simulate(beam: Beam, loads: Loads) -> list[Equilibrium]:
-    """Equilibria of the beam, in chunks of frames."""
-    count = loads.size
-    return [follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION)) for i in range(0, count, _CHUNK)]
+def simulate(beam: Beam, loads: Loads) -> Iterator[Equilibrium]:
+    """Equilibria of the beam, chunk by chunk of the frames: those of very many frames would fill the memory."""
+    for i in range(0, loads.size, _CHUNK):
+        yield follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION))
 
 
 @one_blas_thread
@@ -58,16 +61,20 @@ def validate(
         raise LearningError(f"{observations.source.name}: {why}; nothing to compare")
     if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    solved = solved_frames(beam, observations, frames)
     offset = mounting(beam, observations) if rest is None else rest.offset
-    predicted = _predicted(solved, observations, frames, offset)
-    stable = np.concatenate([one.stable for one in solved])
+    parts, used = [], np.flatnonzero(frames)
+    for solved in solved_frames(beam, observations, frames):
+        chunk = np.zeros_like(frames)
+        chunk[used[: len(solved.q)]], used = True, used[len(solved.q) :]
+        tags = _predicted(solved, observations, chunk, offset)
+        parts.append((tags, solved.stable, solved.converged, _by_sensor(solved, observations, chunk)))
+    predicted, stable, converged, by_sensor = (np.concatenate(values) for values in zip(*parts, strict=True))
     measured = from_the_clamp(observations, frames, predicted)
-    sensor_rms = _sensor_rms(solved, observations, frames)
-    remarks = _remarks(stable, np.concatenate([one.converged for one in solved]))
+    sensor_rms = np.sqrt(np.mean(by_sensor, axis=0))
+    remarks = _remarks(stable, converged)
     seen = seen_poses(observations, frames)
-    if seen is not None:
-        remarks += _pose_remarks(observations, frames, seen, solved[0], predicted)
+    if seen is not None:  # of static poses, which are one chunk
+        remarks += _pose_remarks(observations, frames, seen, solved, predicted)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -87,33 +94,53 @@ def validate(
     )
 
 
-def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> list[Equilibrium]:
-    """Under the measured loads; static poses in the equilibria that their points show."""
-    loads = loads_of(observations, frames)
+def marker_misfit(
+    beam: Beam, observations: Observations, frames: BoolArray, rest: AtRest, near: Equilibrium | None = None
+) -> tuple[Array, Equilibrium]:
+    """RMS (m,) [m] of each tag in a few frames, as `validate` has it, and the equilibria; NaN where the beam snaps
+    through in one of them. `near`: those of a similar beam, to begin at.
+
+    Raises:
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    if weighs(observations) and not has_mass(beam):
+        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    problem = make_problem(beam, loads_of(observations, frames), resolution_of(observations))
     if observations.static:
-        return [shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))]
-    return simulate(beam, loads)
+        solved = shapes_of(observations, frames, problem)
+    elif near is not None and np.array_equal(near.problem.grid.nodes, problem.grid.nodes):
+        solved = refine(problem, near.q)
+    else:
+        solved = follow(problem)
+    predicted = _predicted(solved, observations, frames, rest.offset)
+    if not np.all(solved.converged):
+        return np.full(len(observations.marker_s), np.nan), solved
+    return marker_rms(from_the_clamp(observations, frames, predicted) - predicted), solved
+
+
+def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> Iterator[Equilibrium]:
+    """Under the measured loads, chunk by chunk; static poses in the equilibria that their points show, all together."""
+    loads = loads_of(observations, frames)
+    if not observations.static:
+        yield from simulate(beam, loads)
+    else:
+        yield shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))
 
 
 def mounting(beam: Beam, observations: Observations) -> Array:
     """(m, 2) m, of each tag from its place on the beam at rest, in the tangent's frame; 0 where it was not seen."""
-    solved = simulate(beam, push(np.zeros((1, 2))))[0]
+    [solved] = simulate(beam, push(np.zeros((1, 2))))
     alpha, away = solved.angle(observations.marker_s)[0], observations.rest_xy - solved.xy(observations.marker_s)[0]
     cos, sin = np.cos(alpha), np.sin(alpha)
     offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
     return np.where(np.isfinite(offset).all(axis=1)[:, None], offset, 0.0)
 
 
-def _predicted(solved: list[Equilibrium], observations: Observations, frames: BoolArray, offset: Array) -> Array:
-    """(T, m, 2) where the tags of the simulated beam are, or what of it is under rulers."""
+def _predicted(solved: Equilibrium, observations: Observations, frames: BoolArray, offset: Array) -> Array:
+    """(F, m, 2) where the tags of the simulated beam are in those frames (T,), or what of it is under rulers."""
     if observations.readings.at == "mark":
-        return np.concatenate([_tags(one, observations.marker_s, offset) for one in solved])
-    parts, used = [], np.flatnonzero(frames)
-    for i, one in enumerate(solved):
-        chunk = np.zeros_like(frames)
-        chunk[used[i * _CHUNK : (i + 1) * _CHUNK]] = True
-        parts.append(np.where(one.converged[:, None, None], points_of(observations, chunk, one), np.nan))
-    return np.concatenate(parts)
+        return _tags(solved, observations.marker_s, offset)
+    return np.where(solved.converged[:, None, None], points_of(observations, frames, solved), np.nan)
 
 
 def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
@@ -125,17 +152,13 @@ def _tags(solved: Equilibrium, s: Array, offset: Array) -> Array:
     return np.asarray(np.where(solved.converged[:, None, None], out, np.nan))
 
 
-def _sensor_rms(solved: list[Equilibrium], observations: Observations, frames: BoolArray) -> Array:
-    """(m,) RMS that errors of `force_sd` in the force alone would give, to first order."""
+def _by_sensor(solved: Equilibrium, observations: Observations, frames: BoolArray) -> Array:
+    """(F, m) m^2 that errors of `force_sd` in the force alone would give in those frames (T,), to first order."""
     if not np.all(np.isfinite(observations.force_sd)):
-        return np.full(len(observations.marker_s), np.nan)
-    places = push_places(observations)[frames]
-    squared = np.zeros((0, len(observations.marker_s)))
-    for i, one in enumerate(solved):
-        at = places[i * _CHUNK : (i + 1) * _CHUNK]
-        response = respond(one, of_force(one.problem, at)).xy(observations.marker_s)  # (T, m, 2, 2)
-        squared = np.concatenate([squared, np.einsum("tmcd,d->tm", response**2, observations.force_sd**2)])
-    return np.asarray(np.sqrt(np.mean(squared, axis=0)))
+        return np.full((len(solved.q), len(observations.marker_s)), np.nan)
+    at = push_places(observations)[frames]
+    response = respond(solved, of_force(solved.problem, at)).xy(observations.marker_s)  # (F, m, 2, 2)
+    return np.asarray(np.einsum("tmcd,d->tm", response**2, observations.force_sd**2))
 
 
 def _likely_rms(

@@ -76,10 +76,32 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     ]
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
+    wrong += _elsewhere(posterior)
     tests = _tests(posterior)
     wrong += _left_out(posterior)
     odd = (*_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
     return (*wrong, *_search(posterior), *tests, *_hanging(posterior), *odd)
+
+
+def _elsewhere(posterior: Posterior) -> list[Remark]:
+    """What the evidence says of the place of the push, where it speaks for another one, or does not tell."""
+    found = posterior.place
+    if found is None or not (found.accused or found.open):
+        return []
+    low, high = (f"{place:.2g}" for place in found.range)
+    where = f"at about s = {low}" if low == high else f"between s = {low} and {high}"
+    if found.accused:
+        text = (
+            f"the push acts {where}, as tags and force say, not at {found.written:.3g}: k(s) is NOT TO BE TRUSTED. "
+            "With the push there, a far simpler k(s) explains the recording. Measure the place, and correct at_s in "
+            "[push]"
+        )
+        return [Remark("warning", text, about="push place")]
+    text = (
+        f"tags and force leave open where the push acts, {where}, and k(s) goes by its way from there: the band holds "
+        "all of that. Measure the place, and push where there is a tag"
+    )
+    return [Remark("note", text)]
 
 
 def _left_out(posterior: Posterior) -> list[Remark]:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from onebend.recording.observe import ObserveSettings as ObserveSettings
     from onebend.recording.tags.detection import detect_tags as detect_tags
     from onebend.recording.tags.printed_code import PrintedTag as PrintedTag
+    from onebend.recording.tags.tracker import TrackedFrame as TrackedFrame
+    from onebend.recording.tags.tracker import Tracker as Tracker
     from onebend.recording.toml.beam_entry import BeamEntry as BeamEntry
     from onebend.recording.toml.beam_entry import MassEntry as MassEntry
     from onebend.recording.toml.entries import ForceEntry as ForceEntry
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from onebend.recording.toml.source_entries import PhotosEntry as PhotosEntry
     from onebend.recording.toml.source_entries import PosesEntry as PosesEntry
     from onebend.recording.toml.source_entries import VideoEntry as VideoEntry
+    from onebend.recording.video import FilmFrame as FilmFrame
+    from onebend.recording.video import read_frames as read_frames
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
@@ -42,9 +46,11 @@ else:
             "onebend.recording.observe": "Detect ObserveSettings",
             "onebend.recording.tags.detection": "detect_tags",
             "onebend.recording.tags.printed_code": "PrintedTag",
+            "onebend.recording.tags.tracker": "TrackedFrame Tracker",
             "onebend.recording.toml.beam_entry": "BeamEntry MassEntry",
             "onebend.recording.toml.frequency_entry": "FrequencyEntry",
             "onebend.recording.toml.entries": "ForceEntry GravityEntry PushEntry Recording TagEntry TagsEntry",
             "onebend.recording.toml.source_entries": "CameraEntry MarkersEntry PhotosEntry PosesEntry VideoEntry",
+            "onebend.recording.video": "FilmFrame read_frames",
         },
     )

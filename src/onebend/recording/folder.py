@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from onebend.errors import RecordingError
@@ -81,14 +84,23 @@ def folder_of(path: Path | str) -> Path:
     return path.parent if path.name == FILE_NAME and not path.is_dir() else path
 
 
-def read_recording(folder: Path | str) -> Recording:
+def read_recording(
+    folder: Path | str, stated: Mapping[tuple[str, str], Any] = MappingProxyType({}), *, filmed: bool = True
+) -> Recording:
     """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
+
+    Args:
+        stated: values by table and key, in the file's units, that take the place of those in the file.
+        filmed: False: film and force log are still to be made, so that their files need not be there.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
     """
     folder = folder_of(folder)
     content, data = load(folder)
+    for (table, name), value in stated.items():
+        if isinstance(data.setdefault(table, {}), dict):  # what is no table is a mistake, which is told below
+            data[table][name] = value
     mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
     check_top(data, mistakes)
     if mistakes.found:
@@ -106,9 +118,10 @@ def read_recording(folder: Path | str) -> Recording:
     if isinstance(sections["camera"], UncalibratedEntry):
         sections["camera"] = None
     beam = with_paths(beam, "beam", folder, mistakes)
-    entries = {name: with_paths(entry, name, folder, mistakes) for name, entry in sections.items()}
+    to_come = () if filmed else BAGS
+    entries = {name: with_paths(entry, name, folder, mistakes, name in to_come) for name, entry in sections.items()}
     check_together(entries, data, mistakes)
-    if not mistakes.found:
+    if not mistakes.found and filmed:
         for name in BAGS:
             if entries[name] is not None:
                 check_bag(name, entries[name], data[name], mistakes)
@@ -131,7 +144,7 @@ def read_recording(folder: Path | str) -> Recording:
         frequencies=swung,
         **entries,
     )
-    return with_bags(rec, data)
+    return with_bags(rec, data) if filmed else rec
 
 
 def load(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -252,8 +265,8 @@ def refuse_unprinted(family: object, lists: dict[str, tuple[TagEntry, ...]], mis
                 mistakes.add(("tags", group, i, "id"), f"{text} Correct the id or the family.")
 
 
-def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
-    """`entry` with the files it names made whole paths; each must exist."""
+def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come: bool = False) -> Any:
+    """`entry` with the files it names made whole paths; each must exist, but for those `to_come`."""
     if entry is None:
         return None
     for field_name in (
@@ -272,16 +285,31 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes) -> Any:
         path = folder / written
         wants_folder = field_name in ("folder", "definitions")
         exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
-        if not exists:
-            what = "folder" if wants_folder else "file"
-            similar = difflib.get_close_matches(str(written), [item.name for item in folder.iterdir()], n=1)
+        if not exists and not to_come:
+            what, other = "folder" if wants_folder else "file", "" if wants_folder else _no_file(path)
+            names = [item.name for item in folder.iterdir() if item.name != path.name]
+            similar = difflib.get_close_matches(str(written), names, n=1)
             hint = f"Did you mean {similar[0]}?" if similar else "Put it there, or correct the name."
             shown = ascii_only(str(path))
-            mistakes.add((name, field_name), f"[{name}] {field_name}: there is no {what} {shown}. {hint}")
+            said = f"{shown} is {other}, and no file." if other else f"there is no {what} {shown}."
+            mistakes.add((name, field_name), f"[{name}] {field_name}: {said} {hint}")
         entry = replace(entry, **{field_name: path})
     if isinstance(entry, VideoEntry | MarkersEntry) and math.isnan(entry.start):
         entry = replace(entry, start_uncertainty=math.inf)
     return entry
+
+
+def _no_file(path: Path) -> str:
+    """What stands there in place of a file; empty where nothing does."""
+    if path.is_symlink() and not os.path.exists(path):  # noqa: PTH110  (`Path.exists` raises on a circle of links)
+        return "a link that leads nowhere"
+    kinds = {
+        "a folder": path.is_dir,
+        "a pipe": path.is_fifo,
+        "a device": path.is_char_device,
+        "a socket": path.is_socket,
+    }
+    return next((kind for kind, stands in kinds.items() if stands()), "")
 
 
 def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:

@@ -48,6 +48,14 @@ DOUBT = 0.015  # unexplained share above which a turn is searched; simulated cle
 SHIFTS = np.arange(-10, 11) * 0.05  # s: clocks that were matched by wrong axes are off by a few tenths
 MOST = 95.0  # percentile over the frames that stands for the largest
 SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
+EXACT = (
+    0.002  # unexplained share after the mending: axes that were merely turned leave less than a tenth of it. What is
+)
+# left by an error that changes with the load, as of a robot's own estimate of the force, is 0.003 and more
+LOADED = (
+    "Or it is the sensor's own error, which changes with the load as that of a robot's estimate of the force does: "
+    "push harder, or take a force sensor."
+)
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,11 @@ class Reading:
             return False
         as_written = self.unexplained["as it is"]
         return as_written > DOUBT and self.turned < SHARPER * as_written
+
+    @property
+    def exact(self) -> bool:
+        """Whether other axes explain the bending as nothing but other axes would."""
+        return min(self.turned, min(self.unexplained.values())) < EXACT
 
 
 def read_force(

@@ -123,21 +123,47 @@ def _shown(
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
-    markers = measure_markers(detections, rec)
-    check_turns(markers, rec)
+    markers = markers_of(rec, detections)
     return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
 
 
+def markers_of(rec: Recording, detections: Detections) -> Markers:
+    """The tags in metres, turned as recording.toml says.
+
+    Raises:
+        ObservationError: they are turned otherwise, or no plane explains them.
+    """
+    markers = measure_markers(detections, rec)
+    check_turns(markers, rec)
+    return markers
+
+
+def observe_markers(
+    rec: Recording, markers: Markers, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
+) -> Observations:
+    """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
+
+    The film is not there to show the tool that pushes.
+
+    Raises:
+        ObservationError: as `observe`.
+    """
+    return with_frequencies(assemble(rec, markers, log, None, settings), rec)
+
+
 def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:
-    """With a warning where the film shows the tool elsewhere than `at_s` says. `base_angle` (T,) is of every frame."""
+    """With what the film shows of the tool: a warning where it is elsewhere than `at_s` says. `base_angle` (T,) is of
+    every frame."""
     if rec.video is None or rec.push is None or not np.isfinite(rec.push.at) or not rec.video.file.exists():
         return seen
     markers = Markers(
         seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
         seen.source.view,
     )  # fmt: skip
-    remarks = tool_remarks(tool_in_film(rec, markers, seen.loaded, seen.frame), rec)
-    return replace(seen, source=replace(seen.source, remarks=(*seen.source.remarks, *remarks))) if remarks else seen
+    tool = tool_in_film(rec, markers, seen.loaded, seen.frame)
+    remarks = tool_remarks(tool, rec)
+    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
+    return replace(seen, source=source)
 
 
 def swing_signals(

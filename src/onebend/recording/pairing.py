@@ -25,7 +25,7 @@ from onebend.recording.force.contact import Contact
 from onebend.recording.force.force_log import FEWEST_ROWS, read_force_log
 from onebend.recording.force.implausible_force import refuse_other_unit, size_remarks
 from onebend.recording.gravity import BaseLog, base_clock, check_overlap
-from onebend.recording.implausible_axes import axes_words, read_force, turn_beyond
+from onebend.recording.implausible_axes import LOADED, axes_words, read_force, turn_beyond
 from onebend.recording.signals import at_times, bandwidth, step
 from onebend.recording.toml.entries import ForceEntry, Recording
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
@@ -210,7 +210,9 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
 def check_direction(
     rec: Recording, markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, refuse: bool
 ) -> tuple[Remark, ...]:
-    """A remark where another reading of the force's axes explains the bending far better.
+    """A remark where another reading of the force's axes explains the bending far better; k(s) is in doubt where it
+    does so exactly. Where something is left, a sensor whose error changes with the load can have done it, which the fit
+    allows for.
 
     Raises:
         ObservationError: where `refuse`, if the force as it is contradicts the bending.
@@ -220,12 +222,14 @@ def check_direction(
     if reading is None or not (reading.impossible or reading.better or reading.rotated):
         return ()
     text = axes_words(reading, rotation, key="axes" if rec.force and rec.force.topic else "columns")
+    if not reading.exact and not reading.inexplicable:
+        text += f" {LOADED}"
     if rec.markers is not None:
         text += f" Or the axes of {rec.markers.file.name} are not those of the log: x_m, y_m and angle_rad."
     if refuse and reading.impossible:
         text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
         raise ObservationError(f"{rec.name}: {text}", about="axes")
-    return (Remark("warning", text, doubt=True, about="axes"),)
+    return (Remark("warning", text, doubt=reading.impossible or reading.exact, about="axes"),)
 
 
 def check_place(

@@ -144,7 +144,7 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
         return filtered
     from scipy.signal import butter, sosfiltfilt  # here: it takes a third of a second to load
 
-    sos = butter(FILTER_ORDER, 2 * cutoff * dt, output="sos")
+    sections = butter(FILTER_ORDER, 2.0 * cutoff * dt, output="sos")
     farthest = max(longest_gap, SEPARATE / cutoff)
     for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > farthest)):
         t, bridge = bridged_gaps(time[rows], values[rows], longest_gap, SIDE / cutoff)
@@ -155,7 +155,7 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
         even = np.stack([np.interp(grid, t, column) for column in bridge.T], axis=1)
         pad = min(len(grid) - 1, int(2.0 / (cutoff * dt)))
         # Even reflection: at a rest the noise of the very last sample must not become the level beyond it.
-        smooth = sosfiltfilt(sos, even, axis=0, padtype="even", padlen=pad)
+        smooth = sosfiltfilt(sections, even, axis=0, padtype="even", padlen=pad)
         filtered[rows] = np.stack([np.interp(time[rows], grid, column) for column in smooth.T], axis=1)
     return filtered
 

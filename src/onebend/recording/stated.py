@@ -19,6 +19,8 @@ ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a 
 ROUND_SHAPES: tuple[tuple[str, SectionShapeName], ...] = (("diameter_m", "circle"), ("across_flats_m", "hexagon"))
 HEXAGONAL = math.sqrt(5.0 / 6.0)  # the same of a hexagon, over its width across flats
 _BETWEEN = 9  # places from one row of a section to the next, for its area
+DENSEST, LIGHTEST = 1e5, 1.0  # kg/m^3: osmium, the densest material, has 22,600; the lightest foams have 5
+OF_SQUARE = {"circle": math.pi / 4.0, "tube": math.pi / 4.0, "hexagon": math.sqrt(0.75)}  # areas over those of squares
 FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
 
@@ -32,6 +34,7 @@ def stated_in(recording: Recording) -> Stated:
     section = _section(recording, sizes)
     _check_known_shape(recording, section)
     mass, line = _mass(recording) if recording.beam.mass_along != "section" else _mass_of_section(recording, section)
+    _refuse_density(recording, section, mass)
     beam, tags, force = recording.beam, recording.tags, recording.force
     return Stated(
         rest=beam.rest,
@@ -56,6 +59,20 @@ def stated_in(recording: Recording) -> Stated:
         rest_change_sd=beam.rest_change_sd,
         masses=tuple(PointMass(one.s, one.mass) for one in beam.masses),
     )
+
+
+def _refuse_density(rec: Recording, section: StatedSection | None, mass: float) -> None:
+    """Raises `RecordingError` where a beam of this section and `mass` [kg; NaN: unknown] is of no material."""
+    if section is None or section.moment is not None or not mass > 0.0:
+        return
+    inner = np.zeros(len(section.s)) if section.inner is None else section.inner
+    area = OF_SQUARE.get(section.shape, 1.0) * (section.thickness * section.width - inner**2)
+    density = mass / (rec.beam.length * max(float(np.mean(area)), 1e-300))
+    if not LIGHTEST < density < DENSEST:
+        raise RecordingError(
+            f"{rec.folder}: with mass_kg, length_m and the section as written the beam is of {density:.3g} kg/m^3, as "
+            "no material is. Check mass_kg (in kilograms) and the sizes (in metres)."
+        )
 
 
 def _section(rec: Recording, sizes: dict[str, Array]) -> StatedSection | None:

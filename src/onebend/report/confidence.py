@@ -238,7 +238,7 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
             shift=f"{100.0 * float(np.expm1(finding.shift)):.2g} %",
             alarm=finding in critic.alarms,
         )
-        for finding in critic.findings[:most]
+        for finding in critic.able[:most]
     ]
 
 
@@ -248,7 +248,7 @@ def alarm_words(posterior: Posterior) -> str:
     written = max(critic.alarm, ALARM_WRITTEN)
     pushed = f" ({_odds(written)} for place and direction of the push, which people write down)"
     return (
-        f"Of {len(critic.findings)} tests some stand out by chance: one counts as standing out beyond "
+        f"Of {len(critic.able)} tests some stand out by chance: one counts as standing out beyond "
         f"{_odds(critic.alarm)}{'' if only_static([one.observations for one in posterior.recordings]) else pushed}, if "
         "k(s) would change by more than half of its sd."
     )

@@ -12,7 +12,7 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.modulus import modulus_along, modulus_unit, shown_places, size_words, stated_section
 from onebend.records import Array, StatedSection
 from onebend.report.findings import Findings
-from onebend.report.wording import significant
+from onebend.report.wording import significant, span
 
 _PLACES = 201
 
@@ -77,7 +77,7 @@ def modulus_range(measured: MeasuredBeam) -> str:
         return ""
     found = band.modulus[shown]
     factor, unit = modulus_unit(found)
-    return f"{significant(float(found.min()) / factor)} … {significant(float(found.max()) / factor)}\u00a0{unit}"
+    return f"{span(float(found.min()) / factor, float(found.max()) / factor, ' … ')}\u00a0{unit}"
 
 
 def modulus_words(measured: MeasuredBeam) -> list[str]:

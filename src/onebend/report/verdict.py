@@ -26,7 +26,7 @@ from onebend.report.confidence import identified_ranges, identified_words, stiff
 from onebend.report.findings import Findings, another_beam, poor_fit
 from onebend.report.kinds import only_frequencies
 from onebend.report.modulus import measured_beam, one_modulus_words
-from onebend.report.wording import millimetres, significant, tag_words
+from onebend.report.wording import millimetres, significant, span, tag_words
 
 AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
 _MOST_NAMED = 4  # allowances, tests
@@ -122,19 +122,19 @@ def _headline(posterior: Posterior | None) -> str:
 
 def _known(findings: Findings) -> str:
     low, high = stiffness_range(findings)
-    span = f"{significant(low)} to {significant(high)} N m"
+    values = f"{span(low, high)} N m"
     if findings.posterior is None:
-        return span
+        return values
     if findings.posterior.doubts:
-        return "no value that came out counts" if hopeless(findings) else f"{span} came out, with no band that holds"
+        return "no value that came out counts" if hopeless(findings) else f"{values} came out, with no band that holds"
     uncertain = findings.posterior.stiffness
     ranges = identified_ranges(uncertain)
     if not ranges:
-        return f"{span}, not identified: at no place to a factor of 1.5 (95 %); {why_words(findings.posterior)}"
+        return f"{values}, not identified: at no place to a factor of 1.5 (95 %); {why_words(findings.posterior)}"
     wide = half_width_words(typical_half_width(uncertain))
     one = one_modulus_words(measured_beam(findings))
     headline = f"E = {one}, 95 %, times the section's I(s); " if one else ""
-    return f"{headline}{span}, {wide} (95 %, median) over s = {identified_words(ranges)}"
+    return f"{headline}{values}, {wide} (95 %, median) over s = {identified_words(ranges)}"
 
 
 def _rests_on(posterior: Posterior | None) -> str:
@@ -143,7 +143,10 @@ def _rests_on(posterior: Posterior | None) -> str:
     if any(one.hopeless for one in posterior.misses):
         return "nothing: the fit misses the tags by far"
     critic = posterior.criticism
-    count = f"{len(possible(posterior).criticism.findings)} tests of the model"
+    tests = len(possible(posterior).criticism.able)
+    if not tests and not critic.alarms:
+        return "no test of the model: the data tell nothing of its other causes"
+    count = f"{tests} tests of the model" if tests > 1 else "one test of the model"
     if critic.alarms:
         able = possible(posterior).criticism.alarms
         named = ", ".join(dict.fromkeys(_suspect_words(one.score.suspect) for one in able[:_MOST_NAMED]))

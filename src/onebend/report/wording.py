@@ -44,6 +44,12 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{float(value):.{max(decimals, 0)}f}"
 
 
+def span(low: float, high: float, between: str = " to ") -> str:
+    """Two values, or one where they read the same."""
+    first, last = significant(low), significant(high)
+    return first if first == last else f"{first}{between}{last}"
+
+
 def millimetres(metres: float) -> str:
     """A length in mm with two decimals, a small one with two digits; a dash where it is not known."""
     if np.isfinite(metres) and 0.0 < abs(metres) < SMALL:

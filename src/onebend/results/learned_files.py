@@ -29,7 +29,7 @@ from onebend.results.tables import (
 
 def learned_writer(
     findings: Findings,
-    pictures: Pictures,
+    pictures: Pictures | None,
     summary: Mapping[str, Any],
     *,
     version: str,
@@ -38,6 +38,7 @@ def learned_writer(
     """What `publish` needs to fill a folder with the results of learning.
 
     Args:
+        pictures: of the report; None: without a report.
         made_from: what `provenance` gives, for the report to show.
     """
 
@@ -59,9 +60,11 @@ def learned_writer(
             write_validation(folder / "validation.csv", findings.validations)
         for i, recording in enumerate(findings.recordings, start=1):
             save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
-        html = page(findings, pictures.drawn, version=version, made_from=shown_made_from(made_from), film=pictures.film)
-        (folder / "report.html").write_text(html, encoding="utf-8")
-        _write_figures(folder, pictures)
+        if pictures is not None:
+            shown = shown_made_from(made_from)
+            html = page(findings, pictures.drawn, version=version, made_from=shown, film=pictures.film)
+            (folder / "report.html").write_text(html, encoding="utf-8")
+            _write_figures(folder, pictures)
         write_summary(folder, summary)
 
     return write

@@ -20,8 +20,13 @@ def recording_files(folders: Iterable[Path]) -> list[Path]:
             recording = read_recording(folder)
         except (OnebendError, OSError):
             continue
-        found += [recording.folder / FILE_NAME, *_named(recording)]
+        found += files_of(recording)
     return found
+
+
+def files_of(recording: Recording) -> list[Path]:
+    """Every file of a recording that was read: its `recording.toml`, and those that it names."""
+    return [recording.folder / FILE_NAME, *_named(recording)]
 
 
 def _named(record: Any) -> list[Path]:

@@ -41,8 +41,13 @@ _COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trust
 _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
-def show_run(console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False) -> None:
-    """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it."""
+def show_run(
+    console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
+) -> None:
+    """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it.
+
+    Without a `report` it says where the results are.
+    """
     if verbose:
         for part in _everything(run):
             console.print(part)
@@ -58,8 +63,9 @@ def show_run(console: Console, run: Findings, out: Path, *, verbose: bool = Fals
         console.print(warnings_list(warnings))
     if (notes := len(remarks) - len(warnings)) and not verbose:
         what = "1 note is" if notes == 1 else f"{notes} notes are"
-        console.print(f"[dim]{what} in the report, or here with --verbose[/]")
-    say_path(console, "report", out / "report.html")
+        where = "in the report, or here" if report else "shown"
+        console.print(f"[dim]{what} {where} with --verbose[/]")
+    say_path(console, "report" if report else "results", out / "report.html" if report else out)
 
 
 def verdict_rows(run: Findings) -> Table:

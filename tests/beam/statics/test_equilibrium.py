@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -94,7 +96,7 @@ def test_error_falls_with_the_fourth_order_for_two_nodes_a_panel() -> None:
 
 def test_error_falls_spectrally_with_the_nodes_of_one_panel() -> None:
     force = push((0.02, 0.2))
-    reference = equilibrium(SOFT, force).xy(S)
+    reference = equilibrium(SOFT, force, resolution=Resolution(32)).xy(S)
     errors = [
         np.max(np.abs(follow(make_problem(SOFT, force, Resolution(order=n))).xy(S) - reference))
         for n in (4, 8, 12, 16, 20)
@@ -295,3 +297,16 @@ def test_strides_land_where_tiny_load_steps_lead(beam: Beam) -> None:
     assert np.all(quick.converged)
     assert np.all(quick.stable)
     np.testing.assert_allclose(node_angles(problem, quick.q), node_angles(problem, slow.q), atol=1e-7)
+
+
+def test_what_a_beam_remembers_changes_no_number() -> None:
+    stiffness = Table((0.0, 0.2, 0.5, 1.0), (0.02, 0.03, 0.015, 0.02))
+    met, force = Beam(0.15, stiffness), (0.1, 0.3)
+    for other in ((0.0, 0.6), (-0.2, 0.9)):
+        met.equilibrium(other, 0.7)
+        met.equilibrium(other)
+    fresh = Beam(0.15, stiffness).equilibrium(force)
+    assert np.array_equal(met.equilibrium(force).xy(S), fresh.xy(S))
+    exact = equilibrium(met, push(force), resolution=Resolution(16, 1.0 / 40.0)).xy(S)[0]
+    assert np.max(np.abs(fresh.xy(S) - exact)) < 1e-12
+    assert pickle.loads(pickle.dumps(met)) == met

@@ -13,6 +13,7 @@ from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Uniform
 from onebend.beam.statics import continuation
+from onebend.beam.statics.by_load import by_load
 from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.equilibrium import balance, gradient, potential, tangent
 from onebend.beam.statics.problem import Problem, Resolution, make_problem
@@ -247,7 +248,7 @@ def test_the_slope_of_the_branch_with_the_load() -> None:
     """At a load: minus the tangent's inverse times this is how the shape goes with the load."""
     problem, factor, h = make_problem(replace(THICK, thickness=0.04), LOADS, FINE), np.array([0.6]), 1e-4
     q = follow(problem.loaded(factor)).q
-    slope = np.linalg.solve(tangent(problem, q, factor), continuation._by_load(problem, q, factor)[..., None])[..., 0]
+    slope = np.linalg.solve(tangent(problem, q, factor), by_load(problem, q, factor)[..., None])[..., 0]
     moved = follow(problem.loaded(factor + h)).q - follow(problem.loaded(factor - h)).q
     np.testing.assert_allclose(slope, moved / (2.0 * h), atol=1e-7 * np.max(np.abs(slope)))
 

@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks.frequencies import CASES, EVEN, MASS, MIDDLE, THREE, Case, frequency, learned, recording, ruler, trials
 from onebend.errors import LearningError
-from onebend.learning.frequencies.compared import frequency_remarks, validated_frequencies
-from onebend.learning.frequencies.frequency_data import frequency_data
+from onebend.learning.frequencies.compared import frequency_remarks, posture_words, validated_frequencies
+from onebend.learning.frequencies.frequency_data import frequency_data, postures_of
 from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import predicted_frequencies
 from onebend.learning.inference.stages import FitSettings
@@ -19,7 +19,7 @@ from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
-from onebend.records import MassAlong, MeasuredFrequency, Observations
+from onebend.records import MassAlong, MeasuredFrequency, Observations, PointMass
 from tests import made_up
 from tests.made_up import with_stated
 
@@ -166,3 +166,11 @@ def test_bands_hold_the_truth_as_often_as_they_say(case: Case) -> None:
     assert inside >= 0.85
     z = [np.mean(one[0] / one[1]) for one in found]
     assert 0.4 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_a_mass_that_rides_elsewhere_is_not_said_to_be_at_the_tip() -> None:
+    measured = MeasuredFrequency(3.0, 0.1, 1, (0.0, 0.0), 0.005)
+    riding = (PointMass(0.4, 0.02),)
+    (bare,), (laden,) = postures_of((replace(measured, tip_mass=0.0),), riding), postures_of((measured,), riding)
+    assert posture_words(bare) == "across gravity"
+    assert posture_words(laden) == "across gravity, 5 g at the tip"

@@ -10,9 +10,11 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile, Steps, Table, Uniform
 from onebend.errors import LearningError
-from onebend.learning.model.frames import usable_frames
+from onebend.learning.model.frames import at_frames, usable_frames
+from onebend.learning.model.rest import at_rest
+from onebend.learning.outcome import Trial
 from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import RegressionSettings, information_criterion, pairs
+from onebend.learning.paper.selection import Candidate, RegressionSettings, information_criterion, pairs, standing
 from onebend.learning.validation import validate
 from onebend.records import MassLine
 from tests.learning.bench import MARKERS, SOFT, forces, observed
@@ -71,6 +73,38 @@ def learned_soft():  # type: ignore[no-untyped-def]
 def test_stiffness_comes_back_from_noisy_markers(learned_soft) -> None:  # type: ignore[no-untyped-def]
     np.testing.assert_allclose(learned_soft.beam.stiffness(S), SOFT.stiffness(S), rtol=0.06)
     assert learned_soft.trials[learned_soft.chosen].bic == min(t.bic for t in learned_soft.trials)
+
+
+def test_table_of_many_frames_is_compared_in_a_hundred_of_them() -> None:
+    """A trial's RMS there is nearly that in all frames, and the chosen beam is compared in all."""
+    made = observed(SOFT, forces(300), noise=(2e-5, 1e-3), seed=3)
+    result = regress(made, RegressionSettings(n=6, m=3))
+    np.testing.assert_allclose(result.trials[0].rms, result.training.rms, rtol=0.2)
+    assert np.all(result.trials[0].rms != result.training.rms)
+    assert len(result.training.frame) == 300
+
+
+def test_film_of_very_many_frames_is_learned_from_a_thousand_of_them() -> None:
+    long = observed(SOFT, forces(2500), noise=(2e-5, 1e-3), seed=3)
+    kept = np.linspace(0, 2499, 1000).astype(int)
+    few = at_frames(long, np.isin(np.arange(2500), kept))
+    settings = RegressionSettings(n=5, m=3)
+    assert regress(long, settings).trials[0].coefficients == pytest.approx(
+        regress(few, settings).trials[0].coefficients, rel=1e-12
+    )
+
+
+def test_trial_that_snaps_in_a_frame_that_was_left_out_is_put_out_of_the_running() -> None:
+    made = observed(SOFT, forces(300), noise=(2e-5, 1e-3), seed=3)
+    force = made.force.copy()
+    force[7] = 0.02 / 0.15 * np.array([5.5, -2.9])  # a beam bent to most of a turn that is pulled open snaps through
+    curved = Beam(0.15, Uniform(0.02), rest_curvature=Uniform(4.0))
+    trial = Trial(2, 2, np.full(2, 0.02), np.full(3, 1e-3), 1.0, 0.02, 1.0)
+    found = [Candidate(trial, curved), Candidate(replace(trial, bic=2.0), SOFT)]
+    chosen, training = standing(found, replace(made, force=force), at_rest(made))
+    assert chosen == 1
+    assert np.all(np.isfinite(training.predicted))
+    assert "snaps through" in found[0].trial.why_out
 
 
 def test_validation_on_another_push_is_near_the_markers_noise(learned_soft) -> None:  # type: ignore[no-untyped-def]

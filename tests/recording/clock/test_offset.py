@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock.offset import fit_clock
+from onebend.recording.clock.offset import ClockSettings, averaged, fit_clock
 from onebend.recording.clock.polynomial_features import levers
-from onebend.recording.force.noise import fit_noise, log_evidence
+from onebend.recording.force.noise import fit_noise, linear_model, log_evidence
+from onebend.recording.force.noise_factor import banded_factor, dense_factor, noise_factor
 from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
 
@@ -134,7 +135,59 @@ def test_evidence_is_that_of_a_normal_distribution() -> None:
     whole = whole + x @ x.T
     y = values.T.reshape(24)
     direct = -0.5 * (y @ np.linalg.solve(whole, y)) - 0.5 * np.linalg.slogdet(whole)[1]
-    assert np.isclose(log_evidence(noise.root(time), design, values), direct, rtol=1e-9)
+    model = linear_model(design, values)
+    for factor in (dense_factor(noise, time), banded_factor(noise, time)):
+        assert np.isclose(log_evidence(factor, model), direct, rtol=1e-9)
+
+
+@pytest.mark.parametrize("white", [1e-3, 1.0])
+def test_banded_covariance_is_the_dense_one(white: float) -> None:
+    """Of many rows, unevenly spaced, with a second walk that stands still at times."""
+    rng = np.random.default_rng(4)
+    time = np.cumsum(rng.uniform(0.01, 0.2, 200))
+    walked = np.cumsum(np.maximum(rng.standard_normal(200), 0.0))
+    noise = ForceNoise(white=white, coloured=0.7, tau=0.5, walk=0.3)
+    columns = rng.standard_normal((200, 5))
+    covariance = noise.covariance(time) + np.minimum(walked[:, None], walked) - walked[0]
+    direct = columns.T @ np.linalg.solve(covariance, columns)
+    factor = noise_factor(noise, time, walked)
+    np.testing.assert_allclose(factor.inner(columns), direct, rtol=1e-8, atol=1e-9 * np.abs(direct).max())
+    assert factor.log_root == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1], rel=1e-10)
+    dense = dense_factor(noise, time, walked)
+    np.testing.assert_allclose(dense.inner(columns), direct, rtol=1e-8, atol=1e-9 * np.abs(direct).max())
+
+
+def test_film_of_very_many_frames_is_averaged_and_tells_the_same() -> None:
+    pushed = Pushed(seed=25, film=8.0)
+    markers = pushed.markers()
+    most = len(markers.time) // 2 + 1
+    whole, fewer = (
+        fit_clock(markers, pushed.log(), 250.0, 2.0, settings=ClockSettings(most_frames=number)).clock
+        for number in (4000, most)
+    )
+    for clock in (whole, fewer):
+        assert clock.offset == pytest.approx(pushed.offset, abs=2.5 * clock.sd)
+    assert fewer.sd == pytest.approx(whole.sd, rel=0.5)
+
+
+def test_averaged_frames_are_missing_where_half_of_their_neighbours_are() -> None:
+    markers = Pushed().markers()
+    xy = markers.xy.copy()
+    xy[0, 0], xy[4:6, 0] = np.nan, np.nan
+    found = averaged(replace(markers, xy=xy), len(markers.time) // 4 + 1)
+    assert len(found.time) == len(markers.time) // 4
+    np.testing.assert_allclose(found.time[1], markers.time[4:8].mean())
+    np.testing.assert_allclose(found.xy[0, 0], xy[1:4, 0].mean(axis=0))
+    assert np.isnan(found.xy[1, 0]).all()
+    assert averaged(markers, len(markers.time)) is markers
+
+
+def test_columns_that_axes_share_stand_once() -> None:
+    feature = np.arange(5.0)
+    design = np.zeros((5, 2, 2))
+    design[:, 0, 0] = design[:, 1, 1] = feature
+    model = linear_model(design, np.stack([feature**2, feature**3], axis=1))
+    assert model.columns.shape == (5, 3)
 
 
 def test_noise_is_recovered() -> None:
@@ -142,7 +195,7 @@ def test_noise_is_recovered() -> None:
     log = pushed.log()
     values = log.force - pushed.true_force(log.time - pushed.offset)
     constant = np.zeros((len(log.time), 2, 2)) + np.eye(2)
-    found = fit_noise(log.time, constant, values, ForceNoise(0.02, 0.01, 0.2, 0.01))
+    found = fit_noise(log.time, linear_model(constant, values), ForceNoise(0.02, 0.01, 0.2, 0.01))
     assert found.white == pytest.approx(0.01, rel=0.3)
     assert found.coloured == pytest.approx(0.02, rel=0.4)
     assert found.tau == pytest.approx(0.3, rel=0.6)

@@ -56,3 +56,10 @@ def test_a_base_angle_for_all_stands_in_gravity(tmp_path: Path) -> None:
 def test_what_is_wrong_is_told_with_its_line(tmp_path: Path, rows: str, says: str) -> None:
     with pytest.raises(RecordingError, match=says):
         read_recording(written(tmp_path, BEAM + rows))
+
+
+def test_a_lower_mode_that_is_faster_is_refused(tmp_path: Path) -> None:
+    rows = f"{ROW}mode = 1\nbase_angle_deg = -90\n{ROW.replace('9.0', '50.0')}mode = 2\nbase_angle_deg = -90\n"
+    assert len(observe(written(tmp_path, BEAM + rows)).frequencies) == 2
+    with pytest.raises(RecordingError, match="mode 1 at 9000 Hz is no slower than mode 2 at 50"):
+        observe(written(tmp_path, BEAM + rows.replace("hz = 9.0", "hz = 9000.0")))

@@ -180,3 +180,12 @@ def test_sizes_that_look_swapped_are_asked_after(tmp_path: Path, width: float, t
     content = FULL.replace("mass_kg = 0.08\n", f"mass_kg = 0.08\nwidth_m = {width}\nthickness_m = {thickness}\n")
     notes = [r for r in read_recording(folder_with(tmp_path, content)).remarks if "swapped" in r.text]
     assert [note.level for note in notes] == asked * ["note"]
+
+
+@pytest.mark.parametrize(
+    "entries",
+    ["width_m = 0.0012\nthickness_m = 0.00003", "diameter_m = 0.00005", "width_m = 1.2\nthickness_m = 3"],
+)
+def test_a_beam_of_no_material_is_refused(tmp_path: Path, entries: str) -> None:
+    with pytest.raises(RecordingError, match=r"as no material is\. Check mass_kg"):
+        stated(tmp_path, entries)

@@ -102,6 +102,14 @@ def test_the_same_records_give_the_same_bytes() -> None:
     assert png_of(recordings.residuals(ONE)) == png_of(recordings.residuals(ONE))
 
 
+def test_no_plane_is_drawn_where_one_coordinate_alone_was_read() -> None:
+    heights = ONE.measured.copy()
+    heights[..., 0] = np.nan
+    assert len(recordings.residuals(ONE).axes) == 2
+    [over_time] = recordings.residuals(replace(ONE, measured=heights)).axes
+    assert "distance" in over_time.get_ylabel()
+
+
 def test_stiffness_curve_is_the_beams() -> None:
     axes = curves.stiffness(made_up.BEAM).axes[0]
     s, k = np.array(axes.lines[0].get_data(), dtype=float)

@@ -17,7 +17,7 @@ import pytest
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Uniform
 from onebend.records import PointMass
-from onebend.report.figures.curves import highest_shown
+from onebend.report.figures.bands import highest_shown
 from onebend.report.page.interactive import PLACES, SCRIPTS, script_data
 from onebend.report.page.page import page
 from onebend.report.page.template import COMMON, page_file

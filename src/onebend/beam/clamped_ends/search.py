@@ -21,7 +21,8 @@ from onebend.beam.clamped_ends.homotopy import follow_homotopy, let_strain, rele
 from onebend.beam.loads import Loads
 from onebend.beam.statics.equilibrium import Equilibrium, potential
 from onebend.beam.statics.nodal_forces import node_angles
-from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
+from onebend.beam.statics.problem import Problem, Resolution, make_problem
+from onebend.beam.statics.rod import Rod
 from onebend.beam.statics.sensitivity import clamp_wrench
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError

@@ -28,7 +28,8 @@ import numpy as np
 from onebend.beam.grid import Grid, make_grid
 from onebend.beam.modal import Modes
 from onebend.beam.profiles.stiffness import Profile, Uniform
-from onebend.beam.statics.problem import Resolution, Rod, refuse_section
+from onebend.beam.statics.problem import Resolution
+from onebend.beam.statics.rod import Rod, refuse_section
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, PointMass
 

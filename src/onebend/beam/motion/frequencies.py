@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from onebend.beam.motion.actions import Actions
 from onebend.beam.motion.dynamics import body
 from onebend.beam.motion.vibration import Vibration, settle, vibration_of
-from onebend.beam.statics.problem import Resolution, Rod
+from onebend.beam.statics.problem import Resolution
+from onebend.beam.statics.rod import Rod
 from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.records import Array, PointMass

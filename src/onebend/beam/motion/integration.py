@@ -17,6 +17,7 @@ from onebend.beam.motion.actions import Actions, TabulatedActions, acting, check
 from onebend.beam.motion.collocation import Method, Tableau, tableau
 from onebend.beam.motion.dynamics import Body, elastic_energy, kinetic_energy, mass_matrix, momentum, weight_energy
 from onebend.beam.motion.stepping import Step, StepError, Stepper
+from onebend.blas import one_blas_thread
 from onebend.errors import MechanicsError
 from onebend.progress import Progress, Silent
 from onebend.records import Array
@@ -86,6 +87,7 @@ class Motion:
         return np.asarray(CubicHermiteSpline(self.time, self.theta, self.rate)(wanted))
 
 
+@one_blas_thread
 def simulate(
     body: Body,
     start: MotionState,
@@ -105,6 +107,7 @@ def simulate(
     return _follow(body, start, stretches, actions, settings)
 
 
+@one_blas_thread
 def converged(
     body: Body,
     start: MotionState,
@@ -127,8 +130,7 @@ def converged(
         MechanicsError: as `simulate`, or the tolerance was not met after `halvings`.
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
-    places, change = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf
-    running = replace(settings, every=1)
+    places, change, running = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf, replace(settings, every=1)
     coarse = _attempt(body, start, stretches, actions, running)
     for _ in range(halvings):
         stretches = [replace(stretch, count=2 * stretch.count) for stretch in stretches]
@@ -149,10 +151,9 @@ def _stretches(
     body: Body, start: MotionState, duration: float, step: float, actions: Actions, max_steps: int
 ) -> list[_Stretch]:
     """Stretches between jumps of the actions, each in equal steps."""
-    if np.shape(start.theta) != (body.n,) or np.shape(start.rate) != (body.n,):
-        raise MechanicsError(
-            f"the start has {np.shape(start.theta)} states and {np.shape(start.rate)} rates, the body {body.n}"
-        )
+    shapes = np.shape(start.theta), np.shape(start.rate)
+    if shapes != ((body.n,), (body.n,)):
+        raise MechanicsError(f"the start has {shapes[0]} states and {shapes[1]} rates, the body {body.n}")
     if not (np.all(np.isfinite(start.theta)) and np.all(np.isfinite(start.rate))):
         raise MechanicsError("the motion's start must be finite numbers")
     if not (duration > 0.0 and step > 0.0 and np.isfinite(duration)):
@@ -170,8 +171,7 @@ def _attempt(
     body: Body, start: MotionState, stretches: list[_Stretch], actions: Actions, settings: IntegrationSettings
 ) -> Motion | None:
     """The motion, or None where these steps are too long for it."""
-    count = sum(stretch.count for stretch in stretches)
-    if count > settings.max_steps:
+    if sum(stretch.count for stretch in stretches) > settings.max_steps:
         raise MechanicsError(f"the tolerance is not met with the {settings.max_steps} steps allowed")
     try:
         return _follow(body, start, stretches, actions, settings)

@@ -17,7 +17,7 @@ from onebend.beam.motion.dynamics import Body, body, mass_matrix
 from onebend.beam.motion.integration import MotionState
 from onebend.beam.profiles.stiffness import Profile, Uniform
 from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.problem import Rod, refuse_section
+from onebend.beam.statics.rod import Rod, refuse_section
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

@@ -9,13 +9,14 @@ with p = 1/3 where the thickness makes k(s) vary (k goes with h^3) and p = 0 whe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from onebend.errors import MechanicsError
-from onebend.records import Array
+from onebend.records import Array, BoolArray, IntArray
 
 POISSON = 0.48  # silicone and other rubbers: 0.45 to 0.5
 SHEAR_FACTOR = 5.0 / 6.0  # of a rectangle
@@ -37,6 +38,11 @@ class RectangularSection:
             raise MechanicsError(f"Poisson's ratio lies in (-1, 0.5], got {self.poisson:g}")
         if self.varies not in ("thickness", "width"):
             raise MechanicsError(f"k(s) varies with 'thickness' or 'width', got {self.varies!r}")
+
+    def take(self, chosen: IntArray | BoolArray) -> RectangularSection:
+        """That of some beams of the batch."""
+        h = self.thickness
+        return self if np.ndim(h) == 0 else replace(self, thickness=np.asarray(h)[chosen])
 
     @property
     def exponent(self) -> float:
@@ -61,6 +67,22 @@ class RectangularSection:
             mean = _mean(functions, weights[..., None], axis=-2) / _mean(k, weights)[..., None]
             out = out - 2.0 * self.exponent * mean
         return np.asarray(out)
+
+
+def common_section(sections: Sequence[RectangularSection | None]) -> RectangularSection | None:
+    """One section for a batch, of thickness (T, 1) where several beams differ in it; None where no beam has one.
+
+    Raises:
+        MechanicsError: some have one and others none, or they differ in more than the thickness.
+    """
+    first, *others = sections
+    if first is None or not others or all(other == first for other in others):
+        if any(other is not None for other in others) and first is None:
+            raise MechanicsError("some beams of the batch have a thickness, others none: solve them apart")
+        return first
+    if any(o is None or (o.poisson, o.varies) != (first.poisson, first.varies) for o in others):
+        raise MechanicsError("beams of one batch share Poisson's ratio and what varies; solve the others apart")
+    return replace(first, thickness=np.array([[o.thickness] for o in (first, *others) if o is not None]))
 
 
 def _mean(values: Array, weights: Array, axis: int = -1) -> Array:

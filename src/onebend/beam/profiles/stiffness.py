@@ -203,6 +203,14 @@ class Scaled:
         return {"kind": "scaled", "factor": self.factor, "profile": self.profile.as_dict()}
 
 
+def knots_of(profile: Profile) -> tuple[float, ...]:
+    """Places strictly inside (0, 1) where a derivative jumps: a spline's knots, a table's places."""
+    if isinstance(profile, Scaled):
+        return knots_of(profile.profile)
+    places = profile.s if isinstance(profile, Table) else profile.knots if isinstance(profile, LogSpline) else ()
+    return tuple(sorted({float(place) for place in places if 0.0 < place < 1.0}))
+
+
 def gaussian_basis(s: Array | float, centres: Array | tuple[float, ...], width: float) -> Array:
     """The Gaussians of (15) at `s`: shape `s.shape + (m,)`, unit 1 (each has unit area over the real line)."""
     z = (np.asarray(s, dtype=float)[..., None] - np.asarray(centres, dtype=float)) / width

@@ -113,6 +113,11 @@ class UncertainStiffness:
         """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
         return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
 
+    def log_covariance(self, s: Array, level: float = 0.95) -> Array:
+        """(S, S) covariance of log k at `s`, the common scale apart: of normals whose band at `level` is `band`'s."""
+        root = np.asarray(self._widening(s, level))[..., None] * self.basis(s)
+        return np.asarray(root @ self.covariance @ root.T)
+
     def _widening(self, s: Array, level: float) -> Array | float:
         """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
         if self.shape is None:

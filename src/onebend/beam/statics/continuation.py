@@ -14,12 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.beam.grid import apply, transposed
+from onebend.beam.grid import apply
 from onebend.beam.loads import Loads
-from onebend.beam.statics.equilibrium import Equilibrium, gradient, is_stable, tangent
+from onebend.beam.statics.by_load import by_load, terms_at_rest
+from onebend.beam.statics.equilibrium import Equilibrium, is_stable, tangent
+from onebend.beam.statics.moment_basis import in_basis, settle
 from onebend.beam.statics.newton import correct, solve_batch
-from onebend.beam.statics.nodal_forces import nodal_forces
-from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem
+from onebend.beam.statics.nodal_beam import AS_ROUGH, NARROW, RESOLVED, missed_by_angles
+from onebend.beam.statics.problem import Problem, Resolution, first_resolution, make_problem, remembered
+from onebend.beam.statics.rod import Rod
 from onebend.beam.statics.snap_through import Side, let_fall
 from onebend.blas import one_blas_thread
 from onebend.records import Array, IntArray
@@ -41,7 +44,6 @@ class ContinuationSettings:
 
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
-_MAX_HALVINGS = 5  # halvings of the panels
 
 
 _HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
@@ -76,34 +78,76 @@ def equilibrium(
 ) -> Equilibrium:
     """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
 
-    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (see
-    `Equilibrium.resolved`) or a finer one moves their tips by less than 1e-11 L; measured tables of k(s), which are not
-    smooth, stop at the finest of `_MAX_HALVINGS` halvings, where the tip is good to about 1e-8 L.
+    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (their
+    angles then are good to 1e-9 rad) as it carries the beam's own, or a finer one moves their tips by less than
+    1e-11 L; measured tables of k(s), which are not smooth, stop at panels of 1/32, where the tip is good
+    to about 1e-8 L. The grid depends on the beam and these loads alone, not on what was solved before.
 
     With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
 
     Raises:
         MechanicsError: k(s) is not positive somewhere.
     """
-    if resolution is None:
-        resolution = _resolve(beam, loads, settings, fall)
-    return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
+    if resolution is not None:
+        return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
+    return _on_fine_enough_grid(beam, loads, settings, fall)
 
 
-def _resolve(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Resolution:
-    """The coarsest resolution that is fine enough for the few frames that bend the beam most."""
-    resolution, tip = Resolution(), None
-    coarse = make_problem(beam, loads, resolution)
-    size = np.max(np.linalg.norm(coarse.dead_force, axis=-1), axis=1) * beam.length
-    size += np.max(np.abs(coarse.moment), axis=1) + np.sum(np.abs(coarse.follower), axis=(1, 2)) * beam.length
-    hardest = loads.spread(loads.size).take(np.sort(np.argsort(size)[-_PROBE_FRAMES:]))
-    for _ in range(_MAX_HALVINGS):
-        result = follow(make_problem(beam, hardest, resolution), settings=settings, fall=fall)
-        there = result.xy(np.array([1.0]))
-        if np.all(result.resolved) or (tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length):
+def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
+    """On the coarsest grid that is fine enough for the few frames that bend the beam most."""
+    (resolution, own), tip = first_resolution(beam, loads), None
+    problem = make_problem(beam, loads, resolution)
+    chosen = _hardest(problem)
+    while True:
+        part = problem if chosen is None else problem.take(chosen)
+        result = _solved(beam, loads, part, resolution, settings, fall)
+        missed = missed_by_angles(part.grid, result.q)
+        if resolution.widest <= NARROW or np.all(missed < max(RESOLVED, AS_ROUGH * own)):
             break
-        resolution, tip = resolution.finer(), there
-    return resolution
+        there = result.xy(np.array([1.0]))
+        if tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length:
+            break
+        resolution, tip = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), there
+        problem = make_problem(beam, loads, resolution)
+    return result if chosen is None else _solved(beam, loads, problem, resolution, settings, fall)
+
+
+def _solved(
+    beam: Rod,
+    loads: Loads,
+    problem: Problem,
+    resolution: Resolution,
+    settings: ContinuationSettings,
+    fall: Side | None,
+) -> Equilibrium:
+    """As `follow`; on many nodes in few unknowns, where that leads to a stable equilibrium."""
+    nodal = remembered(beam, loads, resolution)
+    basis = None if nodal is None else nodal.basis
+    if basis is None or fall is not None:
+        return follow(problem, settings=settings, fall=fall)
+    found = follow(in_basis(problem, basis), settings=settings)
+    q, near = settle(problem, basis, found.q)
+    near &= found.stable & np.isnan(found.buckled_at)
+    lost = np.flatnonzero(~near)
+    if lost.size == 0:
+        return replace(found, problem=problem, q=q)
+    if lost.size == len(q):
+        return follow(problem, settings=settings)
+    rest = follow(problem.take(lost), settings=settings)
+    q[lost] = rest.q
+    out = replace(found, problem=problem, q=q, iterations=max(found.iterations, rest.iterations))
+    for name in ("converged", "stable", "load_factor", "buckled_at"):
+        getattr(out, name)[lost] = getattr(rest, name)
+    return out
+
+
+def _hardest(problem: Problem) -> IntArray | None:
+    """The few frames with the largest loads; None for all of them."""
+    if problem.size <= _PROBE_FRAMES:
+        return None
+    size = np.max(np.linalg.norm(problem.dead_force, axis=-1), axis=1) * float(problem.length)
+    size += np.max(np.abs(problem.moment), axis=1) + np.sum(np.abs(problem.follower), axis=(1, 2)) * problem.length
+    return np.sort(np.argsort(size)[-_PROBE_FRAMES:])
 
 
 def follow(
@@ -128,7 +172,8 @@ def follow(
     converged = state.factor >= 1.0
     stable = converged & ~state.lost
     doubtful = np.flatnonzero(converged & state.lost)
-    stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
+    if doubtful.size:
+        stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
     return Equilibrium(
         problem=problem,
         q=state.q,
@@ -184,7 +229,10 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
     state.iterations += count
     guarded = near & ~state.lost[frames]
     loses_stability = np.zeros_like(near)
-    loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
+    if np.all(guarded):
+        loses_stability = ~is_stable(part, corrected, target)
+    elif np.any(guarded):
+        loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
     at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost however short the step
     first = at_last & np.isnan(state.buckled_at[frames])
     state.buckled_at[frames[first]] = target[first]
@@ -206,10 +254,10 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     chosen = frames[stale]
     part = problem if stale.size == frames.size else problem.take(stale)
     q, factor = state.q[chosen], state.factor[chosen]
-    right = _by_load(part, q, factor)
+    right = by_load(part, q, factor)
     if np.all(factor == 0.0):  # then the tangent is diagonal
-        slope = right / (part.weights * part.k)
-        second, third = _terms_at_rest(part, q, slope)
+        slope = right / part.stiff
+        second, third = terms_at_rest(part, q, slope)
     else:
         slope = solve_batch(tangent(part, q, factor), right)
         second, third = _terms_behind(state, chosen, slope)
@@ -217,31 +265,6 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     state.turn[chosen] = np.max(np.abs(apply(part.to_nodes, slope)), axis=-1)
     state.curl[chosen] = np.max(np.abs(apply(part.to_nodes, second)), axis=-1)
     state.fresh[chosen] = True
-
-
-def _by_load(problem: Problem, q: Array, factor: Array) -> Array:
-    """(T, Q) minus the derivative of the gradient with the load factor, in which it is linear, or quadratic where
-    the beam stretches or shears: a difference over 1 is exact."""
-    if problem.compliance is None:
-        return gradient(problem, q, 0.0) - gradient(problem, q, 1.0)
-    return gradient(problem, q, factor - 0.5) - gradient(problem, q, factor + 0.5)
-
-
-def _terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
-    """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
-    if problem.follower.shape[1]:
-        return np.zeros_like(q), np.zeros_like(q)
-    forces = nodal_forces(replace(problem, section=None, stretch=None, shear=None), q)
-    along, across, delta = forces.along, forces.across, problem.strain_lever
-    back, stiff = transposed(problem.to_nodes), problem.weights * problem.k
-    turn = apply(problem.to_nodes, slope)
-    second = -2.0 * apply(back, along * turn) / stiff
-    if delta is not None:
-        second = second + 2.0 * apply(back, delta * along * across) / stiff
-    third = -3.0 * apply(back, along * apply(problem.to_nodes, second) + across * turn**2) / stiff
-    if delta is not None:
-        third = third + 6.0 * apply(back, delta * (across**2 - along**2) * turn) / stiff
-    return second / 2.0, third / 6.0
 
 
 def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array, Array]:

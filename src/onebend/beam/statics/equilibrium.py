@@ -37,7 +37,7 @@ from onebend.beam.statics.nodal_forces import (
 from onebend.beam.statics.problem import Problem
 from onebend.records import Array, BoolArray, IntArray
 
-_TABULATED = 48  # nodes up to which B^T diag(d) B is done by a table
+_TABULATED = 300_000  # numbers up to which B^T diag(d) B is done by a table
 RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
 
 
@@ -172,8 +172,7 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     doubtful = np.flatnonzero(~stable)
     if doubtful.size:
         part = problem if doubtful.size == len(q) else problem.take(doubtful)
-        diagonal = part.weights * part.k
-        stable[doubtful] = positive_definite(_second_variation(part, forces.along[doubtful], diagonal))
+        stable[doubtful] = positive_definite(_second_variation(part, forces.along[doubtful], part.stiff))
     return stable
 
 
@@ -190,18 +189,18 @@ def is_convex(problem: Problem) -> BoolArray:
 
 def scaled(problem: Problem, matrices: Array) -> Array:
     """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
-    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    scale = 1.0 / np.sqrt(problem.stiff)
     return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
 
 
 def _gradient(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
     factor = np.asarray(load_factor, dtype=float)[..., None]
-    elastic = problem.weights * (problem.k * (q - problem.q0) - factor * problem.moment)
+    elastic = problem.stiff * (q - problem.q0) - factor * problem.couple
     return elastic - apply(transposed(problem.to_nodes), forces.across)
 
 
 def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
-    out = _second_variation(problem, forces.along, problem.weights * problem.k)
+    out = _second_variation(problem, forces.along, problem.stiff)
     if problem.follower.shape[1]:
         _, turning = turned_followers(problem, q)
         factor = np.asarray(load_factor, dtype=float)[..., None, None]
@@ -233,23 +232,23 @@ def _surely_stable(problem: Problem, along: Array) -> BoolArray:
     (Cauchy's inequality). Where compression gains less than E from such turns, nothing lowers the potential. For a
     uniform column that holds up to 2 EI / L^2; Euler's load is 2.47.
     """
-    gained = apply(problem.to_nodes**2, 1.0 / (problem.weights * problem.k))
+    gained = apply(problem.to_nodes**2, 1.0 / problem.stiff)
     return np.asarray(np.sum(np.minimum(along, 0.0) * gained, axis=-1) > -(1.0 - 1e-9))
 
 
 def _congruence(b: Array, diagonal: Array) -> Array:
     """(T, Q, Q) `B^T diag(d) B`: for a small shared B one product with a table of its rows' squares."""
     nodes = b.shape[-1]
-    if b.ndim == 2 and nodes <= _TABULATED:
+    if b.ndim == 2 and b.size * nodes <= _TABULATED:
         return np.asarray((diagonal @ _squares(b.tobytes(), nodes)).reshape(*diagonal.shape[:-1], nodes, nodes))
     return np.asarray(transposed(b) @ (diagonal[..., None] * b))
 
 
 @lru_cache(maxsize=16)
 def _squares(matrix: bytes, nodes: int) -> Array:
-    """(Q, Q * Q): row q holds `B[q, i] B[q, j]`."""
-    b = np.frombuffer(matrix).reshape(nodes, nodes)
-    return np.asarray((b[:, :, None] * b[:, None, :]).reshape(nodes, -1))
+    """(Q, n * n): row q holds `B[q, i] B[q, j]`."""
+    b = np.frombuffer(matrix).reshape(-1, nodes)
+    return np.asarray((b[:, :, None] * b[:, None, :]).reshape(len(b), -1))
 
 
 def positive_definite(matrices: Array) -> BoolArray:

@@ -25,7 +25,7 @@ def correct(
     q = start.copy()
     near = np.zeros(len(q), dtype=bool)
     todo, part = np.arange(len(q)), problem
-    q_now, moved, count = q, np.zeros_like(q), 0
+    q_now, moved, count = q, np.zeros((len(q), problem.to_nodes.shape[-2])), 0
     before = np.zeros(len(q))  # rad, the update before the last
     while todo.size and count < max_iterations:
         count += 1
@@ -42,6 +42,8 @@ def correct(
         q[todo] = q_now
         near[todo] = settled & ~strayed
         going = np.flatnonzero(~(settled | strayed))
+        if going.size == 0:
+            break
         if going.size < todo.size:
             todo, part = todo[going], part.take(going)
             q_now, moved, size = q_now[going], moved[going], size[going]

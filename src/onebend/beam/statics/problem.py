@@ -9,46 +9,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
-from onebend.beam.grid import Grid, apply, make_grid
+from onebend.beam.grid import Grid, apply
 from onebend.beam.loads import Loads
-from onebend.beam.profiles.rectangular import RectangularSection
-from onebend.beam.profiles.stiffness import Profile
+from onebend.beam.profiles.rectangular import RectangularSection, common_section
+from onebend.beam.profiles.stiffness import knots_of
+from onebend.beam.statics.nodal_beam import (
+    FirstGrid,
+    NodalBeam,
+    are_common,
+    check_positive,
+    first_grid,
+    grid_for,
+    loads_at_nodes,
+    nodal_beam,
+    riding_beyond,
+)
+from onebend.beam.statics.rod import Rod
 from onebend.errors import MechanicsError
-from onebend.records import Array, BoolArray, IntArray, PointMass
-
-
-class Rod(Protocol):
-    """What mechanics needs to know of a beam; `model.Beam` is one."""
-
-    @property
-    def length(self) -> float: ...
-    @property
-    def stiffness(self) -> Profile: ...
-    @property
-    def rest_curvature(self) -> Profile: ...
-    @property
-    def clamp_angle(self) -> float: ...
-    @property
-    def mass_per_length(self) -> Profile: ...
-    @property
-    def section(self) -> RectangularSection | None: ...
-    @property
-    def masses(self) -> tuple[PointMass, ...]: ...
-
-
-def has_mass(rod: Rod) -> bool:
-    """Whether it has a mass of its own: without, gravity does nothing and nothing swings."""
-    return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
-
-
-def refuse_section(rod: Rod, who: str) -> None:
-    """Raises `MechanicsError` where a beam has a thickness and `who` does not know stretch and shear."""
-    if rod.section is not None:
-        raise MechanicsError(f"{who} takes beams that neither stretch nor shear: give the beam without its thickness")
+from onebend.records import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -57,6 +38,7 @@ class Resolution:
 
     order: int = 16
     widest: float = 1.0
+    at_knots: bool = False  # an edge also where a derivative of k(s) or q0(s) jumps
 
     def finer(self) -> Resolution:
         """Panels half as wide."""
@@ -86,6 +68,7 @@ class Problem:
     section: RectangularSection | None = None
     stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA, where there is no section
     shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA, where there is no section
+    modes: Array | None = None  # (Q, n): then unknowns, q0 and columns of B are of these curvatures, not of the nodes
 
     @property
     def size(self) -> int:
@@ -99,12 +82,25 @@ class Problem:
         return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
 
     @cached_property
+    def stiff(self) -> Array:
+        """(Q,) or (T, Q) N m: w k; (n,) 1 for modes, which are orthonormal in it."""
+        return self.weights * self.k if self.modes is None else np.ones(self.modes.shape[-1])
+
+    @cached_property
+    def couple(self) -> Array:
+        """(T, Q) or (T, n) N m: w times the point moments beyond the nodes, their work for each unknown."""
+        out = self.weights * self.moment
+        return out if self.modes is None else out @ self.modes
+
+    @cached_property
     def compliance(self) -> tuple[Array, Array] | None:
         """(Q,) or (T, Q) 1/N each: 1/EA and 1/kGA; None for a beam that neither stretches nor shears."""
         if self.section is not None:
             if self.stretch is not None or self.shear is not None:
                 raise MechanicsError("1/EA and 1/kGA follow from the section: give it or them, not both")
             return self.section.compliance(self.k, self.weights, self.length)
+        if self.stretch is None and self.shear is None:
+            return None
         given = [np.zeros(1) if x is None else x for x in (self.stretch, self.shear)]
         if not all(np.all(x >= 0.0) for x in given):
             raise MechanicsError("1/EA and 1/kGA must be 0 or more")
@@ -173,15 +169,48 @@ class Problem:
             follower=self.follower[chosen],
             follower_beyond=self.follower_beyond[chosen],
             follower_rows=self.follower_rows[chosen],
-            section=self.section if self.section is None else _picked_section(self.section, chosen),
+            section=None if self.section is None else self.section.take(chosen),
+            modes=self.modes,
             stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
             shear=self.shear if self.shear is None else pick(self.shear, 1),
         )
 
 
+def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
+    """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame."""
+    if not are_common(loads.places):
+        return None
+    places = tuple(float(place) for place in loads.places[0])
+    nodal = beam.memory.beams.get((*places, resolution))
+    if nodal is None:
+        grid = grid_for(loads.places, _edges([beam], resolution), resolution.order, resolution.widest)
+        line = (beam.stiffness, beam.rest_curvature, beam.mass_per_length)
+        nodal = nodal_beam(beam.length, *line, beam.masses, grid, places)
+        beam.memory.keep((*places, resolution), nodal)
+    return nodal
+
+
 def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
-    """The arrays of a beam under loads. Raises `MechanicsError` where k(s) is not positive at every node."""
-    return make_problems([beam], loads, resolution)
+    """The arrays of a beam under loads; the beam remembers those that do not depend on the loads.
+
+    Raises:
+        MechanicsError: k(s) is not positive at every node.
+    """
+    loads = loads.spread(loads.size)
+    nodal = remembered(beam, loads, resolution)
+    if nodal is None:
+        return make_problems([beam], loads, resolution)
+    return Problem(
+        grid=nodal.grid,
+        weights=nodal.weights,
+        to_nodes=nodal.to_nodes,
+        length=np.asarray(beam.length),
+        k=nodal.k,
+        q0=nodal.q0,
+        alpha0=np.asarray(beam.clamp_angle),
+        section=beam.section,
+        **loads_at_nodes(nodal.grid, nodal.nodes, loads, nodal.mass_beyond),
+    )
 
 
 def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
@@ -194,22 +223,18 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
     if len(beams) not in (1, size):
         raise MechanicsError(f"{len(beams)} beams do not fit loads for {size} frames")
     loads = loads.spread(size)
-    jumps = tuple(j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps)
-    jumps += tuple(one.s for b in beams for one in b.masses)
-    grid = _grid_for(loads.places, tuple(sorted(set(jumps))), resolution)
+    grid = grid_for(loads.places, _edges(beams, resolution), resolution.order, resolution.widest)
     nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
     shared = len(beams) == 1
     k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
-    _check_positive(k, nodes)
+    check_positive(k, nodes)
     length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
     alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
-    dead = np.einsum("tac,taq->tqc", loads.force, _beyond(nodes, loads.force_s))
+    mass_beyond = np.zeros(nodes.shape)
     if np.any(loads.gravity != 0.0):
         line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
         mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
-        mass_beyond = mass_beyond + _stack([_riding_beyond(nodes, b) for b in beams])
-        dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
-    rows = grid.integral_to(loads.follower_s if loads.follower_s.size else np.zeros((size, 0)))
+        mass_beyond = mass_beyond + _stack([riding_beyond(nodes, b.masses) for b in beams])
     return Problem(
         grid=grid,
         weights=weights,
@@ -218,71 +243,38 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
         k=k,
         q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
         alpha0=alpha0,
-        dead_force=dead,
-        moment=np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s)),
-        follower=loads.follower,
-        follower_beyond=_beyond(nodes, loads.follower_s),
-        follower_rows=rows,
-        section=_common_section(beams),
+        section=common_section([beam.section for beam in beams]),
+        **loads_at_nodes(grid, nodes, loads, mass_beyond),
     )
 
 
-def _picked_section(section: RectangularSection, chosen: IntArray | BoolArray) -> RectangularSection:
-    """That of some frames of the batch."""
-    h = section.thickness
-    return section if np.ndim(h) == 0 else replace(section, thickness=np.asarray(h)[chosen])
+def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
+    """The coarsest that carries the beam's own curvatures, and the share of them by which its angles are off."""
+    places = loads.places
+    common = tuple(float(place) for place in places[0]) if are_common(places) else ()
+
+    def make() -> FirstGrid:
+        edges, knots = (*common, *_jumps([beam])), _knots([beam])
+        return first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
+
+    first = beam.memory.once((FirstGrid, common), make)
+    return Resolution(first.order, first.widest, first.at_knots), first.missed
 
 
-def _common_section(beams: Sequence[Rod]) -> RectangularSection | None:
-    """One section for the batch, of thickness (T, 1) where several beams differ in it."""
-    first, *others = (beam.section for beam in beams)
-    if first is None or not others or all(other == first for other in others):
-        if any(other is not None for other in others) and first is None:
-            raise MechanicsError("some beams of the batch have a thickness, others none: solve them apart")
-        return first
-    if any(o is None or (o.poisson, o.varies) != (first.poisson, first.varies) for o in others):
-        raise MechanicsError("beams of one batch share Poisson's ratio and what varies; solve the others apart")
-    return replace(first, thickness=np.array([[o.thickness] for o in (first, *others) if o is not None]))
+def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:
+    """Where a derivative of a profile of any of the beams jumps."""
+    return tuple(sorted({j for b in beams for p in (b.stiffness, b.rest_curvature) for j in knots_of(p)}))
 
 
-def _beyond(nodes: Array, places: Array) -> Array:
-    """(T, a, Q) 1 where a place lies beyond a node."""
-    return np.asarray(nodes[..., None, :] < places[..., :, None], dtype=float)
+def _edges(beams: Sequence[Rod], resolution: Resolution) -> tuple[float, ...]:
+    return (*_jumps(beams), *_knots(beams)) if resolution.at_knots else _jumps(beams)
 
 
-def _riding_beyond(nodes: Array, rod: Rod) -> Array:
-    """(..., Q) kg, of the masses that ride on a beam beyond each node."""
-    out = np.zeros(nodes.shape)
-    for one in rod.masses:
-        out += one.mass * (nodes < one.s)
-    return out
+def _jumps(beams: Sequence[Rod]) -> tuple[float, ...]:
+    """Where a profile of any of the beams jumps, and where a mass rides."""
+    jumps = {j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps}
+    return tuple(sorted(jumps.union(one.s for b in beams for one in b.masses)))
 
 
 def _stack(values: list[Array]) -> Array:
-    """One beam's values as they are, several with a leading axis."""
     return values[0] if len(values) == 1 else np.stack(values)
-
-
-def _check_positive(k: Array, nodes: Array) -> None:
-    if not np.all(k > 0.0):
-        bad = np.flatnonzero(~(k > 0.0))[0]
-        where = np.broadcast_to(nodes, k.shape).flat[bad]
-        raise MechanicsError(
-            f"k(s) is not positive: {k.flat[bad]:.3g} N m at s = {where:.3f}; such a beam has no stable equilibrium"
-        )
-
-
-def _grid_for(places: Array, jumps: tuple[float, ...], resolution: Resolution) -> Grid:
-    """One grid for the batch where all frames have their loads at the same places, else one a frame."""
-    if places.shape[1] == 0 or np.all(places == places[:1]):
-        fixed = tuple(float(p) for p in places[0])
-        return make_grid((*fixed, *jumps), order=resolution.order, widest=resolution.widest)
-    common = make_grid(jumps, order=resolution.order, widest=resolution.widest).edges
-    inside = np.clip(places, 1e-6, 1.0 - 1e-6)
-    edges = np.sort(np.concatenate([np.broadcast_to(common, (places.shape[0], len(common))), inside], axis=1), axis=1)
-    # Equal edges are pulled apart by an invisible amount so that every frame has the same number of panels.
-    step = 1e-7 * np.arange(edges.shape[1])
-    edges = np.maximum.accumulate(edges - step, axis=1) + step
-    edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
-    edges[:, -1] = 1.0
-    return Grid(edges, resolution.order)

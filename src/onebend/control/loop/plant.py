@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from onebend.beam.loads import push, weight
 from onebend.beam.motion.vibration import vibration
 from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.problem import Rod, has_mass
+from onebend.beam.statics.rod import Rod, has_mass
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.errors import MechanicsError
 from onebend.records import Array

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Scaled, Uniform
-from onebend.beam.statics.problem import has_mass
+from onebend.beam.statics.rod import has_mass
 from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller
 from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.statics.problem import Rod
+from onebend.beam.statics.rod import Rod
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state
 from onebend.control.shape.descent import DescentResult, descend

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from onebend.beam.clamped_ends.end_pose import end_pose
-from onebend.beam.statics.problem import Rod
+from onebend.beam.statics.rod import Rod
 from onebend.blas import one_blas_thread
 from onebend.control.goals.moving_goals import Goals
 from onebend.control.goals.targets import check_metres, target_residuals, target_residuals_along

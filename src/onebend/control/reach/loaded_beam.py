@@ -7,7 +7,6 @@ without weight keeps its rest curvature: those nodes are no unknowns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,8 @@ from scipy.linalg.lapack import dgesv, dposv, dpotrf
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Problem, Resolution, make_problem, refuse_section
+from onebend.beam.statics.problem import Problem, Resolution, make_problem
+from onebend.beam.statics.rod import refuse_section
 from onebend.errors import ControlError
 from onebend.records import Array
 
@@ -51,13 +51,15 @@ class PushedBeam:
         loads = weight(gravity) + push((0.0, 0.0), push_s) + twist(0.0, push_s)
         self.problem: Problem = make_problem(beam, loads, resolution)
         self.beam, self.push_s, self.point_s, self.resolution = beam, push_s, point_s, resolution
+        x, y = np.asarray(gravity, dtype=float).tolist()
+        self.gravity: tuple[float, float] = (x, y)
         problem, nodes = self.problem, self.problem.grid.nodes
         self.count = n = len(nodes) if heavy else int(np.sum(nodes < push_s))
         self.b = np.asfortranarray(problem.to_nodes[:, :n])
         self.square = np.ascontiguousarray(problem.to_nodes[:n, :n])
         beyond = np.asarray(nodes[:n] < push_s, dtype=float)
         self._lw = problem.length * problem.weights[:n]
-        self._pull, self._twist = self._lw * beyond, problem.weights[:n] * beyond
+        self.pull, self._twist = self._lw * beyond, problem.weights[:n] * beyond
         self._weight = self._lw[:, None] * problem.dead_force[0, :n]
         self.stiff = problem.weights[:n] * problem.k[:n]
         self.rest = np.array(problem.q0[:n], dtype=float)
@@ -118,8 +120,8 @@ class PushedBeam:
         across, tangent = self._pulled(load, cos[:n], sin[:n])
         rows = np.empty((3, n))
         rows[0] = across
-        np.multiply(self._pull, sin[:n], out=rows[1])
-        np.multiply(self._pull, cos[:n], out=rows[2])
+        np.multiply(self.pull, sin[:n], out=rows[1])
+        np.multiply(self.pull, cos[:n], out=rows[2])
         right = np.empty((n, 1 + loads), order="F")
         np.matmul(rows, self.square, out=right[:, :3].T)
         np.negative(right[:, :2], out=right[:, :2])
@@ -134,7 +136,7 @@ class PushedBeam:
 
     def _pulled(self, load: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
         """The pull across (n,), and the tangent (n, n) by the pull along."""
-        x, y = load[0] * self._pull, load[1] * self._pull
+        x, y = load[0] * self.pull, load[1] * self.pull
         if self._heavy:
             x, y = x + self._weight[:, 0], y + self._weight[:, 1]
         along = x * cos + y * sin
@@ -163,7 +165,7 @@ class PushedBeam:
         """(n, 3) R: minus the derivative of the gradient with the load."""
         n = self.count
         return np.stack(
-            [-(self._pull * sin[:n]) @ self.square, (self._pull * cos[:n]) @ self.square, self._twist], axis=1
+            [-(self.pull * sin[:n]) @ self.square, (self.pull * cos[:n]) @ self.square, self._twist], axis=1
         )
 
     def of_shape(self, cos: Array, sin: Array) -> Array:
@@ -188,9 +190,9 @@ class PushedBeam:
         return bool(dpotrf(tangent, lower=1)[1] == 0)
 
 
-@lru_cache(maxsize=32)
 def prepared(
     beam: Beam, push_s: float, point_s: float, gravity: tuple[float, float], resolution: Resolution
 ) -> PushedBeam:
-    """A cached `PushedBeam`: its arrays take some milliseconds to make."""
-    return PushedBeam(beam, push_s, point_s, gravity=gravity, resolution=resolution)
+    """The `PushedBeam`, which the beam remembers: its arrays take some milliseconds to make."""
+    key = (PushedBeam, push_s, point_s, gravity, resolution)
+    return beam.memory.once(key, lambda: PushedBeam(beam, push_s, point_s, gravity=gravity, resolution=resolution))

@@ -47,6 +47,7 @@ class Reach:
     reason: str
     iterations: int  # of Newton's method, or of Algorithm 1
     nearest: NearestPoint | None  # to a goal that cannot be reached
+    known: bool = False  # found one step from an equilibrium that was known beforehand
 
     @property
     def beam(self) -> Beam:
@@ -86,7 +87,8 @@ class Reach:
     @one_blas_thread
     def way(self) -> tuple[LoadedState, ...]:
         """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
-        return densified(self.pushed, self.states, self.settings.steps)
+        straight = from_rest(self.pushed, self.states[-1]) if self.known else None
+        return densified(self.pushed, self.states if straight is None else straight.states, self.settings.steps)
 
     @property
     def path(self) -> Array:
@@ -242,6 +244,7 @@ def _result(
         reason=why or "reached",
         iterations=candidate.iterations,
         nearest=nearest,
+        known=candidate.known,
     )
 
 

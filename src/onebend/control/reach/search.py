@@ -8,8 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.statics.nodal_beam import missed_by_angles
 from onebend.control.reach.continuation import EquilibriumPath, lead, trace
+from onebend.control.reach.known import step_to
 from onebend.control.reach.loaded_beam import LoadedState, PushedBeam, prepared
 from onebend.control.reach.newton import solve_goal
 from onebend.control.reach.reachable import ReachableSet, reachable
@@ -22,6 +23,7 @@ _MOST_SAMPLES = 5  # sampled equilibria that the goal is led from
 _SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
 _FORCE_WITHOUT_BOUND = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
 _MOST_REFINEMENTS = 3  # halvings of the panels that are tried
+_SURELY_FINE = 0.01  # of the tolerance
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class ReachCandidate:
     states: tuple[LoadedState, ...]
     iterations: int
     wrong: str = ""  # the bound it breaks
+    known: bool = False  # one step from a known equilibrium, which is the state between
 
 
 def search(
@@ -100,6 +103,10 @@ def _tries(
 ) -> Iterator[ReachCandidate]:
     if begin is not None:
         yield from _led(pushed, begin, goal, settings.loads)
+    elif len(goal) == settings.loads == 2:
+        step = step_to(pushed, goal)
+        if step is not None:
+            yield ReachCandidate(pushed, (pushed.start, step[0], step[1].state), step[1].iterations, known=True)
     for state, count in solutions(pushed, starts_of(pushed), goal, settings.loads):
         trail = from_rest(pushed, state)
         if trail is not None:
@@ -127,14 +134,20 @@ def _onto(pushed: PushedBeam, finer: PushedBeam) -> Array:
 
 
 def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) -> ReachCandidate:
-    """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance."""
-    pushed, resolution = candidate.pushed, Resolution()
+    """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance.
+
+    The grid at hand is fine enough where what its angles miss moves the point by less than a hundredth of it.
+    """
+    pushed = candidate.pushed
     for _ in range(_MOST_REFINEMENTS):
-        resolution = resolution.finer()
+        last, grid = candidate.states[-1], pushed.problem.grid
+        q = pushed.whole(last.q)
+        if missed_by_angles(grid, q) * np.abs(q).max() * pushed.problem.length < _SURELY_FINE * settings.tolerance:
+            break
+        resolution = replace(pushed.resolution, widest=0.5 * float(np.diff(grid.edges).max()))
         finer = prepared(pushed.beam, pushed.push_s, pushed.point_s, settings.gravity, resolution)
         rows = _onto(pushed, finer)
-        last = candidate.states[-1]
-        exact = solve_goal(finer, LoadedState(rows @ pushed.whole(last.q), last.load), goal, settings.loads, trust=0.1)
+        exact = solve_goal(finer, LoadedState(rows @ q, last.load), goal, settings.loads, trust=0.1)
         if exact.compliance is None or not finer.stable(exact.state):
             break
         moved = exact.compliance[:2] @ (exact.state.load - last.load)[: settings.loads]

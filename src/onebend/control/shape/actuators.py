@@ -23,7 +23,8 @@ from onebend.beam.clamped_ends.end_pose import end_jacobian, end_pose
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.statics.continuation import equilibrium
 from onebend.beam.statics.equilibrium import Equilibrium, balance, scaled, tangent
-from onebend.beam.statics.problem import Problem, Resolution, Rod, make_problem, refuse_section
+from onebend.beam.statics.problem import Problem, Resolution, make_problem
+from onebend.beam.statics.rod import Rod, refuse_section
 from onebend.errors import ControlError
 from onebend.records import Array
 

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, Rod
+from onebend.beam.statics.problem import Resolution
+from onebend.beam.statics.rod import Rod
 from onebend.blas import one_blas_thread
 from onebend.control.goals.targets import Targets, check_metres, target_residuals
 from onebend.control.shape.actuators import BeamState, Grip, Pusher, resting_state, state_on_grid

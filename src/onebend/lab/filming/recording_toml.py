@@ -20,7 +20,7 @@ def recording_toml(recording: Recording) -> str:
     parts += [table("[beam]", recording.beam), table("[tags]", tags)]
     parts += [table("[[tags.on_base]]", tag) for tag in tags.on_base]
     parts += [table("[[tags.on_beam]]", tag) for tag in tags.on_beam]
-    named = {name: getattr(recording, name) for name in ("camera", "video", "force", "push", "gravity")}
+    named = {name: getattr(recording, name) for name in ("camera", "video", "markers", "force", "push", "gravity")}
     parts += [table(f"[{name}]", entry) for name, entry in named.items() if entry is not None]
     return "\n".join(parts)
 

@@ -55,6 +55,11 @@ class Criticism:
     alarm: float = ALARM  # log10 p beyond which a test counts
 
     @property
+    def able(self) -> tuple[Finding, ...]:
+        """Those of which the data tell anything."""
+        return tuple(f for f in self.findings if f.score.able)
+
+    @property
     def striking(self) -> tuple[Finding, ...]:
         """Those that clean recordings do not show."""
         return tuple(f for f in self.findings if f.score.log10_p < self.level(f))

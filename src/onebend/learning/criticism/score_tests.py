@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
 from onebend.learning.criticism.alternatives import Alternative, Suspect
 from onebend.learning.inference.fit_problem import FitProblem, prior
@@ -54,6 +54,11 @@ class Score:
     size: float  # m, RMS over the frames of what the tag that it moves most moves by, all else refitted
     shift: Array  # (p,) by which the coefficients of log k change
     noise: float = 1.0  # variance that the fit took for noise over what is left of it, not below 1
+
+    @property
+    def able(self) -> bool:
+        """Whether the data tell anything of it, beside the model's own parameters."""
+        return bool(np.all(np.isfinite(self.value)))
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,7 @@ def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, 
     judged = values > _LEAST_REMOVED
     freed = vectors[:, judged] @ ((vectors[:, judged].T @ (x / before)) / values[judged])  # in prior sds
     gain, count = float(freed @ (x / before)), int(np.sum(judged))
-    log10_p = float(_distributions().chi2.logsf(gain, count)) / np.log(10.0) if count else 0.0
+    log10_p = _log10(chdtrc(count, gain)) if count else 0.0
     shift = fit.covariance.shared_with(where)[: fit.problem.layout.spline.count] @ (freed / before)
     size = float(np.linalg.norm(x)) if unit == "m" else 0.0
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
@@ -188,7 +193,7 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
     inverse = (vectors[:, visible] / values[visible]) @ vectors[:, visible].T / np.outer(size, size)
     b = inverse @ freed.score
     chi2 = float(freed.score @ b)
-    log10_p = float(_distributions().chi2.logsf(chi2, count)) / np.log(10.0)
+    log10_p = _log10(chdtrc(count, chi2))
     steps = [-response @ b for response in freed.response]
     every = zip(freed.numbers, freed.d, steps, strict=True)
     changes = {number: d @ b + fit.rows[number].slopes.times(step) for number, d, step in every}
@@ -197,7 +202,7 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
         ratio, numbers = _noise_left(fit, changes)
         chi2 *= ratio
         freedom = max(numbers - len(b), 5.0)
-        log10_p = float(_distributions().f.logsf(chi2 / count, count, freedom)) / np.log(10.0)
+        log10_p = _log10(fdtrc(count, freedom, chi2 / count))
     moved = max(_moved(fit.problem.recordings[number], fit.rows[number], c) for number, c in changes.items())
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     shift = steps[0][:p] if freed.log_k is None else steps[0][:p] + freed.log_k @ b
@@ -232,8 +237,6 @@ def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))
 
 
-def _distributions() -> Any:
-    """`scipy.stats`. It takes half a second to load, and commands that only read a fit's results do not need it."""
-    from scipy import stats
-
-    return stats
+def _log10(chance: float) -> float:
+    """Its logarithm; minus infinity where it is too small for a number."""
+    return float(np.log10(chance)) if chance > 0.0 else -np.inf

@@ -101,5 +101,5 @@ def posture_words(posture: Posture) -> str:
     if size > 0.0:
         upwards = {1.0: "hangs", -1.0: "stands", 0.0: "lies"}.get(round(x / size, 6))
         words = upwards or f"base {math.degrees(math.asin(-x / size)):.3g} deg above level"
-    tip = sum(point.mass for point in posture.points)
+    tip = sum(point.mass for point in posture.points if point.s == 1.0)
     return f"{words}, {1e3 * tip:.3g} g at the tip" if tip > 0.0 else words

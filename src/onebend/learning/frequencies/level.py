@@ -35,7 +35,7 @@ def uniform_stiffness(o: Observations, measured: MeasuredFrequency, mode: int, m
     light = measured.frequency**2 / by_k
     if not np.any(measured.gravity):
         return light
-    weight = float(np.linalg.norm(measured.gravity)) * (_total(beam) + measured.tip_mass)
+    weight = float(np.linalg.norm(measured.gravity)) * (_total(beam) + sum(point.mass for point in points))
     stiff = _STIFF * max(light, weight * o.length)
     straight = replace(beam, stiffness=Uniform(stiff))
     found = float(natural_frequencies(straight, gravity=measured.gravity, points=points, count=mode)[-1]) ** 2

@@ -126,6 +126,12 @@ def all_converged(predictions: Sequence[Prediction]) -> bool:
     return all(np.all(p.solved.converged) for p in predictions)
 
 
+def release(estimate: MapEstimate) -> None:
+    """Forget the derivatives at an estimate that another has taken the place of."""
+    for prediction in estimate.predictions:
+        prediction.release()
+
+
 def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
     """Of every recording, its tags weighted by their noise at the estimate."""
     return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
@@ -142,6 +148,7 @@ def with_own_forces(estimate: MapEstimate) -> MapEstimate:
         moved = each(settled, estimate.predictions, rows_of(estimate), estimate.hyperparameters.noise)
         if not all_converged(moved):
             break
+        release(estimate)
         estimate = replace(estimate, predictions=moved)
     return estimate
 
@@ -169,8 +176,11 @@ def descend(
             damping *= _HARDER
         else:
             return replace(estimate, converged=here.gain < _ROUNDING)  # no step lowers the cost any more
+        settled = here.gain < _ROUNDING and cost - reached < max(_LITTLE, tolerance**2)
+        del here  # with the derivatives of where it began
+        release(estimate)
         estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
-        if here.gain < _ROUNDING and cost - reached < max(_LITTLE, tolerance**2):
+        if settled:
             return replace(estimate, converged=True)
     return replace(estimate, converged=False)
 

@@ -12,7 +12,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
 from onebend.learning.allowances.mounting import BETWEEN, between_recordings
 from onebend.learning.frequencies.frequency_data import frequency_data
-from onebend.learning.inference.descent import MapEstimate, with_own_forces
+from onebend.learning.inference.descent import MapEstimate, release, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
 from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at
@@ -138,7 +138,9 @@ def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some
     )
     shapes: list[Array | None] = [None] * len(whole.recordings)
     for i, few, prediction in zip(some, problem.recordings, near.predictions, strict=True):
-        if np.array_equal(few.frames, whole.recordings[i].frames):
+        same = np.array_equal(few.frames, whole.recordings[i].frames)
+        if same and np.array_equal(few.problem.grid.nodes, whole.recordings[i].problem.grid.nodes):
             shapes[i] = prediction.solved.q
+    release(near)
     begin = estimate_at(whole, x, shapes)
     return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))

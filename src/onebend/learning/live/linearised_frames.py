@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from onebend.learning.allowances.relaxation import LARGEST, TIMES, lag_weights
@@ -28,6 +30,15 @@ class Lineariser:
         self._grids = {s: push_grid_at(session, s) for s in grid_places()}
         self._pushed = 1.0  # place of the last push
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the grids: they are a hundred times as large as all else, and are made again where wanted."""
+        return vars(self) | {"_grids": {}}
+
+    def _grid(self, push_s: float) -> PushGrid:
+        if push_s not in self._grids:
+            self._grids[push_s] = push_grid_at(self._session, push_s)
+        return self._grids[push_s]
+
     def pushed_at(self, push_s: float) -> None:
         """Take note of the place of the push."""
         self._pushed = nearest_grid_place(push_s)
@@ -42,7 +53,7 @@ class Lineariser:
         grids = [self._grid_of(keys, i) for i in chosen]
         for push_s in dict.fromkeys(grids):
             part = [i for i, grid in zip(chosen, grids, strict=True) if grid == push_s]
-            solved |= self._renew(keys, self._grids[push_s], part, point)
+            solved |= self._renew(keys, self._grid(push_s), part, point)
         return solved
 
     def _renew(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int], point: Array) -> set[int]:
@@ -115,7 +126,7 @@ class Lineariser:
         curvature, lagged, square = self._session.layout.get(point, "curvature"), np.zeros(len(TIMES)), 0.0
         for i in range(keys.used):
             if keys.grid[i] != 0.0 and not keys.rest[i]:
-                grid = self._grids[float(keys.grid[i])]
+                grid = self._grid(float(keys.grid[i]))
                 q = keys.q[i, : len(grid.weights)] - grid.rest_on_nodes @ curvature
                 here = grid.weights * keys.frames[i] * q
                 lagged, square = lagged + here @ keys.lags[i, : len(q)], square + float(here @ q)
@@ -126,7 +137,7 @@ class Lineariser:
         out, grids = keys.shape[chosen, : len(push_grid.weights)], keys.grid[chosen].tolist()
         for row, i, grid in zip(out, chosen, grids, strict=True):
             if grid not in (push_grid.push_s, 0.0):
-                nodes, before = push_grid.grid.nodes, self._grids[float(keys.grid[i])].grid.nodes
+                nodes, before = push_grid.grid.nodes, self._grid(float(keys.grid[i])).grid.nodes
                 for c in (0, *range(3, out.shape[-1])):
                     row[:, c] = np.interp(nodes, before, keys.shape[i, : len(before), c])
         return out

@@ -92,6 +92,10 @@ class Prediction:
         slopes, whiten = self.slopes, self.recording.whiten
         return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a))
 
+    def release(self) -> None:
+        """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for."""
+        self.__dict__.pop("whitened_slopes", None)
+
 
 def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
     """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;

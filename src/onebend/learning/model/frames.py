@@ -12,7 +12,7 @@ from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.stiffness import Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import Array, BoolArray, IntArray, KnownLoads, Observations
 
 _BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
 _SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
@@ -133,6 +133,29 @@ def _of_tags(one: Observations, kept: BoolArray) -> Observations:
         rest_angle=one.rest_angle[kept],
         rest_covariance=one.rest_covariance[kept],
         by_camera=None if one.by_camera is None else one.by_camera[:, kept],
+    )
+
+
+def at_frames(one: Observations, kept: BoolArray) -> Observations:
+    """The observations of a film in the frames `kept` (T,) alone; what was seen at rest stays."""
+    assert not one.static, "the readings of static poses name one of them by its number"
+    known = one.known_loads
+    if known is not None:
+        known = KnownLoads(known.force[kept], known.force_s[kept], known.moment[kept], known.moment_s[kept])
+    return replace(
+        one,
+        time=one.time[kept],
+        frame=one.frame[kept],
+        xy=one.xy[kept],
+        angle=one.angle[kept],
+        covariance=one.covariance[kept],
+        force=one.force[kept],
+        push_s=one.push_s[kept],
+        loaded=one.loaded[kept],
+        gravity=one.gravity[kept],
+        held=None if one.held is None else one.held[kept],
+        known_loads=known,
+        by_camera=None if one.by_camera is None else one.by_camera[kept],
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.learning.model.rest import AtRest, at_rest
 from onebend.learning.outcome import Learned
-from onebend.learning.paper.selection import RegressionSettings, choose, table
+from onebend.learning.paper.selection import RegressionSettings, standing, table
 from onebend.progress import Progress, Silent
 from onebend.records import Observations, Remark
 
@@ -23,18 +23,17 @@ def regress(
     """
     rest = at_rest(observations)
     candidates = table(observations, rest, settings, progress)
-    chosen = choose(candidates)
-    best = candidates[chosen]
-    assert best.beam is not None
-    assert best.comparison is not None
+    chosen, training = standing(candidates, observations, rest)
+    beam = candidates[chosen].beam
+    assert beam is not None  # its BIC is finite
     return Learned(
-        beam=best.beam,
+        beam=beam,
         method=settings.method,
         family=settings.family,
         trials=tuple(c.trial for c in candidates),
         chosen=chosen,
-        training=best.comparison,
-        remarks=_remarks(rest, observations) + best.comparison.remarks,
+        training=training,
+        remarks=_remarks(rest, observations) + training.remarks,
     )
 
 

@@ -99,11 +99,11 @@ def weighted(
     jacobian, geometric = rows.load_per_force[use], rows.geometric[use]
     spread = tag_noise**2 * rows.states.covariance[use]
     phi = rows.states.modes.curvature(_GRID.nodes)
-    from_force = np.einsum("tic,c,tjc->tij", jacobian, force_sd**2, jacobian, optimize=True)
+    from_force = (jacobian * force_sd**2) @ np.swapaxes(jacobian, 1, 2)
     gamma, condition = _orthogonal(elastic.reshape(-1, pi.shape[1]), load.ravel())
     for _ in range(rounds):
         k = np.maximum(pi @ gamma, 0.05 * np.mean(np.abs(pi @ gamma)))  # weights need a positive stiffness
-        tangent = np.einsum("q,qi,qj->ij", _GRID.weights * k, phi, phi, optimize=True) + geometric
+        tangent = (phi.T * (_GRID.weights * k)) @ phi + geometric
         covariance = tangent @ spread @ np.swapaxes(tangent, 1, 2) + from_force
         sd = np.sqrt(np.einsum("tii->ti", covariance))
         # Rows are brought to one scale first: their variances differ by ten orders and more.

@@ -10,20 +10,31 @@ import numpy as np
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Profile, Uniform
+from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.model.frames import mass_profile, nothing_moves, usable_frames
+from onebend.learning.model.frames import (
+    at_frames,
+    distances,
+    evenly_spread,
+    mass_profile,
+    nothing_moves,
+    usable_frames,
+)
 from onebend.learning.model.rest import AtRest
 from onebend.learning.outcome import Comparison, Trial
 from onebend.learning.paper import regression
 from onebend.learning.paper.inverse_kinematics import States, solve_states
 from onebend.learning.paper.regression import Family
-from onebend.learning.validation import validate
+from onebend.learning.validation import marker_misfit, validate
 from onebend.progress import Progress, track
 from onebend.records import Array, BoolArray, Observations
 
 Method = Literal["regression", "paper"]
 Bic = Literal["textbook", "paper"]
+_SNAPS = "the learned beam snaps through under the measured forces"
 _FINE = np.linspace(0.0, 1.0, 401)
+_MOST_FRAMES = 1000  # that a trial is learned from, evenly spread
+_SIMULATED = 100  # frames that it is compared in: the markers' RMS of a push is the same in a hundred of it as in all
 
 
 @dataclass(frozen=True)
@@ -50,7 +61,7 @@ class Candidate:
 
     trial: Trial
     beam: Beam | None
-    comparison: Comparison | None
+    solved: Equilibrium | None = None  # where it was simulated
 
 
 def pairs(settings: RegressionSettings, tags: int) -> list[tuple[int, int]]:
@@ -88,7 +99,12 @@ def information_criterion(rms: Array, observed: int, parameters: int, kind: Bic)
 def table(
     observations: Observations, rest: AtRest, settings: RegressionSettings, progress: Progress
 ) -> list[Candidate]:
-    """Every (n, m): learned, simulated, compared. Raises `LearningError` where the frames are too few for any."""
+    """Every (n, m): learned from at most 1000 frames, simulated and compared in at most 101 of them.
+
+    Raises:
+        LearningError: the frames are too few for any.
+    """
+    observations = _fewer(observations)
     frames = usable_frames(observations)
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
@@ -101,12 +117,34 @@ def table(
         )
     out: list[Candidate] = []
     states: States | None = None
+    compared = _compared(observations, frames)
+    near: Equilibrium | None = None
     for n, m in track(progress, "trying (n, m)", wanted, len(wanted)):
         if states is None or states.modes.n != n:
             states = solve_states(observations, n, with_angles=settings.with_angles, rest=rest)
             rows = regression.assemble(observations, states)
-        out.append(_try(observations, rows, frames & states.converged & (states.data >= n), m, settings))
+        use = frames & states.converged & (states.data >= n)
+        out.append(_try(observations, rows, use, compared, near, m, settings))
+        near = out[-1].solved or near
     return out
+
+
+def _fewer(observations: Observations) -> Observations:
+    """At most `_MOST_FRAMES` of the usable frames of a film."""
+    frames = np.flatnonzero(usable_frames(observations)).astype(np.int64)
+    if observations.static or len(frames) <= _MOST_FRAMES:
+        return observations
+    return at_frames(observations, evenly_spread(frames, _MOST_FRAMES, len(observations.time)))
+
+
+def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
+    """(T,) some hundred of the frames, and that of the largest force: there a beam snaps through first."""
+    if observations.static:
+        return frames
+    rows = np.flatnonzero(frames).astype(np.int64)
+    chosen = evenly_spread(rows, _SIMULATED, len(frames))
+    chosen[rows[np.argmax(distances(observations.force[rows]))]] = True
+    return chosen
 
 
 def choose(candidates: list[Candidate]) -> int:
@@ -121,15 +159,35 @@ def choose(candidates: list[Candidate]) -> int:
     return int(np.argmin(bic))
 
 
+def standing(candidates: list[Candidate], observations: Observations, rest: AtRest) -> tuple[int, Comparison]:
+    """The trial of the lowest BIC that stands in all frames, and its comparison there; those that do not are put out
+    of the running in `candidates`."""
+    while True:
+        chosen = choose(candidates)
+        best = candidates[chosen]
+        assert best.beam is not None
+        training = validate(best.beam, observations, rest=rest)
+        if np.all(np.isfinite(training.predicted)):
+            return chosen, training
+        candidates[chosen] = replace(best, trial=replace(best.trial, bic=np.inf, why_out=_SNAPS))
+
+
 def _try(
-    observations: Observations, rows: regression.MomentRows, use: BoolArray, m: int, settings: RegressionSettings
+    observations: Observations,
+    rows: regression.MomentRows,
+    use: BoolArray,
+    compared: BoolArray,
+    near: Equilibrium | None,
+    m: int,
+    settings: RegressionSettings,
 ) -> Candidate:
-    """Learn one (n, m), simulate it, compare."""
+    """Learn one (n, m) from the frames `use` (T,), simulate it in those `compared` (T,), compare; `near` as
+    that of another trial there."""
     n = rows.states.modes.n
     pi, sigma = regression.basis(settings.family, m, settings.width)
     trial = Trial(n, m, np.full(m, np.nan), np.full(len(observations.marker_s), np.nan), np.inf, np.nan, np.inf)
     if np.sum(use) < n + m:
-        return Candidate(replace(trial, why_out=f"only {np.sum(use)} frames show enough tags"), None, None)
+        return Candidate(replace(trial, why_out=f"only {np.sum(use)} frames show enough tags"), None)
     if settings.method == "paper":
         gamma, condition = regression.literal(rows, use, pi)
     else:
@@ -139,18 +197,18 @@ def _try(
     trial = replace(trial, coefficients=gamma, lowest_k=lowest, condition=condition)
     if not lowest > 0.0:
         where = float(_FINE[np.argmin(stiffness(_FINE))])
-        return Candidate(replace(trial, why_out=f"k is {lowest:.2g} N m at s = {where:.2f}"), None, None)
+        return Candidate(replace(trial, why_out=f"k is {lowest:.2g} N m at s = {where:.2f}"), None)
     beam = make_beam(observations, rows.states, stiffness)
     try:
-        comparison = validate(beam, observations, rest=rows.states.rest)
+        rms, solved = marker_misfit(beam, observations, compared, rows.states.rest, near)
     except MechanicsError as error:
-        return Candidate(replace(trial, why_out=str(error)), None, None)
-    snapped = not np.all(np.isfinite(comparison.predicted))
-    observed = int(np.sum(np.isfinite(comparison.measured)))
-    seen = np.isfinite(comparison.rms)
-    bic = np.inf if snapped else information_criterion(comparison.rms[seen], observed, n + m, settings.bic)
-    why = "the learned beam snaps through under the measured forces" if snapped else ""
-    return Candidate(replace(trial, rms=comparison.rms, bic=bic, why_out=why), beam, comparison)
+        return Candidate(replace(trial, why_out=str(error)), None)
+    seen = np.isfinite(rms)
+    if not seen.any():
+        return Candidate(replace(trial, why_out=_SNAPS), beam)
+    observed = int(np.sum(np.isfinite(observations.xy[usable_frames(observations)])))
+    bic = information_criterion(rms[seen], observed, n + m, settings.bic)
+    return Candidate(replace(trial, rms=rms, bic=bic), beam, solved)
 
 
 def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from rosbags.interfaces.typing import Typesdict
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from typing import TYPE_CHECKING, Any
 
 from onebend.errors import RecordingError
 from onebend.recording.bags.items import Channel
@@ -21,6 +17,10 @@ from onebend.recording.bags.type_limits import (
     without_constants,
 )
 from onebend.text_files import ascii_only, quoted, read_text
+
+if TYPE_CHECKING:  # as in the functions: most recordings are no bags
+    from rosbags.interfaces.typing import Typesdict
+    from rosbags.typesys.store import Typestore
 
 IDL_PART = "=" * 80 + "\n"
 
@@ -59,6 +59,8 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
 
 def types_of(channel: Channel, definitions: Path | None) -> Typestore:
     """The types that the channel needs: its own definition first, else the standard ones and those of the folder."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
     types: Typesdict = {}
     check_text(channel.definition)
     if channel.definition and not channel.idl:

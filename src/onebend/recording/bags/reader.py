@@ -7,11 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
-from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag2 import Reader as Ros2Reader
+from typing import TYPE_CHECKING, Any
 
 from onebend.errors import RecordingError
 from onebend.recording.bags.items import BrokenOffError, Channel
@@ -20,6 +16,11 @@ from onebend.recording.bags.rosbags_internals import bounded_readers
 from onebend.recording.bags.sequential_scan import scan
 from onebend.recording.bags.sqlite_pages import check_database, check_message, lacking
 from onebend.text_files import MOST_ROWS, NAMES, QUOTED, ascii_only
+
+if TYPE_CHECKING:  # as in the functions: most recordings are no bags
+    from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Reader as Ros1Reader
+    from rosbags.rosbag2 import Reader as Ros2Reader
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
 METADATA = "metadata.yaml"
@@ -155,6 +156,8 @@ def damaged(bag: Bag, fault: str) -> RecordingError:
 
 def connections(part: Path) -> list[tuple[Channel, int]]:
     """Topics and counts of one sound part, by its index."""
+    from rosbags.interfaces import MessageDefinitionFormat
+
     bounded_readers(list(files_of(part)))
     with reader_of(part) as reader:
         topics = []
@@ -170,11 +173,16 @@ def connections(part: Path) -> list[tuple[Channel, int]]:
 
 def encoding_of(connection: Connection) -> str:
     """How the messages are packed: "cdr" or "ros1"."""
+    from rosbags.interfaces import ConnectionExtRosbag2
+
     return connection.ext.serialization_format if isinstance(connection.ext, ConnectionExtRosbag2) else "ros1"
 
 
 def reader_of(part: Path) -> Ros1Reader | Ros2Reader:
     """The reader for one file, or for a folder with metadata."""
+    from rosbags.rosbag1 import Reader as Ros1Reader
+    from rosbags.rosbag2 import Reader as Ros2Reader
+
     return Ros1Reader(part) if part.suffix in (".bag", ".active") else Ros2Reader(part)
 
 

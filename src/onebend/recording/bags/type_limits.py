@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import keyword
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import Typesdict
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import Typesdict
 
 MOST_TEXT = 200_000  # characters of a definition
 LONGEST_LINE = 2000
@@ -79,6 +79,8 @@ def _size_of(name: str, types: Typesdict, sizes: dict[str, int], outer: tuple[st
 
 
 def _field_size(field: Any, types: Typesdict, sizes: dict[str, int], outer: tuple[str, ...]) -> int:
+    from rosbags.interfaces import Nodetype
+
     kind, inside = field
     if kind == Nodetype.BASE:
         return 1

@@ -31,21 +31,25 @@ def part(poses: Poses, tags: slice) -> Poses:
     return Poses(poses.xy[:, tags], poses.angle[:, tags], poses.covariance[:, tags])
 
 
-def measure_poses(view: View, corners: Array, size: float) -> tuple[Poses, Array, View]:
+def measure_poses(
+    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = REFINEMENTS
+) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
+
+    The noise is that of the residuals, or `noise` [px, one sd] where it is known from other frames.
 
     `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Generalised least squares by Gauss-Newton on the eight
     coordinates of each tag. The misfit is the RMS residual, px, comparable with the view's `corner_sd`.
     """
     xy, angle = lay_square(to_plane(view, corners))
     weight = corner_weight(corners)
-    for _ in range(REFINEMENTS):
+    for _ in range(refinements):
         jacobian, residual = linearise(view, xy, angle, corners, size)
         step = weighted_step(jacobian, residual, weight)
         xy, angle = xy + step[..., :2], angle + step[..., 2]
     jacobian, residual = linearise(view, xy, angle, corners, size)
     squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
-    sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2))
+    sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2)) if noise is None else noise
     variance = np.maximum(squares / DEGREES_OF_FREEDOM, sd**2)
     normal = np.swapaxes(jacobian, -1, -2) @ weight @ jacobian
     covariance = variance[..., None, None] * np.linalg.inv(normal) + grid_covariance(jacobian)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from onebend.recording.clock.binned_log import BinnedLog, thinned
 from onebend.recording.clock.moment_posterior import Prior, moments_of
 from onebend.recording.clock.polynomial_features import Track
-from onebend.recording.force.noise import first_guess, fit_noise, log_evidence
-from onebend.records import Array, ForceNoise
+from onebend.recording.force.noise import LinearModel, first_guess, fit_noise, linear_model, log_evidence
+from onebend.recording.force.noise_factor import NoiseFactor, noise_factor
+from onebend.records import Array, ForceNoise, IntArray
 
 LONG = 12.0  # s: a longer range is searched roughly first
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
@@ -60,48 +62,66 @@ def with_slow_noise(noise: ForceNoise, size: float) -> ForceNoise:
 
 def coarse_search(track: Track, rows: BinnedLog, offset: Array, prior: Prior) -> OffsetScan:
     """The log posterior over all offsets. The noise is fitted at the best offset, twice."""
-    noise = first_guess(rows.force, rows.width)
+    noise, laid = first_guess(rows.force, rows.width), laid_over(track, rows, offset)
     log_ratio = np.full(len(offset), -np.inf)
     for size in (NEAR * rows.largest, 0.0):
-        log_ratio = log_evidence_ratios(track, rows, offset, with_slow_noise(noise, size) if size else noise)
+        log_ratio = evidence_ratios(laid, rows, with_slow_noise(noise, size) if size else noise)
         if not np.isfinite(log_ratio).any():
             break
-        design = rows.largest * track.mean(rows.time - offset[int(np.argmax(log_ratio + prior(offset)))], rows.width)
-        use = np.isfinite(design).all(axis=(1, 2))
-        noise = fit_noise(rows.time[use], design[use], rows.force[use], noise)
+        best = laid[int(np.argmax(log_ratio + prior(offset)))]
+        assert best is not None  # its ratio is finite
+        noise = fit_noise(rows.time[best.use], best.model, noise)
     return OffsetScan(track, noise, log_ratio + prior(offset))
 
 
+@dataclass(frozen=True)
+class LaidOver:
+    """The film over the log at one offset."""
+
+    use: IntArray  # (n,) rows of the log that it covers
+    model: LinearModel  # of them
+
+
+def laid_over(track: Track, rows: BinnedLog, offset: Array) -> list[LaidOver | None]:
+    """The film over the log at every offset; None where they have too little in common."""
+    least = max(10.0, 0.25 * min(len(rows.time), track.duration / rows.width))
+    reach = (track.time[0] - track.before - rows.width, track.time[-1] + track.after + rows.width)
+    out: list[LaidOver | None] = []
+    for shift in offset:
+        covered = np.arange(*np.searchsorted(rows.time, (reach[0] + shift, reach[1] + shift)))
+        design = rows.largest * track.mean(rows.time[covered] - shift, rows.width)
+        known = np.isfinite(design).all(axis=(1, 2))
+        use = covered[known]
+        out.append(LaidOver(use, linear_model(design[known], rows.force[use])) if len(use) >= least else None)
+    return out
+
+
 def log_evidence_ratios(track: Track, rows: BinnedLog, offset: Array, noise: ForceNoise) -> Array:
+    """Log evidence ratio of every offset; minus infinity where film and log overlap too little."""
+    return evidence_ratios(laid_over(track, rows, offset), rows, noise)
+
+
+def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: ForceNoise) -> Array:
     """Log evidence ratio of every offset; minus infinity where film and log overlap too little.
 
     Each offset lets the film cover other rows of the log, so evidences of different rows must be compared. The ratio
     is that of the evidence with the markers over the evidence without them, of the same rows. Without markers a
     changing force counts as a random walk, a constant force as noise: a film laid over a quiet part gains nothing.
     """
-    log_ratio = np.full(len(offset), -np.inf)
-    least = max(10.0, 0.25 * min(len(rows.time), track.duration / rows.width))
+    log_ratio = np.full(len(laid), -np.inf)
     walk_variance = rows.walk_variance(first_guess(rows.force, rows.width))
-    reach = (track.time[0] - track.before - rows.width, track.time[-1] + track.after + rows.width)
-    without: dict[bytes, float] = {}
-    roots: dict[bytes, Array] = {}
-    for i, shift in enumerate(offset):
-        covered = np.arange(*np.searchsorted(rows.time, (reach[0] + shift, reach[1] + shift)))
-        if len(covered) < least:
+    of_rows: dict[bytes, tuple[NoiseFactor, float]] = {}
+    for i, film in enumerate(laid):
+        if film is None:
             continue
-        design = rows.largest * track.mean(rows.time[covered] - shift, rows.width)
-        known = np.isfinite(design).all(axis=(1, 2))
-        use, design = covered[known], design[known]
-        if len(use) < least:
-            continue
-        time, force, key = rows.time[use], rows.force[use], use.tobytes()
-        if key not in roots:
-            roots[key] = noise.root(time)
-            walk = np.minimum(walk_variance[use][:, None], walk_variance[use]) - walk_variance[use][0]
-            root = np.linalg.cholesky(noise.covariance(time) + walk)
+        if (key := film.use.tobytes()) not in of_rows:
+            time = rows.time[film.use]
             nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
-            without[key] = log_evidence(root, nothing, force)
-        log_ratio[i] = log_evidence(roots[key], design, force) - without[key]
+            walks = noise_factor(noise, time, walk_variance[film.use])
+            without = log_evidence(walks, linear_model(nothing, rows.force[film.use]))
+            of_rows[key] = noise_factor(noise, time), without
+        factor, without = of_rows[key]
+        log_ratio[i] = log_evidence(factor, film.model) - without
     return log_ratio
 
 
@@ -142,5 +162,5 @@ def evidence_over_same_rows(search: OffsetScan, rows: BinnedLog, offset: Array) 
     use = np.all([np.isfinite(design).all(axis=(1, 2)) for design in designs], axis=0)
     if use.sum() < 10:
         return None
-    root = search.noise.root(rows.time[use])
-    return np.array([log_evidence(root, design[use], rows.force[use]) for design in designs])
+    factor = noise_factor(search.noise, rows.time[use])
+    return np.array([log_evidence(factor, linear_model(design[use], rows.force[use])) for design in designs])

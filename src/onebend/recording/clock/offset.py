@@ -16,7 +16,7 @@ sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force lea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,7 @@ class ClockSettings:
         0.01,
     )  # prior sds, tried in turn, of the polynomials that correct the levers
     most_rows: int = 250  # of the log, after averaging
+    most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
     sharp_rows: int = 120  # of these, for the model by the spans' moments
     slowest: float = 5.0  # rows per second at least
     longest_gap: float = 0.25  # s, a marker missing longer is not interpolated
@@ -85,6 +86,7 @@ def fit_clock(
     doubt = min(spread, uncertainty) if uncertainty < ROUGHLY else spread if np.isfinite(uncertainty) else np.inf
     unsettled = ClockOffset(offset=stated, sd=doubt, stated=stated, found=False)
     rate = bandwidth(markers.time, displacements(markers))
+    markers = averaged(markers, settings.most_frames)
     if not np.isfinite(rate) or high <= low:
         return ClockFit(unsettled, None, (Remark("note", "Nothing moves in the film: the clocks cannot be matched."),))
     rows = compared_rows(markers, log, rate, (low, high), settings)
@@ -113,6 +115,7 @@ def noise_at(
 ) -> ForceNoise | None:
     """The log's noise at a known offset [s]; None where film and log have too little in common."""
     rate = bandwidth(markers.time, displacements(markers))
+    markers = averaged(markers, settings.most_frames)
     rows = compared_rows(markers, log, rate, (offset, offset), settings) if np.isfinite(rate) else None
     if rows is None:
         return None
@@ -170,6 +173,32 @@ def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, step
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
     made = [make_track(markers, push_s=push_place, polynomials=scale, **same) for push_place, scale in ways]
     return [track for track in made if track is not None]
+
+
+def averaged(markers: Markers, most: int) -> Markers:
+    """The markers in at most `most` frames, each the mean of equally many neighbours; missing where half of these
+    are."""
+    size = -(-len(markers.time) // most)
+    if size == 1:
+        return markers
+    count = len(markers.time) // size
+
+    def mean(values: Array) -> Array:
+        blocks = values[: count * size].reshape(count, size, *values.shape[1:])
+        seen = np.isfinite(blocks)
+        known = np.sum(seen, axis=1)
+        total = np.sum(np.where(seen, blocks, 0.0), axis=1)
+        return np.where(2 * known > size, total / np.maximum(known, 1), np.nan)
+
+    return replace(
+        markers,
+        time=mean(markers.time),
+        xy=mean(markers.xy),
+        angle=mean(markers.angle),
+        covariance=mean(markers.covariance) / size,
+        base_angle=mean(markers.base_angle),
+        by_camera=None if markers.by_camera is None else mean(markers.by_camera),
+    )
 
 
 def displacements(markers: Markers) -> Array:

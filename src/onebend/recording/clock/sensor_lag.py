@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from onebend.recording.clock.binned_log import BinnedLog
 from onebend.recording.clock.feature_search import coarse_search
 from onebend.recording.clock.moment_posterior import Prior
-from onebend.recording.clock.offset import ClockSettings, compared_rows, displacements, tracks
+from onebend.recording.clock.offset import ClockSettings, averaged, compared_rows, displacements, tracks
 from onebend.recording.clock.polynomial_features import Track
 from onebend.recording.signals import bandwidth, low_pass, outliers, step
 from onebend.records import ClockOffset, ForceLog, Markers
@@ -45,6 +45,7 @@ def slow_sensor(
     """The lag of the sensor that wrote `log`, where it is certain; `log` and `push_s` as for `fit_clock`, which found
     the `clock`."""
     rate = bandwidth(markers.time, displacements(markers))
+    markers = averaged(markers, settings.most_frames)
     within = (clock.offset - REACH * SLOW[-1] - MARGIN, clock.offset + MARGIN)
     rows = compared_rows(markers, log, rate, within, settings) if clock.found and np.isfinite(rate) else None
     feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= FEWEST]
@@ -57,9 +58,14 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
     rested = resting(track)
     slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
-    if not any(evidence(rested, rows, offset, lag, prior) > 0.0 for lag in slow[1::2]):
+    found = {}
+    for lag in slow[1::2]:
+        found[lag] = evidence(rested, rows, offset, lag, prior)
+        if found[lag] > 0.0:
+            break
+    else:
         return None
-    logs = np.array([evidence(rested, rows, offset, lag, prior) for lag in slow])
+    logs = np.array([found[lag] if lag in found else evidence(rested, rows, offset, lag, prior) for lag in slow])
     best = int(np.argmax(logs))
     if best + 1 >= len(slow) or not float(logs[best]) > CERTAIN:
         return None  # at the end of the range it is something else

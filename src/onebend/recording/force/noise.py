@@ -7,31 +7,61 @@ correlation) and a random walk.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.optimize import minimize
 
+from onebend.recording.force.noise_factor import NoiseFactor, noise_factor
 from onebend.recording.signals import MAD_TO_SD
-from onebend.records import Array, ForceNoise
+from onebend.records import Array, ForceNoise, IntArray
 
 
-def log_evidence(root: Array, design: Array, values: Array) -> float:
-    """Log probability of `values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise, less a constant.
+@dataclass(frozen=True)
+class LinearModel:
+    """`values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise; each column stands but once: many
+    are of one axis alone, and the same for every axis."""
 
-    The coefficients are shared by the a axes and integrated out (Bayesian linear model; the p x p form of the matrix
-    inversion lemma); the noise of the axes is independent; `root` (N, N) is the Cholesky factor of each
-    one's covariance.
+    columns: Array  # (N, c)
+    coefficients: int  # p
+    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q + 1,) of each axis: its coefficients, and p; its columns
+
+
+def linear_model(design: Array, values: Array) -> LinearModel:
+    """Of `design` (N, a, p) and `values` (N, a)."""
+    number: dict[bytes, int] = {}
+    columns: list[Array] = []
+    of_axis = []
+    for a in range(design.shape[1]):
+        used = np.flatnonzero(np.any(design[:, a], axis=0))
+        at: list[int] = []
+        for column in (*design[:, a, used].T, values[:, a]):
+            key = column.tobytes()
+            if key not in number:
+                number[key] = len(columns)
+                columns.append(column)
+            at.append(number[key])
+        of_axis.append((np.append(used, design.shape[2]), np.array(at)))
+    return LinearModel(np.stack(columns, axis=1), design.shape[2], tuple(of_axis))
+
+
+def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
+    """Log probability of the model's values, less a constant.
+
+    The coefficients are shared by the axes and integrated out (Bayesian linear model; the p x p form of the matrix
+    inversion lemma); the noise of the axes is independent, each one's covariance is that of `factor`.
     """
-    n, axes, p = design.shape
-    white = solve_triangular(root, np.hstack([design.reshape(n, -1), values]), lower=True, check_finite=False)
-    x = white[:, : axes * p].reshape(n * axes, p)
-    y = white[:, axes * p :].reshape(n * axes)
-    inner = np.linalg.cholesky(np.eye(p) + x.T @ x)
-    explained = solve_triangular(inner, x.T @ y, lower=True, check_finite=False)
-    spread = axes * np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner)))
-    return float(-0.5 * (y @ y - explained @ explained) - spread)
+    products = factor.inner(model.columns)
+    p = model.coefficients
+    inner = np.eye(p + 1)
+    for rows, at in model.of_axis:
+        inner[rows[:, None], rows] += products[at[:, None], at]
+    square = float(inner[p, p]) - 1.0
+    root, _ = dpotrf(inner[:p, :p], lower=1)
+    explained, _ = dtrtrs(root, inner[:p, p], lower=1)
+    spread = len(model.of_axis) * factor.log_root + float(np.sum(np.log(np.diag(root))))
+    return float(-0.5 * (square - explained @ explained) - spread)
 
 
 def first_guess(values: Array, spacing: float) -> ForceNoise:
@@ -42,8 +72,8 @@ def first_guess(values: Array, spacing: float) -> ForceNoise:
     return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
 
 
-def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> ForceNoise:
-    """The likeliest noise of `values` (N, a) around anything `design` (N, a, p) can follow.
+def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
+    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow.
 
     A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5.
     """
@@ -52,7 +82,7 @@ def fit_noise(time: Array, design: Array, values: Array, start: ForceNoise) -> F
 
     def negative_log_posterior(z: Array) -> float:
         noise = _sized(start, centre + spread * z)
-        return 0.5 * float(z @ z) - log_evidence(noise.root(time), design, values)
+        return 0.5 * float(z @ z) - log_evidence(noise_factor(noise, time), model)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
     options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}

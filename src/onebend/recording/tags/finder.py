@@ -63,7 +63,7 @@ class Finder:
         self._detector = Detector(families=family, quad_decimate=1.0)
         table: Any = self._detector.tag_families[family].contents
         self._border = int(table.width_at_border)
-        self._errors = most_errors(table.ncodes, table.nbits)
+        self.most_errors = most_errors(table.ncodes, table.nbits)
 
     def look(self, picture: Picture, wanted: Collection[int] = ()) -> list[Sighting]:
         """Every tag in `picture`, the most certain first.
@@ -74,7 +74,7 @@ class Finder:
         seen = self.search(picture, USUAL)
         missing = not {tag.tag_id for tag in seen}.issuperset(wanted)
         if missing and min((side_of(tag.corners) for tag in seen), default=0.0) < LOST * self._border:
-            more = [tag for tag in self.search(picture, SHARP) if tag.errors <= self._errors]
+            more = [tag for tag in self.search(picture, SHARP) if tag.errors <= self.most_errors]
             seen += [tag for tag in more if not any(same_place(tag, other) for other in seen)]
         return sorted((self._again(picture, tag) for tag in seen), key=lambda tag: (tag.errors, -tag.margin))
 

@@ -6,12 +6,14 @@ repeat are left out only where the tags stand elsewhere as soon as the pictures 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from onebend.recording.signals import runs
-from onebend.recording.video import FilmFrame
+from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array, BoolArray, Remark
 
 SHORTEST = 3  # pictures that repeat; fewer are a hiccup of less than the clock's own error
@@ -22,15 +24,24 @@ SAME = 0.25  # of the usual change from picture to picture, which noise makes: l
 
 def noting_changes(frames: Iterable[FilmFrame], changes: list[float]) -> Iterator[FilmFrame]:
     """The frames; how much each differs from the one before (mean of the grey levels) is added to `changes`."""
-    before: np.ndarray | None = None
+    before: NDArray[np.int16] | None = None
     for frame in frames:
-        coarse = frame.luma[::COARSE, ::COARSE].astype(np.int16)
-        if before is None or before.shape != coarse.shape:
-            changes.append(np.inf)
-        else:
-            changes.append(float(np.mean(np.abs(coarse - before))))
+        coarse = coarse_of(frame.luma)
+        changes.append(change_between(before, coarse))
         before = coarse
         yield frame
+
+
+def coarse_of(picture: Picture) -> NDArray[np.int16]:
+    """What of a picture is compared."""
+    return picture[::COARSE, ::COARSE].astype(np.int16)
+
+
+def change_between(before: NDArray[np.int16] | None, coarse: NDArray[np.int16]) -> float:
+    """Mean difference of the grey levels of two pictures (`coarse_of`); infinite where there is none before."""
+    if before is None or before.shape != coarse.shape:
+        return math.inf
+    return float(np.mean(np.abs(coarse - before)))
 
 
 def repeated(changes: Sequence[float]) -> BoolArray:

@@ -69,12 +69,17 @@ def correct_still(frames: Sequence[FilmFrame], tracks: Array, cells: int | None)
 
 def mean_picture(frames: Sequence[FilmFrame], corners: Array) -> tuple[Array, Array]:
     """The mean of the frames around a tag with its margin, and the pixel (x, y) of its first corner."""
+    rows, columns = part_around(corners, frames[0].luma.shape)
+    parts = np.stack([frame.luma[rows, columns] for frame in frames])
+    return parts.mean(axis=0), np.array([columns.start, rows.start], dtype=float)
+
+
+def part_around(corners: Array, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of a picture of `shape` that show the tag with corners (4, 2) [px] and its margin."""
     margin = 0.15 * float(np.ptp(corners, axis=0).max()) + 2
-    height, width = frames[0].luma.shape
-    left, top = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int)
-    right, bottom = np.minimum(np.ceil(corners.max(axis=0) + margin) + 1, (width, height)).astype(int)
-    parts = np.stack([frame.luma[top:bottom, left:right] for frame in frames])
-    return parts.mean(axis=0), np.array([left, top], dtype=float)
+    left, top = np.maximum(np.floor(corners.min(axis=0) - margin), 0).astype(int).tolist()
+    right, bottom = np.minimum(np.ceil(corners.max(axis=0) + margin) + 1, (shape[1], shape[0])).astype(int).tolist()
+    return slice(top, bottom), slice(left, right)
 
 
 def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:

@@ -36,9 +36,10 @@ def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Find
     pass, backward in time, finds tags that became visible between two such searches.
     """
     tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
+    evenly = np.arange(len(frames), dtype=float)
     looks, strangers, doubles = 0, [], []
     for t, frame in enumerate(frames):
-        follow(tracks, t, -1, frame.luma, tag_id, finder)
+        follow(tracks, evenly, t, -1, frame.luma, tag_id, finder)
         if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
             sightings = finder.look(frame.luma, tag_id)
             looks += 1
@@ -46,18 +47,20 @@ def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Find
             doubles += [(frame.index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
             take(tracks[t], sightings, tag_id)
     for t in reversed(range(len(frames))):
-        follow(tracks, t, 1, frames[t].luma, tag_id, finder)
+        follow(tracks, evenly, t, 1, frames[t].luma, tag_id, finder)
     tracks = correct_still(frames, tracks, finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
     return BlockTracks(times, tracks, (height, width), looks, tuple(strangers), tuple(doubles))
 
 
-def follow(tracks: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: Finder) -> None:
+def follow(
+    tracks: Array, time: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: Finder
+) -> None:
     """Seek in frame `t` every tag not yet found there, around where its sightings on the side of `step` (-1 the past,
-    1 the future) predict it. Fills `tracks[t]`."""
+    1 the future) predict it. `time` (T,) is of the frames, in any unit. Fills `tracks[t]`."""
     for i in np.flatnonzero(np.isnan(tracks[t]).any(axis=(1, 2))).tolist():
-        expected, move = predict(tracks[:, i], t, step)
+        expected, move = predict(tracks[:, i], time, t, step)
         if expected is None:
             continue
         for margin in (NEAR, WIDE):
@@ -67,9 +70,9 @@ def follow(tracks: Array, t: int, step: int, picture: Picture, tag_id: Sequence[
                 break
 
 
-def predict(track: Array, t: int, step: int) -> tuple[Array | None, float]:
+def predict(track: Array, time: Array, t: int, step: int) -> tuple[Array | None, float]:
     """Corners expected in frame `t` from the nearest two sightings within `LOOK_EVERY` frames on one side, moving on
-    evenly, and how far (px) they have moved since the nearest one. None where there is no sighting."""
+    evenly in `time` (T,), and how far (px) they have moved since the nearest one. None where there is no sighting."""
     visible = [
         k
         for k in range(t + step, t + step * (LOOK_EVERY + 1), step)
@@ -77,10 +80,11 @@ def predict(track: Array, t: int, step: int) -> tuple[Array | None, float]:
     ]
     if not visible:
         return None, 0.0
-    nearest = track[visible[0]]
+    first, nearest = visible[0], track[visible[0]]
     if len(visible) == 1:
         return nearest, 0.0
-    shift = (nearest - track[visible[1]]).mean(axis=0) * (t - visible[0]) / (visible[0] - visible[1])
+    second = visible[1]
+    shift = (nearest - track[second]).mean(axis=0) * (time[t] - time[first]) / (time[first] - time[second])
     return nearest + shift, float(np.abs(shift).max())
 
 

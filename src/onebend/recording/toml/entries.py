@@ -179,7 +179,7 @@ class GravityEntry:
 
     direction: float = key("direction_deg", degrees(), "where it pulls, in the room, degrees", example="-90.0")  # rad
     magnitude: float = key(
-        "magnitude_m_s2", number(least=0), "the acceleration of gravity, m/s^2", example="9.81", default=9.81
+        "magnitude_m_s2", number(least=0, most=100), "the acceleration of gravity, m/s^2", example="9.81", default=9.81
     )
     base_angle: float = key(
         "base_angle_deg", degrees(), "the beam's x axis in the room, degrees", example="0.0", default=math.nan

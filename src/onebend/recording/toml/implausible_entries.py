@@ -14,6 +14,7 @@ PIXELS = 0.05  # by which fx and fy may differ: pixels are square
 MIDDLE = 0.2  # of the picture, that the principal point may be away from its middle
 SHORTEST, LONGEST = 0.3, 10.0  # focal length over the picture's longer side: 118 deg to 6 deg of view
 HEAVIEST = 50.0  # kg/m, a steel bar of 90 mm
+RIDERS = 20.0  # masses of the beam, of all that rides on it
 LOOSEST = math.radians(15.0)  # sd of a clamp's direction
 ROUNDEST = 2.0  # rad, sd of what a beam turns by its own curvature
 ROUGHEST = 0.1  # sd of a picture's scale
@@ -29,6 +30,10 @@ def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, 
     remarks = [] if camera is None else [Remark("warning", text, about="camera") for text in camera_doubts(camera)]
     if beam.mass / beam.length > HEAVIEST:
         text = f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?"
+        remarks.append(Remark("warning", text, about="unit"))
+    riding = sum(one.mass for one in beam.masses)
+    if riding > RIDERS * beam.mass:
+        text = f"what rides on the beam weighs {riding:.3g} kg, {riding / beam.mass:.2g} times the beam: in kilograms?"
         remarks.append(Remark("warning", text, about="unit"))
     if beam.width > beam.thickness:
         text = (

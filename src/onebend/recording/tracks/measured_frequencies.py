@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 
+from onebend.errors import RecordingError
 from onebend.recording.stated import stated_in
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.frequency_entry import FrequencyEntry
@@ -17,8 +19,21 @@ _CLAMP_SD = 1e-6  # m, rad: the clamp is where it is
 
 
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
-    """Undamped, with gravity in the beam's frame."""
-    return tuple(_measured(one, rec) for one in rec.frequencies)
+    """Undamped, with gravity in the beam's frame.
+
+    Raises:
+        RecordingError: of two modes in one posture the lower one is the faster.
+    """
+    every = tuple(_measured(one, rec) for one in rec.frequencies)
+    for one, other in permutations((one for one in every if one.mode > 0), 2):
+        alike = one.tip_mass == other.tip_mass and np.allclose(one.gravity, other.gravity)
+        if alike and one.mode < other.mode and one.frequency >= other.frequency:
+            raise RecordingError(
+                f"{rec.folder}: mode {one.mode} at {one.frequency:.4g} Hz is no slower than mode {other.mode} at "
+                f"{other.frequency:.4g} Hz in the same posture. Correct hz or mode in [[frequencies]].",
+                about="unit",
+            )
+    return every
 
 
 def with_frequencies(seen: Observations, rec: Recording) -> Observations:

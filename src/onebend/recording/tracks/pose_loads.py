@@ -17,6 +17,8 @@ from onebend.records import Array, BenchPoses, BoolArray, KnownLoads
 WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
 AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
 CAME_BY = ("turned_from_deg", "order")  # how the beam came into the pose
+LARGEST = 1e6  # N, N m or kg: no beam that is bent by hand or by weights bears more
+MOST_TURNED = 720.0  # degrees: two turns are more than any beam needs to come back to itself
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,9 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
     table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
     held_rows = _held(table)
     amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
+    too_much = np.any([np.abs(np.nan_to_num(values)) > LARGEST for values in amounts.values()], axis=0)
+    table.refuse(too_much, f"a load of more than {LARGEST:g} is none. Check its unit.")
+    table.refuse(np.nan_to_num(amounts["mass_kg"]) < 0.0, "mass_kg is negative. A pull upwards is a weight_N below 0.")
     loaded = np.any([np.nan_to_num(values) != 0.0 for values in amounts.values()], axis=0)
     s = table.get("s")
     table.refuse(loaded & ~((s >= 0.0) & (s <= 1.0)), "a load needs its place: s between 0 at the clamp and 1.")
@@ -138,6 +143,10 @@ def _one_each(table: Columns, column: str, pose: np.ndarray, count: int) -> Arra
 def _history(table: Columns, pose: np.ndarray, clamp: Array, held: BoolArray) -> tuple[Array, Array]:
     """(P,) rad and (P,): whence the base was turned into each pose, and in which order the poses were come to."""
     turned_from, order = (_one_each(table, column, pose, len(clamp)) for column in CAME_BY)
+    far = np.abs(np.nan_to_num(turned_from)) > MOST_TURNED
+    table.refuse(
+        far[pose], f"turned_from_deg is beyond {MOST_TURNED:g} degrees. Give the angle that it was turned from."
+    )
     turned, ordered = np.isfinite(turned_from)[pose], np.isfinite(order)[pose]
     table.refuse(turned & ordered, "both turned_from_deg and order: how the beam came into a pose is said once.")
     table.refuse(

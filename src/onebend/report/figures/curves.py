@@ -16,11 +16,11 @@ from onebend.beam.profiles.uncertain import Band, UncertainStiffness
 from onebend.escaping import figure_text
 from onebend.learning.posterior import Nuisance
 from onebend.records import Array, BoolArray
+from onebend.report.figures.bands import LEVELS, highest_shown
 from onebend.report.figures.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, colour, named, shape, styled
 
 MM = 1000.0
 GREY = "#98a2b3"
-LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # of the bands, and how strongly each is drawn
 _S = np.linspace(0.0, 1.0, 401)
 _MOST_ROWS = 40  # of a picture
 _SAID = 0.05  # of the sd before the data: what it shrank by, or the value
@@ -80,13 +80,6 @@ def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
         why = "not to be trusted" if uncertain.doubts else "not identified"
         axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label=why)
     return highest_shown(uncertain)
-
-
-def highest_shown(uncertain: UncertainStiffness) -> float:
-    """N m, the top of an axis of k(s): the known part sets it, and k where it is not known may add three tenths."""
-    band = uncertain.band(_S)
-    known = float(np.max(band.high[uncertain.best_known(_S)]))
-    return max(known, min(float(np.max(band.k)), 1.3 * known))
 
 
 def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | None) -> None:

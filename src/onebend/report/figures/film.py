@@ -113,7 +113,7 @@ def shape_band(
     bent = []
     for profile in uncertain.draw(_DRAWS, seed=0):
         try:
-            solved = solved_frames(replace(beam, stiffness=profile), observations, frames)
+            solved = list(solved_frames(replace(beam, stiffness=profile), observations, frames))
         except MechanicsError:
             continue
         bent.append(np.concatenate([np.where(one.converged[:, None, None], one.xy(s), np.nan) for one in solved]))

@@ -176,22 +176,26 @@ def _time_label(comparison: Comparison) -> str:
 
 @styled
 def residuals(comparison: Comparison, title: str = "measured to simulated") -> Figure:
-    """How far the simulated tags are from the measured ones: over time, and in the plane."""
-    figure, (left, right) = blank(3.2, 1, 2, width_ratios=(1.7, 1.0))
+    """How far simulated tags are from the measured ones: over time, and in the plane where x and y were measured."""
     residual = MM * (comparison.measured - comparison.predicted)
+    both = bool(np.any(np.isfinite(residual).all(axis=-1)))  # a plane needs x and y of the same tag
+    figure, panels = blank(3.2, 1, 2, width_ratios=(1.7, 1.0)) if both else blank(3.2)
+    left = panels[0]
     time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
     for i, rms in enumerate(comparison.rms):
         distance, tint = distances(residual[:, i]), colour(i, count)
         label = f"tag {comparison.tag_id[i]}: {millimetres(rms)} RMS" if i in named(count) else None
         left.plot(*_unbroken(time, distance), color=tint, linewidth=1.1, label=label, **_marked(i, time))
-        right.plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
+        if both:
+            panels[1].plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
     left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
     left.set_title(f"{figure_text(comparison.name)}: {title}")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, count)), fontsize=8)
-    right.axhline(0, color=MUTED, linewidth=0.8)
-    right.axvline(0, color=MUTED, linewidth=0.8)
-    right.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    right.set_title("in the plane")
+    for plane in panels[1:]:
+        plane.axhline(0, color=MUTED, linewidth=0.8)
+        plane.axvline(0, color=MUTED, linewidth=0.8)
+        plane.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+        plane.set_title("in the plane")
     return figure
 
 

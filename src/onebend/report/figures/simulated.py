@@ -40,7 +40,7 @@ def centreline(
     if not np.any(here):
         return None
     try:
-        solved = solved_frames(beam, observations, here)[0]
+        solved = next(solved_frames(beam, observations, here))
     except MechanicsError:
         return None
     return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None

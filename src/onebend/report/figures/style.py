@@ -75,13 +75,17 @@ def blank(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tup
 
 
 def png_of(figure: Figure, *, software: str | None = None) -> bytes:
-    """The figure as a PNG, without a date: the same findings give the same bytes."""
+    """The figure as a PNG, without a date: the same findings give the same bytes.
+
+    It is laid out once and drawn once; `Figure.savefig` draws everything once more, to lay it out.
+    """
     with rc_context(_LOOK):
         stream = io.BytesIO()
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
-            figure.set_layout_engine("none")  # `savefig` would draw everything once more to lay it out
-        figure.savefig(stream, format="png", dpi=DPI, metadata={"Software": software})
+            figure.set_layout_engine("none")
+        canvas = figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
+        canvas.print_png(stream, metadata={"Software": software})  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 

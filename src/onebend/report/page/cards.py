@@ -15,7 +15,7 @@ from onebend.report.findings import Findings
 from onebend.report.kinds import only_frequencies, words_of
 from onebend.report.modulus import measured_beam, modulus_range, one_modulus_words
 from onebend.report.verdict import Verdict, verdict_of
-from onebend.report.wording import millimetres, significant, worst_tag
+from onebend.report.wording import millimetres, significant, span, worst_tag
 
 
 def cards(findings: Findings) -> list[dict[str, str]]:
@@ -71,8 +71,8 @@ def _stiffness_card(findings: Findings) -> dict[str, str]:
     area = 1e6 * findings.beam.length
     return {
         "what": "bending stiffness k(s)",
-        "value": f"{significant(low)} … {significant(high)}\u00a0N\u00a0m",
-        "note": f"EI {significant(area * low)} … {significant(area * high)} N mm²",
+        "value": f"{span(low, high, ' … ')}\u00a0N\u00a0m",
+        "note": f"EI {span(area * low, area * high, ' … ')} N mm²",
     }
 
 

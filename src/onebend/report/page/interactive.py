@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.records import Array, Observations
-from onebend.report.figures.curves import LEVELS, highest_shown
+from onebend.report.figures.bands import LEVELS, highest_shown
 from onebend.report.figures.film import FilmStrip
 from onebend.report.findings import Findings
 from onebend.strict_json import to_json

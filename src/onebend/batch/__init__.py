@@ -1,0 +1,1 @@
+"""Many recordings, each learned by itself, on the cores of one machine or of many."""

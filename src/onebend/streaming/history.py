@@ -1,0 +1,174 @@
+"""What is kept of a stream: the tags of its frames and the rows of its force log, in order of time, of bounded size.
+
+Where a store is full, it goes on at half the rate: of the frames every other one is kept, and two rows of the log
+become their mean. So a long push is kept from its first rest to its end.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.recording.signals import LATEST
+from onebend.recording.tags.frozen import repeated
+from onebend.recording.tags.tracker import TrackedFrame
+from onebend.recording.tags.tracking import BlockTracks
+from onebend.records import Array, BoolArray
+
+_MOST_SIGHTINGS = 1000  # of unexpected and of doubled tags
+
+
+class FrameHistory:
+    """The tags of the frames so far. `time` is that of `TrackedFrame`."""
+
+    def __init__(self, most: int) -> None:
+        """An empty store of at most `most` frames."""
+        self._most, self._every, self._skipped = most, 1, 0
+        self._change = 0.0  # the largest change of the frames that were passed over since the last one kept
+        self._frames: list[TrackedFrame] = []
+        self._looks = 0
+        self._strangers: deque[int] = deque(maxlen=_MOST_SIGHTINGS)
+        self._doubles: deque[tuple[int, int]] = deque(maxlen=_MOST_SIGHTINGS)
+        self._shifts: dict[tuple[int, float], Array] = {}  # (4, 2) px, by tag and by when it came where it stands
+        self.count = 0  # of all frames so far
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(self, frame: TrackedFrame) -> None:
+        """Put a frame in its place in time."""
+        self._looks += frame.looked
+        self._strangers.extend(frame.strangers)
+        self._doubles.extend((self.count, tag) for tag in frame.doubles)
+        self.count += 1
+        for i in np.flatnonzero(np.isfinite(frame.still_since)).tolist():
+            self._shifts[i, float(frame.still_since[i])] = frame.corners[i] - frame.detected[i]
+        if self._frames and frame.time < self._frames[-1].time:
+            self._frames.insert(bisect_left(self._frames, frame.time, key=lambda one: one.time), frame)
+        elif self._skipped + 1 >= self._every:
+            self._frames.append(_changed(frame, self._change))
+            self._skipped, self._change = 0, 0.0
+        else:
+            self._skipped, self._change = self._skipped + 1, max(self._change, frame.change)
+        if len(self._frames) > self._most:
+            pairs = zip(self._frames[1::2], self._frames[2::2], strict=False)
+            self._frames = [self._frames[0], *(_changed(after, before.change) for before, after in pairs)]
+            self._every *= 2
+            kept = {(i, since) for one in self._frames for i, since in enumerate(one.still_since.tolist())}
+            self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
+
+    def tracks(self) -> tuple[BlockTracks, BoolArray]:
+        """The frames kept (T), and those that differ in nothing from the one before, but for what packing makes of it;
+        as in a film that was recorded. A tag at rest is corrected in all its frames by what the last of them say."""
+        frames, changes = self._frames, [one.change for one in self._frames]
+        tracks = BlockTracks(
+            time=np.array([one.time for one in frames]),
+            corners=self._corrected(),
+            shape=frames[0].shape,
+            looks=self._looks,
+            strangers=tuple(self._strangers),
+            doubles=tuple(self._doubles),
+        )
+        return tracks, repeated(changes)
+
+    def _corrected(self) -> Array:
+        """(T, m, 4, 2) px."""
+        corners = np.stack([one.detected for one in self._frames])
+        since = np.stack([one.still_since for one in self._frames])
+        for (i, begun), shift in self._shifts.items():
+            if shift.any():
+                corners[since[:, i] == begun, i] += shift
+        return corners
+
+
+def _changed(frame: TrackedFrame, change: float) -> TrackedFrame:
+    """The frame, as different from that before as the larger of both changes says."""
+    return frame if change <= frame.change else replace(frame, change=change)
+
+
+class ForceHistory:
+    """The rows of the force log so far: time [s, its own clock], the two forces [N], and the place of the push where it
+    is given."""
+
+    def __init__(self, most: int, columns: int = 3) -> None:
+        """An empty store of at most `most` rows, of 3 columns or of 4."""
+        self._most, self._every, self._columns = most, 1, columns
+        self._rows = np.empty((1024, columns))
+        self._used = 0
+        self._waiting: list[Array] = []  # rows that become one
+        self.count, self.late, self.refused = 0, 0, 0  # rows so far; not in order of time; without a time
+
+    def __len__(self) -> int:
+        return self._used
+
+    @property
+    def rows(self) -> Array:
+        """(N, c), in order of time. Do not write into it: copy it before more rows come."""
+        return self._rows[: self._used]
+
+    def add(self, rows: Array) -> None:
+        """Put rows (n, c) in their places. A row with a time that is none is left out; NaN forces are a gap."""
+        good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < LATEST)
+        self.count += len(rows)
+        self.refused += len(rows) - int(np.sum(good))
+        rows = rows[good]
+        newest = self._rows[self._used - 1, 0] if self._used else -math.inf
+        late = rows[:, 0] <= newest
+        self.late += int(np.sum(late))
+        self._append(rows[~late][np.argsort(rows[~late, 0], kind="stable")])
+        if late.any():
+            self._insert(rows[late])
+
+    def mean_near(self, time: float, half: float, longest_gap: float) -> Array:
+        """(c - 1,) mean of the rows within `half` [s] of `time`, else of the nearest one that is not farther than
+        `longest_gap` [s]; NaN where there is none."""
+        rows = self.rows
+        low, high = np.searchsorted(rows[:, 0], (time - half, time + half))
+        part = rows[low:high, 1:]
+        part = part[np.isfinite(part).all(axis=1)]
+        if len(part):
+            return np.asarray(part.mean(axis=0))
+        near = rows[max(low - 1, 0) : high + 1]
+        near = near[np.isfinite(near).all(axis=1)]
+        away = np.abs(near[:, 0] - time)
+        if not len(near) or away.min() > longest_gap:
+            return np.full(self._columns - 1, np.nan)
+        return np.asarray(near[np.argmin(away), 1:])
+
+    def _append(self, rows: Array) -> None:
+        if self._every > 1:
+            self._waiting += list(rows)
+            whole = len(self._waiting) // self._every * self._every
+            groups = np.array(self._waiting[:whole]).reshape(-1, self._every, self._columns)
+            self._waiting = self._waiting[whole:]
+            rows = groups.mean(axis=1)
+        self._room_for(len(rows))
+        self._rows[self._used : self._used + len(rows)] = rows
+        self._used += len(rows)
+        if self._used > self._most:
+            self._halve()
+
+    def _insert(self, rows: Array) -> None:
+        """Rows that are not newer than the newest one."""
+        self._room_for(len(rows))
+        begin = int(np.searchsorted(self.rows[:, 0], rows[:, 0].min()))
+        tail = np.concatenate([self.rows[begin:], rows])
+        self._rows[begin : begin + len(tail)] = tail[np.argsort(tail[:, 0], kind="stable")]
+        self._used += len(rows)
+        if self._used > self._most:
+            self._halve()
+
+    def _room_for(self, count: int) -> None:
+        while self._used + count > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+
+    def _halve(self) -> None:
+        pairs = self._used // 2
+        rest = self._rows[2 * pairs : self._used].copy()
+        self._rows[:pairs] = self._rows[: 2 * pairs].reshape(pairs, 2, self._columns).mean(axis=1)
+        self._rows[pairs : pairs + len(rest)] = rest
+        self._used, self._every = pairs + len(rest), 2 * self._every
