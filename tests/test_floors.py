@@ -59,8 +59,8 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("validation", "start", "inference", "swing"),
         ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),
         ("posterior",),
-        ("criticism_messages", "tradeoffs", "live", "design", "sensing"),
-        ("verdict", "replay"),
+        ("criticism_messages", "tradeoffs", "live", "design"),
+        ("verdict", "replay", "sensing"),
         ("explained",),
     ),
     "control": (

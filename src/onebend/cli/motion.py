@@ -184,7 +184,9 @@ def sense(
             detect, reading = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
             seen = observe(files, settings=reading, detect=detect, progress=progress)
         settings = SenseSettings(place, at, at_sd, force_prior)
-        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, settings=settings)
+        found = sense_force(
+            stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings
+        )
         summary = sense_summary(str(model), found, written_by=BY)
         if output is not None:
             _write(output, overwrite, model, recording, found, summary)

@@ -3,7 +3,7 @@ the tags sit, the clamp, the rest shape; each with its sd, and the derivatives o
 
 The unknowns a frame has of its own are the force's two components and, where it is asked for, its place. All that is
 shared is integrated out to first order: it adds `B C B^T` to the noise of the tags, B their derivatives, C the
-covariance after the beam at rest was seen.
+covariance after the beam at rest was seen. The discrepancy that the learning found is one of the shared parts.
 """
 
 from __future__ import annotations
@@ -28,45 +28,45 @@ from onebend.beam.statics.sensitivity import (
     of_stiffness,
     respond,
 )
+from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.fit_data import REST_MODES
 from onebend.learning.model.frames import known_loads, whitening
 from onebend.learning.model.held_ends import RESOLUTION
-from onebend.learning.model.parameters import Priors, clamp_sd, curvature_sd, scale_sd
 from onebend.learning.model.tag_jacobian import TagRide, along_and_across, tag_blocks
+from onebend.learning.sensing.prior import SharedPrior, shared_prior
 from onebend.records import Array, IntArray, Observations
 
 _RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
 _REST_STEPS = 4
 _TRUST = 3.0  # rad: Newton's method may turn the beam no further
 _REMAINING = 1e-11  # rad
-_PLACES = 401
-_SLIGHT = 3e-3  # of log k
 
 
 @dataclass(frozen=True)
 class Bench:
     """Beam and mounting, as the beam at rest leaves them: what the frames share is `mean`, of covariance `root root^T`.
 
-    Parts of it, in order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, rest
-    curvature (3), the tags' places along and across and their turns (m each), the origin (2), the picture's scale.
+    Their order is that of `prior.SharedPrior`.
     """
 
     beam: Beam
     stiffness: UncertainStiffness | None
-    ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
+    prior: SharedPrior
     observations: Observations
     mean: Array  # (n,)
-    root: Array  # (n, n)
+    root: Array  # (n, r)
     place_sd: float  # m, of the contact's place where it is said
 
     @property
     def parts(self) -> dict[str, slice]:
         """Where each part stands."""
-        m, p = len(self.observations.marker_s), self.ways.shape[1]
-        sizes = {"log k": p, "gain": 1, "clamp": 1, "curvature": REST_MODES.n}
-        sizes |= {"along": m, "across": m, "turn": m, "origin": 2, "scale": 1}
-        ends = np.cumsum([0, *sizes.values()]).tolist()
-        return {name: slice(a, b) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)}
+        return self.prior.parts
+
+    @property
+    def at_rest(self) -> Array:
+        """(m, 2) m, where the tags were seen at rest; on a straight beam, where they were not."""
+        o = self.observations
+        return np.where(np.isfinite(o.rest_xy), o.rest_xy, o.length * o.marker_s[:, None] * np.array([1.0, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -81,38 +81,30 @@ class Tags:
     angle: Array  # (F,) rad, of the beam where the force acts
 
 
-def make_bench(beam: Beam, observations: Observations, stiffness: UncertainStiffness | None, place_sd: float) -> Bench:
-    """Priors as stated, and then what the tags at rest say of them (Gauss-Newton, the beam without a force)."""
-    o, priors = observations, Priors()
-    m, stated = len(o.marker_s), o.stated
-    ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
-    sds = [0.0 if stiffness is None else stiffness.gain_sd, clamp_sd(o, priors)]
-    sds += [curvature_sd(o, priors)] * REST_MODES.n + [stated.placement_sd] * (2 * m) + [stated.turn_sd] * m
-    sds += [stated.placement_sd] * 2 + [scale_sd(o, priors)]
-    root = np.diag([1.0] * ways.shape[1] + sds)
-    n = len(root)
-    bench = Bench(beam, stiffness, ways, o, np.zeros(n), root, place_sd)
+def make_bench(
+    beam: Beam,
+    observations: Observations,
+    stiffness: UncertainStiffness | None,
+    place_sd: float,
+    instruments: Instruments | None = None,
+    *,
+    tags_as_learned: bool = True,
+) -> Bench:
+    """What is known before, and then what the tags at rest say of it (Gauss-Newton, the beam without a force)."""
+    o, m = observations, len(observations.marker_s)
+    prior = shared_prior(o, stiffness, instruments, tags_as_learned=tags_as_learned)
+    root, bench = prior.root, Bench(beam, stiffness, prior, o, prior.mean, prior.root, place_sd)
     seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
     if not np.isfinite(seen).any():
         return bench
-    whiten, mean, inner = whitening(seen, o.rest_covariance), bench.mean, np.eye(n)
+    whiten, mean, inner = whitening(seen, o.rest_covariance), bench.mean, np.eye(root.shape[1])
     for _ in range(_REST_STEPS):
         tags = rest_tags(replace(bench, mean=mean))
-        rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, n)
-        away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ mean
-        inner = np.linalg.inv(np.eye(n) + rows.T @ rows)
-        mean = root @ (inner @ (rows.T @ (whiten @ away[..., None]).ravel()))
+        rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
+        away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - prior.mean)
+        inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
+        mean = prior.mean + root @ (inner @ (rows.T @ (whiten @ away[..., None]).ravel()))
     return replace(bench, mean=mean, root=root @ np.linalg.cholesky(0.5 * (inner + inner.T)))
-
-
-def ways_of(stiffness: UncertainStiffness) -> Array:
-    """(c, p) of the coefficients: the independent ways in which log k is off, each of variance 1, without those that
-    change log k by less than `_SLIGHT`, root mean square over the beam."""
-    values, vectors = np.linalg.eigh(stiffness.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    on_beam = stiffness.basis(np.linspace(0.0, 1.0, _PLACES)) @ root / np.sqrt(_PLACES)
-    _, size, turn = np.linalg.svd(on_beam, full_matrices=False)
-    return np.asarray(root @ turn[size > _SLIGHT].T)
 
 
 def rest_tags(bench: Bench) -> Tags:
@@ -185,7 +177,7 @@ def tags_of(bench: Bench, solved: Equilibrium, force: Array, place: Array) -> Ta
     level = problem.k[..., None]
     functions = level
     if bench.stiffness is not None:
-        off = (bench.stiffness.basis(nodes.ravel()) @ bench.ways).reshape(*nodes.shape, -1)
+        off = (bench.stiffness.basis(nodes.ravel()) @ bench.prior.ways).reshape(*nodes.shape, -1)
         functions = np.concatenate([level * off, level], axis=-1)
     changes = of_force(problem, place) + of_moment(problem, place) + of_stiffness(solved, functions)
     changes = changes + of_clamp_angle(problem) + of_rest_curvature(problem, REST_MODES.curvature(nodes))
@@ -195,5 +187,16 @@ def tags_of(bench: Bench, solved: Equilibrium, force: Array, place: Array) -> Ta
     xy = (pose[..., :2] - bench.mean[parts["origin"]]) / ride.scale
     bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
     riding = tag_blocks(ride.motion(xy, bend))
-    shared = np.concatenate([moved[..., 3:], *(riding[name] for name in _RIDING)], axis=-1)
+    left = _discrepancy(pose[..., :2] - bench.at_rest)
+    shared = np.concatenate([moved[..., 3:], *(riding[name] for name in _RIDING), left], axis=-1)
     return Tags(solved, pose, moved[..., :2], moved[..., 2] * across[:, None, None], shared, angle)
+
+
+def _discrepancy(moved: Array) -> Array:
+    """(F, m, 3, 3 m) of each tag's x, then y, then angle, per unit of the discrepancy, of tags `moved` (F, m, 2) m."""
+    frames, m = moved.shape[:2]
+    size = np.sqrt(np.mean(np.sum(moved**2, axis=-1), axis=1))
+    out = np.zeros((frames, m, 3, 3, m))
+    for tag in range(m):
+        out[:, tag, range(3), range(3), tag] = size[:, None]
+    return out.reshape(frames, m, 3, 3 * m)

@@ -11,9 +11,10 @@ from scipy.stats import chi2
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.problem import has_mass
+from onebend.beam.statics.rod import has_mass
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
+from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.frames import evenly_spread
 from onebend.learning.model.mass import NEEDS_MASS, weighs
 from onebend.learning.sensing.bench import Bench, make_bench
@@ -44,6 +45,8 @@ class SenseSettings:
     at_sd: float | None = None  # m, one sd of that place; None: as the recording says
     # N, one sd of each component before the shape is seen, mean zero; None: three times k/L, mean along the beam
     force_prior: float | None = None
+    # whether the tags sit on the beam as they did when it was learned; "anew": they were put on again
+    tags: Literal["as learned", "anew"] = "as learned"
 
 
 @dataclass(frozen=True)
@@ -113,13 +116,16 @@ def sense(
     observations: Observations,
     *,
     stiffness: UncertainStiffness | None = None,
+    instruments: Instruments | None = None,
     settings: SenseSettings = SenseSettings(),
 ) -> Sensed:
     """The force of every frame that shows tags, with a 95 % region, from the shape of `beam`.
 
     The regions hold the tags' noise, the band of k(s) where `stiffness` gives one, the mounting (the tags' places and
     turns, the clamp, the rest shape) as it is left by the frames at rest, and the place's tolerance. The force log is
-    not used but to compare with.
+    not used but to compare with. `instruments` are those of the model: where the recording has the same tags, their
+    places and turns are as they were learned, together with the errors of k(s); what the learning left unexplained (its
+    discrepancy) counts in any case.
 
     Raises:
         LearningError: the beam is not that of the recording, its end is held, nobody says where the force acts, or no
@@ -134,7 +140,8 @@ def sense(
         raise LearningError(f"{o.source.name}: no frame shows a tag of the beam, so no force can be told")
     mean_k = float(np.mean(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, 101)))))
     prior = PRIOR_SHARE * mean_k / beam.length if settings.force_prior is None else settings.force_prior
-    bench = make_bench(beam, o, stiffness, o.stated.place_sd if settings.at_sd is None else settings.at_sd)
+    place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
+    bench = make_bench(beam, o, stiffness, place_sd, instruments, tags_as_learned=settings.tags == "as learned")
     if settings.place == "known":
         found, other = _at_known_place(bench, frames, _places(o, frames, settings), prior), np.full(len(frames), np.nan)
     else:

@@ -1,0 +1,107 @@
+"""What all frames of a recording share when the force is told from the shape, as it is known before they are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.design.instruments import Instruments
+from onebend.learning.model.fit_data import REST_MODES
+from onebend.learning.model.parameters import Priors, clamp_sd, curvature_sd, scale_sd
+from onebend.records import Array, Observations
+
+LEARNED = ("curvature", "along", "across", "turn")  # what the beam's recordings have in common, beside k(s)
+_PLACES = 401
+_SLIGHT = 3e-3  # of log k
+_SAME_PLACE = 1e-6  # s
+
+
+@dataclass(frozen=True)
+class SharedPrior:
+    """A normal density, of covariance `root root^T`, of what the frames share, part after part.
+
+    In order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, the rest curvature
+    (3) besides that of the beam, the tags' places along and across and their turns (m each), the origin (2), the
+    picture's scale, and the discrepancy: of the places (2 m) and the angles (m) of the tags for each metre that they
+    move.
+    """
+
+    ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
+    mean: Array  # (n,)
+    root: Array  # (n, r)
+    parts: dict[str, slice]
+
+
+def shared_prior(
+    observations: Observations,
+    stiffness: UncertainStiffness | None,
+    instruments: Instruments | None,
+    *,
+    tags_as_learned: bool,
+) -> SharedPrior:
+    """As the recording states it, with the discrepancy of `instruments`; with `tags_as_learned`, rest curvature and
+    tags are those that were learned, with what their errors have in common with those of k(s)."""
+    o, priors = observations, Priors()
+    m, stated = len(o.marker_s), o.stated
+    ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
+    place, angle = (0.0, 0.0) if instruments is None else instruments.discrepancy
+    sds = {
+        "log k": np.ones(ways.shape[1]),
+        "gain": np.full(1, 0.0 if stiffness is None else stiffness.gain_sd),
+        "clamp": np.full(1, clamp_sd(o, priors)),
+        "curvature": np.full(REST_MODES.n, curvature_sd(o, priors)),
+        "along": np.full(m, stated.placement_sd),
+        "across": np.full(m, stated.placement_sd),
+        "turn": np.full(m, stated.turn_sd),
+        "origin": np.full(2, stated.placement_sd),
+        "scale": np.full(1, scale_sd(o, priors)),
+        "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
+    }
+    ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
+    parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}
+    prior = SharedPrior(ways, np.zeros(ends[-1]), np.diag(np.concatenate(list(sds.values()))), parts)
+    if stiffness is None or instruments is None or not (tags_as_learned and same_tags(o, instruments)):
+        return prior
+    return _as_learned(prior, stiffness, instruments)
+
+
+def same_tags(observations: Observations, instruments: Instruments | None) -> bool:
+    """Whether what was learned of the tags is known, and tags of this recording are at the same places."""
+    known = instruments is not None and instruments.shared_mean is not None
+    if not known or instruments is None or len(instruments.tags) != len(observations.marker_s):
+        return False
+    return bool(np.allclose(instruments.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
+
+
+def ways_of(stiffness: UncertainStiffness) -> Array:
+    """(c, p) of the coefficients: the independent ways in which log k is off, each of variance 1, without those that
+    change log k by less than `_SLIGHT`, root mean square over the beam."""
+    values, vectors = np.linalg.eigh(stiffness.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    on_beam = stiffness.basis(np.linspace(0.0, 1.0, _PLACES)) @ root / np.sqrt(_PLACES)
+    _, size, turn = np.linalg.svd(on_beam, full_matrices=False)
+    return np.asarray(root @ turn[size > _SLIGHT].T)
+
+
+def _as_learned(prior: SharedPrior, stiffness: UncertainStiffness, instruments: Instruments) -> SharedPrior:
+    """With the joint density of log k and the rest that the learning left; ways of log k that were left out are
+    counted with what k(s) does not tell."""
+    ours, theirs = [], []
+    for name, where in instruments.shared_parts.items():
+        if name in LEARNED:
+            ours += list(range(prior.parts[name].start, prior.parts[name].stop))
+            theirs += list(range(where.start, where.stop))
+    slope = instruments.shared_slope[theirs]
+    unseen = slope @ (stiffness.covariance - prior.ways @ prior.ways.T) @ slope.T
+    left = instruments.shared_covariance[np.ix_(theirs, theirs)] + unseen
+    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    mean, root = prior.mean.copy(), prior.root.copy()
+    root[ours] = 0.0
+    root[np.ix_(ours, ours)] = vectors * np.sqrt(np.maximum(values, 0.0))
+    root[ours, prior.parts["log k"]] = slope @ prior.ways
+    assert instruments.shared_mean is not None
+    mean[ours] = instruments.shared_mean[theirs]
+    mean[prior.parts["curvature"]] = 0.0  # that of the beam is the learned one
+    return SharedPrior(prior.ways, mean, root, prior.parts)
