@@ -15,8 +15,8 @@ from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
 from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
-from onebend.learning.sensing.sense import Sensed, SenseSettings
 from onebend.learning.sensing.sense import sense as sense_force
+from onebend.learning.sensing.sensed import Sensed, SenseSettings
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
 from onebend.learning.swing.swing_frequencies import frequencies_of
@@ -184,9 +184,7 @@ def sense(
             detect, reading = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
             seen = observe(files, settings=reading, detect=detect, progress=progress)
         settings = SenseSettings(place, at, at_sd, force_prior)
-        found = sense_force(
-            stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings
-        )
+        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
         summary = sense_summary(str(model), found, written_by=BY)
         if output is not None:
             _write(output, overwrite, model, recording, found, summary)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from onebend.files.manifest import write_summary
-from onebend.learning.sensing.sense import LEVEL, Sensed
+from onebend.learning.sensing.search import LEVEL
+from onebend.learning.sensing.sensed import Sensed
 from onebend.records import Array
 from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from onebend.learning.sensing.sense import Sensed
+from onebend.learning.sensing.sensed import Sensed
 from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.learning.swing.swing_frequencies import FoundFrequencies
 from onebend.report.wording import significant

@@ -15,7 +15,8 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.sensing.sense import SenseSettings, sense
+from onebend.learning.sensing.sense import sense
+from onebend.learning.sensing.sensed import SenseSettings
 from onebend.records import Array, Observations
 from onebend.report.figures.pictures import draw
 from onebend.report.figures.sensing import sensing

@@ -1,21 +1,24 @@
 """The force of each frame: maximum a posteriori by Gauss-Newton, many frames at once.
 
 Whitened by the tags' noise and by what the frames share (`bench.py`), the residuals r of a frame and their derivatives
-J with its own unknowns u, in units of their prior's sd, give steps `(J^T J + (1 + d) I) du = J^T r - u`; d, of each
+J with its own unknowns u, in units of their prior's sd, give steps `(1 + d) (J^T J + I) du = J^T r - u`; d, of each
 frame, grows where a step did not lower `|r|^2 + |u|^2` and falls where it did. The covariance is `(J^T J + I)^-1`.
+What the frames share counts as it does at the force where a search begins; a second one begins where the first ended.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.learning.model.frames import whitening
-from onebend.learning.sensing.bench import Bench, poses_of, problem_apart, problem_of, solve, tags_of
-from onebend.records import Array, BoolArray, IntArray, covariance_with_camera
+from onebend.learning.sensing.begin import first_forces
+from onebend.learning.sensing.bench import INNERMOST, Bench, problem_apart, problem_of, solve
+from onebend.learning.sensing.tags import poses_of, tags_of
+from onebend.records import Array, BoolArray, IntArray
 
 CHUNK = 250  # frames solved together
 _STEPS = 40
@@ -23,9 +26,10 @@ _STRIDE = 1.5  # of k/L: no longer step of the force at once
 _SETTLED = 1e-5  # posterior sds: a step this small is the last
 _FAR = 3.0  # times what is usual
 _LAST = 1e-4  # the same, of a step after which a further one is not worth its cost: the next is its square
+_SEARCHES = 2
+_HALVINGS = 6  # of a first force under which the beam does not stand
 _MOST = 1e8  # damping: no step is left that lowers anything
 PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
-_INNERMOST = 0.03  # s: nearer to the clamp a force bends nothing
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,15 @@ class Estimates:
     chi2: Array  # (F,) squared residuals, whitened
     angle: Array  # (F,) rad, of the beam at the place
     pose: Array  # (F, m, 3) the tags that belong to it
+
+    def take(self, rows: IntArray | BoolArray) -> Estimates:
+        """Of some frames."""
+        return Estimates(*(values[rows] for values in vars(self).values()))
+
+    def then(self, other: Estimates) -> Estimates:
+        """Followed by those of other frames."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Estimates(*(np.concatenate(pair) for pair in pairs))
 
 
 @dataclass
@@ -70,9 +83,9 @@ def estimate(
     force: Array | None = None,
     restarts: int = 4,
 ) -> Estimates:
-    """The force in `frames` (F,), rising, from `force` (F, 2) N (default none) at `place` (F,), which is where it acts
-    or, with `seek_place`, where the search begins. `prior_sd`: N, of each component, mean zero."""
-    first = np.zeros((len(frames), 2)) if force is None else force
+    """The force in `frames` (F,), rising, from `force` (F, 2) N (default: that of `begin`) at `place` (F,), which is
+    where it acts or, with `seek_place`, where the search begins. `prior_sd`: N, of each component, mean zero."""
+    first = first_forces(bench, frames, place, prior_sd) if force is None else force
     found = _searched(bench, frames, place, prior_sd, seek_place, first)
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
@@ -108,7 +121,7 @@ class _Search:
         o = bench.observations
         self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
         self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-        self.whiten = whitening(self.seen, covariance_with_camera(o)[frames])
+        self.whiten = whitening(self.seen, o.covariance[frames])
         self.sd = np.array([prior_sd, prior_sd, PLACE_PRIOR[1]][: 3 if seek_place else 2])
         self.mean = np.array([0.0, 0.0, PLACE_PRIOR[0]][: len(self.sd)])
         self.problem = problem_of(bench, frames, place)
@@ -118,28 +131,47 @@ class _Search:
         """From `force` (F, 2)."""
         unknown = np.concatenate([force, self.place[:, None]], axis=1)[:, : len(self.sd)]
         rows = np.arange(len(unknown))
-        state = self._state(rows, unknown, self._solved(rows, unknown, None))
-        damping = np.full(len(unknown), 1e-6)
+        solved = self._solved(rows, unknown, None)
+        for _ in range(_HALVINGS):
+            if solved.converged.all():
+                break
+            unknown[~solved.converged, :2] *= 0.5
+            solved = self._solved(rows, unknown, None)
+        state = self._state(rows, unknown, solved, None)
+        for _ in range(_SEARCHES - 1):
+            self._search(state)
+            state = self._state(rows, state.unknown, self._at(rows, state), None)
+        self._search(state)
+        return self._estimates(self._state(rows, state.unknown, self._at(rows, state), None))
+
+    def _search(self, state: _SearchState) -> None:
+        rows, damping = np.flatnonzero(state.stands), np.full(len(state.q), 1e-6)
         for _ in range(_STEPS):
+            if not rows.size:
+                break
             step, size = self._step(state, rows, damping[rows])
             trial = self._inside(state.unknown[rows] + step)
             there = self._solved(rows, trial, state.q[rows])
-            away = self._residual(rows, state.root[rows], poses_of(self.bench, there)[0])
+            away = self._residual(rows, state.root[rows], poses_of(self.bench, self.frames[rows], there)[0])
             lower = self._objective(away, trial) < self._objective(state.residual[rows], state.unknown[rows])
             better = np.flatnonzero(there.converged & lower)
             if better.size:
-                state.put(rows[better], self._state(rows[better], trial[better], there.take(better)))
+                there = there.take(better)
+                state.put(rows[better], self._state(rows[better], trial[better], there, state.root[rows[better]]))
             won = np.isin(np.arange(len(rows)), better)
             damping[rows] = np.where(won, np.maximum(damping[rows] / 30.0, 1e-12), 10.0 * damping[rows])
             done = (size < _SETTLED) | (won & (size < _LAST)) | (damping[rows] > _MOST)
             rows = rows[~done]
-            if not rows.size:
-                break
-        return self._estimates(state)
+
+    def _at(self, rows: IntArray, state: _SearchState) -> Equilibrium:
+        """The beam as it stands in the state."""
+        found = self._solved(rows, state.unknown, state.q)
+        return replace(found, converged=found.converged & state.stands)
 
     def _estimates(self, state: _SearchState) -> Estimates:
-        inverse = np.linalg.inv(np.swapaxes(state.slopes, 1, 2) @ state.slopes + np.eye(len(self.sd)))
-        covariance = self.sd[:, None] * inverse * self.sd
+        _, size, turn = np.linalg.svd(state.slopes, full_matrices=False)
+        root = np.swapaxes(turn, 1, 2) / np.sqrt(1.0 + size[:, None] ** 2)
+        covariance = self.sd[:, None] * (root @ np.swapaxes(root, 1, 2)) * self.sd
         known = np.where(state.stands[:, None], state.unknown, np.nan)
         place = known[:, 2] if self.seek_place else np.where(state.stands, self.place, np.nan)
         objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
@@ -152,22 +184,20 @@ class _Search:
             place, problem = unknown[:, 2], problem_apart(self.bench, self.frames[rows], unknown[:, 2])
         else:
             place, problem = self.place[rows], self.problem.take(rows)
-        return solve(problem, unknown[:, :2], place, start)
+        return solve(problem, unknown[:, :2], self.bench.placed(place), start)
 
-    def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium) -> _SearchState:
-        """Whitened by the tags' noise, what the frames share and, where it is said, the place's tolerance."""
+    def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
+        """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
         place = unknown[:, 2] if self.seek_place else self.place[rows]
-        tags = tags_of(self.bench, solved, unknown[:, :2], place)
-        count = 3 * self.seen.shape[1]
-        shared = self._flat(rows, tags.by_shared @ self.bench.root)
-        own = tags.by_force
+        tags = tags_of(self.bench, self.frames[rows], solved, unknown[:, :2], place, shared=root is None)
+        stands, own = solved.converged[:, None, None], tags.by_force
         if self.seek_place:
             own = np.concatenate([own, self.bench.observations.length * tags.by_place[..., None]], axis=-1)
-        else:
-            said = self._flat(rows, tags.by_place[..., None]) * self.bench.place_sd
-            shared = np.concatenate([shared, said], axis=-1)
-        root = np.linalg.inv(np.linalg.cholesky(np.eye(count) + shared @ np.swapaxes(shared, 1, 2)))
-        slopes = root @ self._flat(rows, own * self.sd)
+        if root is None:
+            shared = np.where(stands, self._flat(rows, tags.by_shared @ self.bench.root), 0.0)
+            noise = np.eye(shared.shape[1]) + shared @ np.swapaxes(shared, 1, 2)
+            root = np.linalg.inv(np.linalg.cholesky(noise))
+        slopes = root @ np.where(stands, self._flat(rows, own * self.sd), 0.0)
         residual = self._residual(rows, root, tags.pose)
         return _SearchState(unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes)
 
@@ -181,12 +211,11 @@ class _Search:
     def _step(self, state: _SearchState, rows: IntArray, damping: Array) -> tuple[Array, Array]:
         """The step (F, d) of some frames, and its size in posterior sds."""
         slopes, z = state.slopes[rows], (state.unknown[rows] - self.mean) / self.sd
-        normal = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))
-        right = np.einsum("frd,fr->fd", slopes, state.residual[rows]) - z
-        diagonal = np.einsum("fdd->fd", normal)
-        damped = normal + (damping[:, None] * diagonal)[..., None] * np.eye(len(self.sd))
-        step = np.linalg.solve(damped, right[..., None])[..., 0]
-        size = np.sqrt(np.maximum(np.einsum("fd,fde,fe->f", step, normal, step), 0.0))
+        left, size, turn = np.linalg.svd(slopes, full_matrices=False)
+        right = size * np.einsum("frd,fr->fd", left, state.residual[rows]) - np.einsum("fed,fd->fe", turn, z)
+        step = right / ((1.0 + size**2) * (1.0 + damping[:, None]))
+        size = np.sqrt(np.sum((1.0 + size**2) * step**2, axis=1))
+        step = np.einsum("fed,fe->fd", turn, step)
         step = step * self.sd
         longest = np.maximum(np.hypot(step[:, 0], step[:, 1]) / self.longest, 1.0)
         return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
@@ -196,5 +225,5 @@ class _Search:
 
     def _inside(self, unknown: Array) -> Array:
         if self.seek_place:
-            unknown = np.column_stack([unknown[:, :2], np.clip(unknown[:, 2], _INNERMOST, 1.0)])
+            unknown = np.column_stack([unknown[:, :2], np.clip(unknown[:, 2], INNERMOST, 1.0)])
         return unknown

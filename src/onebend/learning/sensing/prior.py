@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.learning.allowances.picture import camera, heights
 from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.fit_data import REST_MODES
 from onebend.learning.model.parameters import Priors, clamp_sd, curvature_sd, scale_sd
@@ -24,11 +25,12 @@ class SharedPrior:
 
     In order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, the rest curvature
     (3) besides that of the beam, the tags' places along and across and their turns (m each), the origin (2), the
-    picture's scale, and the discrepancy: of the places (2 m) and the angles (m) of the tags for each metre that they
-    move.
+    picture's scale, the discrepancy: of the places (2 m) and the angles (m) of the tags for each metre that they move;
+    the unknowns of the picture, and the place of the contact where it is said.
     """
 
     ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
+    picture: Array  # (T + 1, m, 3, v) m, m, rad: what the v unknowns of the picture do in each frame; the last at rest
     mean: Array  # (n,)
     root: Array  # (n, r)
     parts: dict[str, slice]
@@ -40,12 +42,15 @@ def shared_prior(
     instruments: Instruments | None,
     *,
     tags_as_learned: bool,
+    place_sd: float,
 ) -> SharedPrior:
-    """As the recording states it, with the discrepancy of `instruments`; with `tags_as_learned`, rest curvature and
+    """As the recording states it, with the discrepancy of `instruments`, and the contact's place to `place_sd` [m];
+    with `tags_as_learned`, rest curvature and
     tags are those that were learned, with what their errors have in common with those of k(s)."""
     o, priors = observations, Priors()
     m, stated = len(o.marker_s), o.stated
     ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
+    picture, picture_sd = picture_of(o)
     place, angle = (0.0, 0.0) if instruments is None else instruments.discrepancy
     sds = {
         "log k": np.ones(ways.shape[1]),
@@ -58,10 +63,12 @@ def shared_prior(
         "origin": np.full(2, stated.placement_sd),
         "scale": np.full(1, scale_sd(o, priors)),
         "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
+        "picture": picture_sd,
+        "place": np.full(1, place_sd),
     }
     ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
     parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}
-    prior = SharedPrior(ways, np.zeros(ends[-1]), np.diag(np.concatenate(list(sds.values()))), parts)
+    prior = SharedPrior(ways, picture, np.zeros(ends[-1]), np.diag(np.concatenate(list(sds.values()))), parts)
     if stiffness is None or instruments is None or not (tags_as_learned and same_tags(o, instruments)):
         return prior
     return _as_learned(prior, stiffness, instruments)
@@ -73,6 +80,20 @@ def same_tags(observations: Observations, instruments: Instruments | None) -> bo
     if not known or instruments is None or len(instruments.tags) != len(observations.marker_s):
         return False
     return bool(np.allclose(instruments.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
+
+
+def picture_of(observations: Observations) -> tuple[Array, Array]:
+    """(T + 1, m, 3, v) what the unknowns of the camera, its plane and the tags' heights over it do to the poses, those
+    at rest last, and (v,) one sd of each."""
+    o, count = observations, len(observations.time) + 1
+    seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
+    rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)
+    found = [] if o.by_camera is None else [camera(o, np.ones(count - 1, dtype=bool), count)]
+    found += [] if o.source.view is None else [heights(o, np.concatenate([seen, rest[None]]))]
+    none = np.zeros((count, *seen.shape[1:], 0))
+    return np.concatenate([none, *(a.basis for a in found)], axis=-1), np.concatenate(
+        [np.zeros(0), *(a.prior_sd for a in found)]
+    )
 
 
 def ways_of(stiffness: UncertainStiffness) -> Array:
@@ -104,4 +125,4 @@ def _as_learned(prior: SharedPrior, stiffness: UncertainStiffness, instruments: 
     assert instruments.shared_mean is not None
     mean[ours] = instruments.shared_mean[theirs]
     mean[prior.parts["curvature"]] = 0.0  # that of the beam is the learned one
-    return SharedPrior(prior.ways, mean, root, prior.parts)
+    return SharedPrior(prior.ways, prior.picture, mean, root, prior.parts)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.learning.sensing.sense import Sensed
+from onebend.learning.sensing.sensed import Sensed
 from onebend.report.figures.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, styled
 
 _WIDE = 1.96  # sds of a 95 % band
