@@ -23,9 +23,8 @@ from onebend.records import Array, BoolArray, IntArray
 CHUNK = 250  # frames solved together
 _STEPS = 40
 _STRIDE = 1.5  # of k/L: no longer step of the force at once
-_SETTLED = 1e-5  # posterior sds: a step this small is the last
 _FAR = 3.0  # times what is usual
-_LAST = 1e-4  # the same, of a step after which a further one is not worth its cost: the next is its square
+_LAST = 3e-3  # posterior sds: after a step this small a further one is not worth its cost: it is its square
 _SEARCHES = 2
 _HALVINGS = 6  # of a first force under which the beam does not stand
 _MOST = 1e8  # damping: no step is left that lowers anything
@@ -160,7 +159,7 @@ class _Search:
                 state.put(rows[better], self._state(rows[better], trial[better], there, state.root[rows[better]]))
             won = np.isin(np.arange(len(rows)), better)
             damping[rows] = np.where(won, np.maximum(damping[rows] / 30.0, 1e-12), 10.0 * damping[rows])
-            done = (size < _SETTLED) | (won & (size < _LAST)) | (damping[rows] > _MOST)
+            done = (size < _LAST) | (damping[rows] > _MOST)
             rows = rows[~done]
 
     def _at(self, rows: IntArray, state: _SearchState) -> Equilibrium:

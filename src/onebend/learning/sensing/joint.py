@@ -19,9 +19,10 @@ from onebend.learning.sensing.estimate import PLACE_PRIOR, Estimates
 from onebend.learning.sensing.tags import AT_REST, Tags, tags_of
 from onebend.records import Array, IntArray
 
-_ROUNDS = 25
+_ROUNDS = 40
+_OWN_STEPS = 4  # of the frames' own unknowns for each of what they share
 _REST_ROUNDS = 4
-_SETTLED = 1e-3  # of the objective that a round must win
+_SETTLED = 1e-2  # of the objective that a round must win
 _MOST = 1e6  # damping: no step is left that lowers anything
 
 
@@ -52,7 +53,12 @@ class _At:
     own: Array  # (F, d) N, N, s
     tags: Tags
     residual: Array  # (F, 3 m) over the tags' noise
-    objective: float
+    objectives: Array  # (F,) squares of each frame
+
+    @property
+    def objective(self) -> float:
+        """All squares."""
+        return float(np.sum(self.objectives) + self.shared @ self.shared)
 
 
 def rested(bench: Bench) -> Bench:
@@ -95,32 +101,52 @@ class _Joint:
         self.place = begin.place
         own = np.concatenate([begin.force, begin.place[:, None]], axis=1)[:, : len(self.sd)]
         now = self._at(np.zeros(self.bench.root.shape[1]), own)
-        damping = 1e-6
+        damping = 1e-4
         for _ in range(_ROUNDS):
             trial = self._at(*self._step(now, damping), now.tags.solved.q)
             if trial.objective < now.objective:
-                won, now, damping = now.objective - trial.objective, trial, max(damping / 30.0, 1e-9)
+                won, now, damping = now.objective - trial.objective, trial, max(damping / 5.0, 1e-9)
                 if won < _SETTLED:
                     break
             else:
-                damping *= 10.0
+                damping *= 5.0
                 if damping > _MOST:
                     break
         return self._outcome(now)
 
     def _at(self, shared: Array, own: Array, near: Array | None = None) -> _At:
+        """With the frames' own unknowns brought to where they fit best, by a few steps each."""
         bench = self._bench(shared)
-        if self.seek_place:
-            own = np.column_stack([own[:, :2], np.clip(own[:, 2], INNERMOST, 1.0)])
+        now = self._there(bench, shared, self._inside(own), near)
+        for _ in range(_OWN_STEPS):
+            slopes, z = self._own_slopes(now.tags), (now.own - self.mean) / self.sd
+            inner = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))
+            right = np.einsum("frd,fr->fd", slopes, now.residual) - z
+            step = np.linalg.solve(inner, right[..., None])[..., 0]
+            if not np.isfinite(now.objectives).all() or np.max(np.abs(step * right)) < _SETTLED:
+                break
+            trial = self._there(bench, shared, self._inside(now.own + self.sd * step), now.tags.solved.q)
+            better = trial.objectives < now.objectives
+            if not better.any():
+                break
+            own = np.where(better[:, None], trial.own, now.own)
+            now = trial if better.all() else self._there(bench, shared, own, now.tags.solved.q)
+        return now
+
+    def _there(self, bench: Bench, shared: Array, own: Array, near: Array | None) -> _At:
         place = own[:, 2] if self.seek_place else self.place
         problem = (problem_apart if self.seek_place else problem_of)(bench, self.frames, place)
+        near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
         solved = solve(problem, own[:, :2], bench.placed(place), near)
         if near is not None and not solved.converged.all():
             solved = solve(problem, own[:, :2], bench.placed(place), None)
-        tags = tags_of(bench, self.frames, solved, own[:, :2], place)
+        tags = tags_of(bench, self.frames, solved, own[:, :2], place, shared=False)
         residual = self._flat(np.nan_to_num(self.seen - tags.pose)[..., None])[..., 0]
-        objective = float(np.sum(residual**2) + np.sum(((own - self.mean) / self.sd) ** 2) + shared @ shared)
-        return _At(shared, own, tags, residual, objective if solved.converged.all() else np.inf)
+        objectives = np.sum(residual**2, axis=1) + np.sum(((own - self.mean) / self.sd) ** 2, axis=1)
+        return _At(shared, own, tags, residual, np.where(solved.converged, objectives, np.inf))
+
+    def _inside(self, own: Array) -> Array:
+        return np.column_stack([own[:, :2], np.clip(own[:, 2], INNERMOST, 1.0)]) if self.seek_place else own
 
     def _bench(self, shared: Array) -> Bench:
         return replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
@@ -129,12 +155,18 @@ class _Joint:
         """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
         return np.asarray((self.whiten @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
 
-    def _slopes(self, now: _At) -> tuple[Array, Array]:
-        """(F, 3 m, d) with the frames' own unknowns, (F, 3 m, r) with the shared ones, each over its prior's sd."""
-        own = now.tags.by_force
+    def _own_slopes(self, tags: Tags) -> Array:
+        """(F, 3 m, d) with the frames' own unknowns, over their priors' sd."""
+        own = tags.by_force
         if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * now.tags.by_place[..., None]], axis=-1)
-        return self._flat(own * self.sd), self._flat(now.tags.by_shared @ self.bench.root)
+            own = np.concatenate([own, self.bench.observations.length * tags.by_place[..., None]], axis=-1)
+        return self._flat(own * self.sd)
+
+    def _slopes(self, now: _At) -> tuple[Array, Array]:
+        """The same, and (F, 3 m, r) with what is shared."""
+        place = now.own[:, 2] if self.seek_place else self.place
+        tags = tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, :2], place)
+        return self._own_slopes(tags), self._flat(tags.by_shared @ self.bench.root)
 
     def _step(self, now: _At, damping: float) -> tuple[Array, Array]:
         own, shared = self._slopes(now)
