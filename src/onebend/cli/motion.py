@@ -64,6 +64,10 @@ ContactSd = Annotated[
     float | None,
     typer.Option("--push-sd-m", min=0.0, metavar="M", help="One sd of that place; default: as written."),
 ]
+TagsNow = Annotated[
+    Literal["learned", "anew"],
+    typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
+]
 ForcePrior = Annotated[
     float | None,
     typer.Option(
@@ -169,6 +173,7 @@ def sense(
     at: ContactAt = None,
     at_sd: ContactSd = None,
     force_prior: ForcePrior = None,
+    tags: TagsNow = "learned",
     output: Output = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -183,7 +188,7 @@ def sense(
         with progress_of(quiet) as progress:
             detect, reading = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
             seen = observe(files, settings=reading, detect=detect, progress=progress)
-        settings = SenseSettings(place, at, at_sd, force_prior)
+        settings = SenseSettings(place, at, at_sd, force_prior, tags)
         found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
         summary = sense_summary(str(model), found, written_by=BY)
         if output is not None:
@@ -197,9 +202,9 @@ def sense(
 def _write(
     output: Path, overwrite: bool, model: Path, recording: Path, found: Sensed, summary: dict[str, object]
 ) -> None:
-    from onebend.report.figures.sensing import sensing  # here: Matplotlib is for pictures alone
+    from onebend.report.figures.sensing import sensed_regions, sensing  # here: Matplotlib is for pictures alone
 
     with workplace(output, SENSE_FORMAT, overwrite) as work:
-        pictures = draw({"force": lambda: sensing(found)})
+        pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
         inputs = inputs_of([model_file(model), *recording_files([recording])])
         put_in_place(work, sense_writer(found, pictures, summary), pictures, inputs=inputs)

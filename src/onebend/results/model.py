@@ -116,6 +116,12 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
     return stored.uncertain
 
 
+def load_instruments(path: Path | str) -> Instruments | None:
+    """What the recordings behind the model in `path` were made with, and where the tags were found to sit; None where
+    it was learned without a band or a force log. Warns and raises as `load_model`."""
+    return _read_and_warn(path).bench
+
+
 def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand | None:
     """Young's modulus E(s) [Pa] at places s (S,) from `path`, as `load_uncertain`; with its band where k(s) has one.
 

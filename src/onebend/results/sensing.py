@@ -12,6 +12,7 @@ import numpy as np
 from onebend.files.manifest import write_summary
 from onebend.learning.sensing.search import LEVEL
 from onebend.learning.sensing.sensed import Sensed
+from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array
 from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv
@@ -73,8 +74,26 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
             "known_best": difference[0],
             "known_least": difference[1],
         },
+        "sensor": None if found.sensor is None else _sensor(found.sensor),
         "remarks": [{"level": one.level, "text": one.text} for one in found.remarks],
     }  # fmt: skip
+
+
+def _sensor(check: SensorCheck) -> dict[str, Any]:
+    return {
+        "gain": check.gain[0],
+        "gain_sd": check.gain[1],
+        "direction_deg": math.degrees(check.direction[0]),
+        "direction_sd_deg": math.degrees(check.direction[1]),
+        "delay_s": check.delay[0],
+        "delay_sd_s": check.delay[1],
+        "bias_N": check.bias[0].tolist(),
+        "bias_sd_N": check.bias[1].tolist(),
+        "drift_N_per_s": check.drift[0].tolist(),
+        "drift_sd_N_per_s": check.drift[1].tolist(),
+        "noise_N": check.noise,
+        "frames": check.frames,
+    }
 
 
 def _number(value: float) -> float | None:

@@ -10,8 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from onebend.learning.sensing.sensed import Sensed
+from onebend.learning.sensing.sensor import SensorCheck
 from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.learning.swing.swing_frequencies import FoundFrequencies
+from onebend.records import Array
 from onebend.report.wording import significant
 from onebend.terminal.parts import facts_table, force_words, remarks_list, say_written
 
@@ -121,9 +123,29 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
     difference = found.against_log
     if difference is not None:
         table.add_row("against the log", f"{significant(difference[0])} N RMS where the force is known best")
+    for row in sensor_rows(found.sensor):
+        table.add_row(*row)
     console.print(table, highlight=False)
     console.print(remarks_list([(found.name, one) for one in found.remarks]))
-    say_written(console, output, "force.csv, force.png, summary.json")
+    say_written(console, output, "force.csv, force.png, regions.png, summary.json")
+
+
+def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
+    """The force log as the shape judges it, with 95 % bands."""
+    if check is None:
+        return []
+
+    def pair(values: tuple[Array, Array]) -> str:
+        return ", ".join(f"{v:.3g} ± {1.96 * sd:.2g}" for v, sd in zip(*values, strict=True))
+
+    turn, turn_sd = (math.degrees(v) for v in check.direction)
+    return [
+        ("the log's gain", f"{check.gain[0]:.4g} ± {1.96 * check.gain[1]:.2g} (1: right, if the model's k is)"),
+        ("its axes turned by", f"{turn:.2g} ± {1.96 * turn_sd:.2g} deg"),
+        ("its delay", f"{1e3 * check.delay[0]:.3g} ± {1.96e3 * check.delay[1]:.2g} ms"),
+        ("its bias x, y", f"{pair(check.bias)} N"),
+        ("its drift x, y", f"{pair(check.drift)} N/s"),
+    ]
 
 
 def _place(found: Sensed, t: int) -> str:

@@ -15,15 +15,18 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Table
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import LearningError
+from onebend.learning.design.instruments import Instruments
+from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.sense import sense
 from onebend.learning.sensing.sensed import SenseSettings
 from onebend.records import Array, Observations
 from onebend.report.figures.pictures import draw
-from onebend.report.figures.sensing import sensing
+from onebend.report.figures.sensing import sensed_regions, sensing
 from onebend.results.sensing import FORCE_COLUMNS, sense_summary, sense_writer
 from onebend.strict_json import to_json
 from onebend.terminal.damping import show_sensed
 from tests.learning.bench import SOFT, forces, observed
+from tests.learning.design.test_identifiability import bench
 
 WIDE = SenseSettings(force_prior=1e5)  # N: it says nothing
 SOUGHT = SenseSettings(place="unknown")
@@ -116,6 +119,32 @@ def test_another_beam_is_noticed_and_the_right_one_is_not() -> None:
     assert not [one for one in right.remarks if one.level == "warning"]
 
 
+def test_a_clamp_that_slipped_after_the_rest_is_noticed() -> None:
+    o, turn = observed(SOFT, few(20), noise=(3e-5, 1e-3)), 0.05
+    cos, sin = np.cos(turn), np.sin(turn)
+    slipped = replace(o, xy=o.xy @ np.array([[cos, sin], [-sin, cos]]), angle=o.angle + turn)
+    found = sense(SOFT, slipped)
+    assert found.misfit is not None
+    assert found.misfit.probability < 1e-4
+    assert [one.about for one in found.remarks if one.level == "warning"] == ["sensed misfit"]
+
+
+def test_learned_tags_are_taken_over_unless_they_were_put_on_anew() -> None:
+    stiffness = UncertainStiffness(np.array([0.0, 0.0, 1.0, 1.0]), np.full(2, np.log(0.02)), 1e-4 * np.eye(2), degree=1)
+    beam, tags = Beam(0.15, stiffness.profile), ("along", "across", "turn")
+    mean = np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.02])
+    known = bench(shared=tags, shared_slope=np.zeros((9, 2)), shared_covariance=1e-10 * np.eye(9), shared_mean=mean)
+    known = Instruments.from_dict(known.as_dict())
+    o = observed(beam, few(), noise=(3e-5, 1e-3))
+    prior = shared_prior(o, stiffness, known, tags_as_learned=True, place_sd=0.0)
+    np.testing.assert_allclose(prior.mean[prior.parts["along"]], mean[:3])
+    np.testing.assert_allclose(prior.mean[prior.parts["turn"]], mean[6:])
+    np.testing.assert_allclose(np.linalg.norm(prior.root[prior.parts["along"]], axis=1), 1e-5, rtol=1e-6)
+    anew = shared_prior(o, stiffness, known, tags_as_learned=False, place_sd=0.0)
+    assert not anew.mean.any()
+    np.testing.assert_allclose(np.linalg.norm(anew.root[anew.parts["along"]], axis=1), o.stated.placement_sd)
+
+
 def test_a_common_factor_on_k_shows_in_the_force_alone() -> None:
     o, s = observed(SOFT, few(20), noise=(1e-5, 1e-3)), np.linspace(0.0, 1.0, 401)
     stiffer = Beam(0.15, Table(tuple(s.tolist()), tuple((1.3 * np.asarray(SOFT.stiffness(s))).tolist())))
@@ -162,12 +191,13 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     found = sense(SOFT, observed(SOFT, few(4), noise=(3e-5, 1e-3)), settings=SOUGHT)
     summary = sense_summary("model.json", found, written_by="test")
     to_json(summary)
-    pictures = draw({"force": lambda: sensing(found)})
+    pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
     sense_writer(found, pictures, summary)(tmp_path)
     rows = list(csv.reader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
     assert tuple(rows[0]) == FORCE_COLUMNS
     np.testing.assert_allclose([float(row[3]) for row in rows[1:]], found.force[:, 1], rtol=1e-6)
     assert (tmp_path / "force.png").exists()
+    assert (tmp_path / "regions.png").exists()
     stream = io.StringIO()
     show_sensed(Console(file=stream, width=100), found, tmp_path)
     assert "largest force" in stream.getvalue()

@@ -17,7 +17,7 @@ from onebend.beam.statics.continuation import follow
 from onebend.beam.statics.equilibrium import Equilibrium, is_stable
 from onebend.beam.statics.newton import correct
 from onebend.beam.statics.problem import Problem, make_problem
-from onebend.learning.model.fit_data import REST_MODES
+from onebend.learning.model.fit_data import REST_MODES, share_farther
 from onebend.learning.model.frames import known_loads
 from onebend.learning.model.held_ends import RESOLUTION
 from onebend.learning.sensing.prior import SharedPrior
@@ -66,20 +66,26 @@ class Bench:
         return np.where(np.isfinite(o.rest_xy), o.rest_xy, o.length * o.marker_s[:, None] * np.array([1.0, 0.0]))
 
     def placed(self, place: Array) -> Array:
-        """(F,) s where the force acts that is said, or sought, at `place` (F,)."""
+        """(F,) s where the force acts that is said to act at `place` (F,)."""
         return np.clip(place + self.value("place") / self.observations.length, INNERMOST, 1.0)
+
+    def beyond(self, problem: Problem, place: Array) -> Array:
+        """(F, Q) share of the force at `place` (F,) that acts beyond each node, with what that place is off by."""
+        here = np.asarray(problem.grid.nodes < place[:, None], dtype=float)
+        off = self.value("place")
+        return here if off == 0.0 else here + off * share_farther(problem, place)
 
 
 def problem_of(bench: Bench, frames: IntArray, place: Array) -> Problem:
     """The beam in `frames` (F,) under all that acts but the force that is sought, on a grid with an edge at its `place`
     (F,)."""
-    return _on_grid(bench, bench.observations, frames, bench.placed(place), len(frames))
+    return _on_grid(bench, bench.observations, frames, place, len(frames))
 
 
 def problem_apart(bench: Bench, frames: IntArray, place: Array) -> Problem:
     """The same on one grid a frame, of as many panels wherever the places are."""
     rows, at = np.append(frames, frames[-1]), np.append(place, 0.5 * place[-1])  # a frame more, of another place
-    return _on_grid(bench, bench.observations, rows, bench.placed(at), len(frames))
+    return _on_grid(bench, bench.observations, rows, at, len(frames))
 
 
 def rest_problem(bench: Bench) -> Problem:
@@ -87,10 +93,10 @@ def rest_problem(bench: Bench) -> Problem:
     return _as_known(bench, make_problem(bench.beam, push(np.zeros((1, 2))), RESOLUTION))
 
 
-def solve(problem: Problem, force: Array, place: Array, start: Array | None) -> Equilibrium:
+def solve(bench: Bench, problem: Problem, force: Array, place: Array, start: Array | None) -> Equilibrium:
     """Equilibria under `force` (F, 2) N at `place` (F,) besides; with the curvatures `start` (F, Q) by Newton's method
     from there alone: frames where it goes astray, or to what does not stand, have not converged."""
-    beyond = np.asarray(problem.grid.nodes < place[:, None], dtype=float)
+    beyond = bench.beyond(problem, place)
     loaded = replace(problem, dead_force=problem.dead_force + beyond[..., None] * force[:, None])
     if start is None:
         return follow(loaded)
@@ -121,6 +127,5 @@ def _as_known(bench: Bench, problem: Problem) -> Problem:
     off = bench.mean[bench.parts["log k"]]
     k = problem.k
     if bench.stiffness is not None and (level != 0.0 or np.any(off != 0.0)):
-        coefficients = bench.prior.ways @ off
-        k = k * np.exp(level + (bench.stiffness.basis(nodes.ravel()) @ coefficients).reshape(nodes.shape))
+        k = k * np.exp(level + bench.prior.on_nodes(bench.stiffness, nodes) @ off)
     return replace(problem, k=k, q0=q0, alpha0=np.asarray(bench.beam.clamp_angle + bench.value("clamp")))

@@ -38,6 +38,7 @@ class Estimates:
     force: Array  # (F, 2) N
     place: Array  # (F,) s
     covariance: Array  # (F, d, d) of force and, where it was sought, place: N, s
+    common: Array  # (F, 2, r) N, of it what one sd of each way in which the bench is off does to the force
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
     chi2: Array  # (F,) squared residuals, whitened
     angle: Array  # (F,) rad, of the beam at the place
@@ -65,11 +66,13 @@ class _SearchState:
     root: Array  # (F, 3 m, 3 m): applied to residuals over the tags' noise
     residual: Array  # (F, 3 m) in units of all noise
     slopes: Array  # (F, 3 m, d) of the same with the unknowns over their priors' sd
+    shared: Array  # (F, 3 m, r) of the same with what the frames share; none while a search goes on
 
     def put(self, rows: IntArray, other: _SearchState) -> None:
         """These rows as in `other`."""
         for name, values in vars(self).items():
-            values[rows] = getattr(other, name)
+            if name != "shared":
+                values[rows] = getattr(other, name)
 
 
 def estimate(
@@ -175,7 +178,9 @@ class _Search:
         place = known[:, 2] if self.seek_place else np.where(state.stands, self.place, np.nan)
         objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
         chi2 = np.sum(state.residual**2, axis=1)
-        return Estimates(known[:, :2], place, covariance, objective, chi2, state.angle, state.pose)
+        gain = self.sd[:, None] * (root @ np.swapaxes(state.slopes @ root, 1, 2))
+        common = -(gain @ state.shared)[:, :2]
+        return Estimates(known[:, :2], place, covariance, common, objective, chi2, state.angle, state.pose)
 
     def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
         """The beam in frames `rows` of the chunk."""
@@ -183,7 +188,7 @@ class _Search:
             place, problem = unknown[:, 2], problem_apart(self.bench, self.frames[rows], unknown[:, 2])
         else:
             place, problem = self.place[rows], self.problem.take(rows)
-        return solve(problem, unknown[:, :2], self.bench.placed(place), start)
+        return solve(self.bench, problem, unknown[:, :2], place, start)
 
     def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
         """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
@@ -192,13 +197,16 @@ class _Search:
         stands, own = solved.converged[:, None, None], tags.by_force
         if self.seek_place:
             own = np.concatenate([own, self.bench.observations.length * tags.by_place[..., None]], axis=-1)
+        shared = np.zeros((len(rows), 3 * self.seen.shape[1], 0))
         if root is None:
-            shared = np.where(stands, self._flat(rows, tags.by_shared @ self.bench.root), 0.0)
-            noise = np.eye(shared.shape[1]) + shared @ np.swapaxes(shared, 1, 2)
-            root = np.linalg.inv(np.linalg.cholesky(noise))
+            shared = np.nan_to_num(np.where(stands, self._flat(rows, tags.by_shared @ self.bench.root), 0.0))
+            size, ways = np.linalg.eigh(shared @ np.swapaxes(shared, 1, 2))
+            root = (ways / np.sqrt(1.0 + np.maximum(size, 0.0))[:, None]) @ np.swapaxes(ways, 1, 2)
         slopes = root @ np.where(stands, self._flat(rows, own * self.sd), 0.0)
         residual = self._residual(rows, root, tags.pose)
-        return _SearchState(unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes)
+        return _SearchState(
+            unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes, root @ shared
+        )
 
     def _residual(self, rows: IntArray, root: Array, pose: Array) -> Array:
         return apply(root, self._flat(rows, np.nan_to_num(self.seen[rows] - pose)[..., None])[..., 0])

@@ -19,11 +19,12 @@ from onebend.learning.sensing.estimate import PLACE_PRIOR, Estimates
 from onebend.learning.sensing.tags import AT_REST, Tags, tags_of
 from onebend.records import Array, IntArray
 
-_ROUNDS = 40
-_OWN_STEPS = 4  # of the frames' own unknowns for each of what they share
+_ROUNDS = 20
+_OWN_STEPS = 3  # of the frames' own unknowns for each of what they share
 _REST_ROUNDS = 4
 _SETTLED = 1e-2  # of the objective that a round must win
-_MOST = 1e6  # damping: no step is left that lowers anything
+_SLIGHT = 2e-3  # of the objective: a round that wins no more than this is the last
+_MOST = 1e4  # damping: no step is left that lowers anything
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def rested(bench: Bench) -> Bench:
     whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
     for _ in range(_REST_ROUNDS):
         now = replace(bench, mean=mean)
-        tags = tags_of(now, AT_REST, solve(rest_problem(now), none, np.ones(1), None), none, np.ones(1))
+        tags = tags_of(now, AT_REST, solve(now, rest_problem(now), none, np.ones(1), None), none, np.ones(1))
         rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
         away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - bench.mean)
         inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
@@ -106,7 +107,7 @@ class _Joint:
             trial = self._at(*self._step(now, damping), now.tags.solved.q)
             if trial.objective < now.objective:
                 won, now, damping = now.objective - trial.objective, trial, max(damping / 5.0, 1e-9)
-                if won < _SETTLED:
+                if won < max(_SETTLED, _SLIGHT * now.objective):
                     break
             else:
                 damping *= 5.0
@@ -137,9 +138,7 @@ class _Joint:
         place = own[:, 2] if self.seek_place else self.place
         problem = (problem_apart if self.seek_place else problem_of)(bench, self.frames, place)
         near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = solve(problem, own[:, :2], bench.placed(place), near)
-        if near is not None and not solved.converged.all():
-            solved = solve(problem, own[:, :2], bench.placed(place), None)
+        solved = solve(bench, problem, own[:, :2], place, near)
         tags = tags_of(bench, self.frames, solved, own[:, :2], place, shared=False)
         residual = self._flat(np.nan_to_num(self.seen - tags.pose)[..., None])[..., 0]
         objectives = np.sum(residual**2, axis=1) + np.sum(((own - self.mean) / self.sd) ** 2, axis=1)
@@ -184,12 +183,16 @@ class _Joint:
 
     def _outcome(self, now: _At) -> tuple[Bench, Estimates, Misfit]:
         own, shared = self._slopes(now)
-        inner = np.linalg.inv(np.swapaxes(own, 1, 2) @ own + np.eye(len(self.sd)))
-        across = np.swapaxes(own, 1, 2) @ shared
-        down = inner @ across
-        whole = np.eye(len(now.shared)) + np.einsum("frn,frk->nk", shared, shared)
-        left = np.linalg.inv(whole - np.einsum("fdn,fdk->nk", across, down))
-        root = np.linalg.cholesky(0.5 * (left + left.T))
+        side, size, turn = np.linalg.svd(own, full_matrices=False)
+        inner = np.swapaxes(turn, 1, 2) @ (turn / (1.0 + size[..., None] ** 2))
+        down = inner @ np.swapaxes(own, 1, 2) @ shared
+        # P = I - J A^-1 J^T = R^2, R = I - U (1 - (1 + size^2)^-1/2) U^T
+        less = (1.0 - 1.0 / np.sqrt(1.0 + size**2))[..., None] * (np.swapaxes(side, 1, 2) @ shared)
+        rows = (shared - side @ less).reshape(-1, shared.shape[-1])
+        _, told, ways = np.linalg.svd(rows, full_matrices=True)
+        told = np.pad(told, (0, len(ways) - len(told)))
+        root = ways.T / np.sqrt(1.0 + told**2)
+        left = root @ root.T
         covariance = self.sd[:, None] * (inner + down @ left @ np.swapaxes(down, 1, 2)) * self.sd
         bench = replace(self._bench(now.shared), root=self.bench.root @ root)
         squares = np.sum(now.residual**2, axis=1)
@@ -197,5 +200,6 @@ class _Joint:
         fit = Misfit(float(np.sum(squares) + now.shared @ now.shared), measured - now.own.size, len(self.frames))
         place = now.own[:, 2] if self.seek_place else self.place
         stands = np.where(now.tags.solved.converged, squares, np.inf)
-        found = Estimates(now.own[:, :2], place, covariance, stands, squares, now.tags.angle, now.tags.pose)
+        common = -(self.sd[:, None] * (down @ root))[:, :2]
+        found = Estimates(now.own[:, :2], place, covariance, common, stands, squares, now.tags.angle, now.tags.pose)
         return bench, found, fit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from onebend.records import Array, Observations
 
 LEARNED = ("curvature", "along", "across", "turn")  # what the beam's recordings have in common, beside k(s)
 _PLACES = 401
+_REMEMBERED = 50  # grids
 _SLIGHT = 3e-3  # of log k
 _SAME_PLACE = 1e-6  # s
 
@@ -34,6 +35,16 @@ class SharedPrior:
     mean: Array  # (n,)
     root: Array  # (n, r)
     parts: dict[str, slice]
+    memory: dict[bytes, Array] = field(default_factory=dict, compare=False)  # the ways of log k on nodes met before
+
+    def on_nodes(self, stiffness: UncertainStiffness, nodes: Array) -> Array:
+        """(..., p) of log k at `nodes` (...), per unit of each way."""
+        key = nodes.tobytes()
+        if key not in self.memory:
+            if len(self.memory) > _REMEMBERED:
+                self.memory.clear()
+            self.memory[key] = (stiffness.basis(nodes.ravel()) @ self.ways).reshape(*nodes.shape, -1)
+        return self.memory[key]
 
 
 def shared_prior(

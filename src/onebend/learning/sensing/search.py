@@ -36,13 +36,13 @@ class Searched:
 def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float) -> Searched:
     """Of `frames` (F,), rising; `place` (F,) where the force acts, None: it is sought."""
     some = _together(bench, frames)
-    first, other = _first(bench, frames[some], None if place is None else place[some], prior_sd)
-    good = touches(first) & (first.chi2 < _ODD * max(float(np.nanmedian(first.chi2)), 1.0))
+    begin, other = first(bench, frames[some], None if place is None else place[some], prior_sd)
+    good = touches(begin) & (begin.chi2 < _ODD * max(float(np.nanmedian(begin.chi2)), 1.0))
     if not good.any():
-        found, other = _first(bench, frames, place, prior_sd)
+        found, other = first(bench, frames, place, prior_sd)
         return Searched(bench, found, other, None)
     some, other = some[good], other[good]
-    shown, joint, fit = together(bench, frames[some], first.take(good), prior_sd, seek_place=place is None)
+    shown, joint, fit = together(bench, frames[some], begin.take(good), prior_sd, seek_place=place is None)
     rest = np.setdiff1d(np.arange(len(frames)), some)
     if not rest.size:
         return Searched(shown, joint, other, fit)
@@ -60,8 +60,8 @@ def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float)
 
 def touches(found: Estimates) -> BoolArray:
     """(F,) whether zero force lies outside the 95 % region."""
-    known = np.isfinite(found.force).all(axis=1)
-    out = np.zeros(len(known), dtype=bool)
+    known: BoolArray = np.asarray(np.isfinite(found.force).all(axis=1))
+    out: BoolArray = np.zeros(len(known), dtype=np.bool_)
     solved = np.linalg.solve(found.covariance[known, :2, :2], found.force[known][..., None])[..., 0]
     out[known] = np.einsum("tc,tc->t", found.force[known], solved) > TOUCH
     return out
@@ -74,7 +74,7 @@ def _together(bench: Bench, frames: IntArray) -> IntArray:
     return np.asarray(rows[np.linspace(0, len(rows) - 1, min(_TOGETHER, len(rows))).astype(int)])
 
 
-def _first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float) -> tuple[Estimates, Array]:
+def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float) -> tuple[Estimates, Array]:
     """Each frame by itself, and another place that does about as well."""
     if place is not None:
         return estimate(bench, frames, place, prior_sd, seek_place=False), np.full(len(frames), np.nan)

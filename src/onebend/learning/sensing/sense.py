@@ -19,9 +19,11 @@ from onebend.learning.sensing.joint import rested
 from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.search import Searched, search, touches
 from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch
+from onebend.learning.sensing.sensor import SensorCheck, check_sensor
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
+_NOTHING = 1e-4  # of the prior's sd: a force that is none
 _RUN = 3  # frames in a row that show a force, before it is a contact
 _PLACE_KNOWN = 0.1  # sd of s beyond which the place of the contact is not told
 _TOO_FAR, _UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which it is a warning
@@ -51,21 +53,39 @@ def sense(
         MechanicsError: k(s) is not positive somewhere.
     """
     o = observations
-    _check(beam, o, settings)
+    bench, prior = bench_of(beam, o, stiffness, instruments, settings), prior_of(beam, settings)
     tells: BoolArray = np.sum(np.isfinite(o.xy), axis=(1, 2)) >= 2
     frames = np.flatnonzero(tells).astype(np.int64)
     if not frames.size:
         raise LearningError(f"{o.source.name}: no frame shows a tag of the beam, so no force can be told")
-    mean_k = float(np.mean(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, 101)))))
-    prior = PRIOR_SHARE * mean_k / beam.length if settings.force_prior is None else settings.force_prior
-    place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
-    if settings.place == "unknown":
-        place_sd = 0.0
-    as_learned = settings.tags == "as learned"
-    shared = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
-    bench = rested(Bench(beam, stiffness, shared, o, shared.mean, shared.root))
-    place = _places(o, frames, settings) if settings.place == "known" else None
+    place = places_of(o, frames, settings) if settings.place == "known" else None
     return _sensed(search(bench, frames, place, prior), frames, prior, settings)
+
+
+def prior_of(beam: Beam, settings: SenseSettings) -> float:
+    """N, one sd of each component of the force before any shape is seen."""
+    mean_k = float(np.mean(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, 101)))))
+    return PRIOR_SHARE * mean_k / beam.length if settings.force_prior is None else settings.force_prior
+
+
+def bench_of(
+    beam: Beam,
+    o: Observations,
+    stiffness: UncertainStiffness | None,
+    instruments: Instruments | None,
+    settings: SenseSettings,
+) -> Bench:
+    """The bench as the beam at rest leaves it.
+
+    Raises:
+        LearningError: as `sense`.
+    """
+    _check(beam, o, settings)
+    place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
+    sought = settings.place == "unknown"
+    as_learned = settings.tags == "learned"
+    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=0.0 if sought else place_sd)
+    return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
 
 
 def _check(beam: Beam, o: Observations, settings: SenseSettings) -> None:
@@ -91,7 +111,7 @@ def _check(beam: Beam, o: Observations, settings: SenseSettings) -> None:
         raise LearningError("a force prior of 0 N says that there is no force: give the size of forces to be expected")
 
 
-def _places(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
+def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
     """(F,) where the force acts; frames of which nobody says it take the usual place."""
     if settings.at_s is not None:
         return np.full(len(frames), settings.at_s)
@@ -135,8 +155,18 @@ def _sensed(searched: Searched, frames: IntArray, prior: float, settings: SenseS
         contacts=_contacts(touched, o.time[frames]),
         misfit=searched.misfit,
         logged=_logged(o, frames),
+        common=axes @ found.common,
     )
-    return replace(out, remarks=_remarks(out, bench))
+    return replace(out, sensor=_judged(out, o, frames), remarks=_remarks(out, bench))
+
+
+def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
+    """The log by the force; where nothing touches the beam, that is none, in every direction."""
+    bare = ~(o.loaded[frames] | out.touched) & np.isfinite(out.force).all(axis=1)
+    force, covariance = np.where(bare[:, None], 0.0, out.force), out.covariance.copy()
+    covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)
+    common = np.where(bare[:, None, None], 0.0, out.common)
+    return check_sensor(out.time, force, covariance, common, out.logged, o.source.clean_force)
 
 
 def _logged(o: Observations, frames: IntArray) -> Array:

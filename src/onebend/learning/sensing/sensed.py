@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.learning.sensing.joint import Misfit
+from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array, BoolArray, IntArray, Remark
 
 
@@ -21,7 +22,7 @@ class SenseSettings:
     # N, one sd of each component before the shape is seen, mean zero; None: three times k/L, mean along the beam
     force_prior: float | None = None
     # whether the tags sit on the beam as they did when it was learned; "anew": they were put on again
-    tags: Literal["as learned", "anew"] = "as learned"
+    tags: Literal["learned", "anew"] = "learned"
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,9 @@ class Sensed:
     contacts: tuple[Touch, ...]
     misfit: Misfit | None  # None: no frame shows a force
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
+    # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
+    common: Array
+    sensor: SensorCheck | None = None  # the log, judged by this; None where there is none, or too little of it
     remarks: tuple[Remark, ...] = ()
 
     @property

@@ -8,16 +8,10 @@ import numpy as np
 
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import (
-    of_clamp_angle,
-    of_force,
-    of_moment,
-    of_rest_curvature,
-    of_stiffness,
-    respond,
-)
-from onebend.learning.model.fit_data import REST_MODES
-from onebend.learning.model.tag_jacobian import TagRide, along_and_across, tag_blocks
+from onebend.beam.statics.perturbation import Perturbation
+from onebend.beam.statics.sensitivity import of_clamp_angle, of_rest_curvature, of_stiffness, respond
+from onebend.learning.model.fit_data import REST_MODES, share_farther
+from onebend.learning.model.tag_jacobian import TagRide, tag_blocks
 from onebend.learning.sensing.bench import Bench
 from onebend.records import Array, IntArray
 
@@ -58,35 +52,30 @@ def tags_of(
 
     The force is of the clamp's axes: it turns with the clamp.
     """
-    problem, nodes, at = solved.problem, solved.problem.grid.nodes, bench.placed(place)
+    problem, nodes = solved.problem, solved.problem.grid.nodes
     pose, ride, s = poses_of(bench, frames, solved)
-    angle = solved.angle(at[:, None])[:, 0]
-    across = along_and_across(force, angle)[1][:, None, None]
-    own = of_force(problem, at) + of_moment(problem, at)
+    angle = solved.angle(place[:, None])[:, 0]
+    by_both = bench.beyond(problem, place)[..., None, None] * np.eye(2)
+    farther = share_farther(problem, place)[..., None] * force[:, None]
+    own = Perturbation(np.concatenate([by_both, farther[..., None]], axis=-1), None, None, np.zeros(3))
     if not shared:
         moved = ride.carry(respond(solved, own).poses(s))
-        return Tags(solved, pose, moved[..., :2], moved[..., 2] * across, moved[..., 3:], angle)
+        return Tags(solved, pose, moved[..., :2], moved[..., 2], moved[..., 3:], angle)
     level = problem.k[..., None]
     functions = level
     if bench.stiffness is not None:
-        off = (bench.stiffness.basis(nodes.ravel()) @ bench.prior.ways).reshape(*nodes.shape, -1)
-        functions = np.concatenate([level * off, level], axis=-1)
-    changes = (
-        own
-        + of_stiffness(solved, functions)
-        + of_clamp_angle(problem)
-        + of_rest_curvature(problem, REST_MODES.curvature(nodes))
-    )
+        functions = np.concatenate([level * bench.prior.on_nodes(bench.stiffness, nodes), level], axis=-1)
+    changes = own + of_stiffness(solved, functions) + of_clamp_angle(problem)
+    changes = changes + of_rest_curvature(problem, REST_MODES.curvature(nodes))
     moved = ride.carry(respond(solved, changes).poses(s))
     turned = bench.parts["clamp"].start + 3
     moved[..., turned] += moved[..., 1] * force[:, :1, None] - moved[..., 0] * force[:, 1:, None]
-    by_place = moved[..., 2] * across
     xy = ride.offset + solved.xy(s)
     bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
     riding = tag_blocks(ride.motion(xy, bend))
     blocks = [moved[..., 3:], *(riding[name] for name in _RIDING), _left(bench, pose[..., :2])]
-    blocks += [bench.prior.picture[frames], by_place[..., None]]
-    return Tags(solved, pose, moved[..., :2], by_place, np.concatenate(blocks, axis=-1), angle)
+    blocks += [bench.prior.picture[frames], moved[..., 2:3]]
+    return Tags(solved, pose, moved[..., :2], moved[..., 2], np.concatenate(blocks, axis=-1), angle)
 
 
 def _left(bench: Bench, xy: Array) -> Array:
