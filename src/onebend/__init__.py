@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from onebend.learning.posterior import Posterior as Posterior
     from onebend.learning.posterior import fit as fit
     from onebend.learning.replay import replay as replay
-    from onebend.learning.sensing.online import OnlineSense as OnlineSense
     from onebend.learning.sensing.sense import sense as sense
     from onebend.learning.swing.damping import learn_damping as learn_damping
     from onebend.learning.validation import validate as validate
@@ -49,7 +48,6 @@ if TYPE_CHECKING:
     from onebend.pipeline import learn as learn
     from onebend.recording.observe import observe as observe
     from onebend.records import Observations as Observations
-    from onebend.results.model import load_instruments as load_instruments
     from onebend.results.model import load_model as load_model
     from onebend.results.model import load_uncertain as load_uncertain
     from onebend.results.model import save_model as save_model
@@ -72,14 +70,13 @@ else:
             "onebend.learning.outcome": "Comparison",
             "onebend.learning.posterior": "Posterior fit",
             "onebend.learning.replay": "replay",
-            "onebend.learning.sensing.online": "OnlineSense",
             "onebend.learning.sensing.sense": "sense",
             "onebend.learning.swing.damping": "learn_damping",
             "onebend.learning.validation": "validate",
             "onebend.pipeline": "Run learn",
             "onebend.recording.observe": "observe",
             "onebend.records": "Observations",
-            "onebend.results.model": "load_instruments load_model load_uncertain save_model",
+            "onebend.results.model": "load_model load_uncertain save_model",
             "onebend.results.observations_file": "load_observations save_observations",
             "onebend.streaming.live": "Live",
         },

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from onebend.learning.posterior import Nuisance as Nuisance
     from onebend.learning.sensing.joint import Misfit as Misfit
     from onebend.learning.sensing.online import LiveForce as LiveForce
+    from onebend.learning.sensing.online import OnlineSense as OnlineSense
     from onebend.learning.sensing.sensed import Sensed as Sensed
     from onebend.learning.sensing.sensed import SenseSettings as SenseSettings
     from onebend.learning.sensing.sensed import Touch as Touch
@@ -95,7 +96,7 @@ else:
             "onebend.learning.pose_equilibria": "SeenPoses",
             "onebend.learning.posterior": "FitSettings Nuisance",
             "onebend.learning.sensing.joint": "Misfit",
-            "onebend.learning.sensing.online": "LiveForce",
+            "onebend.learning.sensing.online": "LiveForce OnlineSense",
             "onebend.learning.sensing.sensed": "Sensed SenseSettings Touch",
             "onebend.learning.sensing.sensor": "SensorCheck",
             "onebend.learning.start": "start_of with_mass",
