@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from onebend.learning.sensing.sensed import Sensed
-from onebend.learning.sensing.sensor import SensorCheck
 from onebend.learning.swing.damping import Damping, SwingFit
 from onebend.learning.swing.swing_frequencies import FoundFrequencies
 from onebend.records import Array
 from onebend.report.wording import significant
 from onebend.terminal.parts import facts_table, force_words, remarks_list, say_written
+
+if TYPE_CHECKING:  # for the types alone: `show` says what damping is, and loads no search
+    from onebend.learning.sensing.sensed import Sensed
+    from onebend.learning.sensing.sensor import SensorCheck
 
 
 def damping_words(damping: Damping) -> str:
