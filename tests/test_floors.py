@@ -61,7 +61,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),
         ("posterior",),
         ("criticism_messages", "tradeoffs", "live", "design"),
-        ("verdict", "replay"),
+        ("verdict", "replay", "sensing"),
         ("explained",),
     ),
     "control": (

@@ -64,6 +64,7 @@ SECTIONS: dict[str, str] = {
     "mass unknown": "the-mass-is-not-identifiable",
     "tag missed": "the-simulated-beam-misses-a-tag",
     "another beam": "the-validation-misses-by-more-than-the-noise",
+    "sensed misfit": "no-force-explains-the-shapes",
     "no validation": "a-recording-cannot-validate-itself",
     "pose": "no-equilibrium-is-near-the-points-of-a-pose",
     "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",

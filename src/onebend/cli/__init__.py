@@ -78,6 +78,12 @@ COMMANDS = {
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
+    "sense": Place(
+        "motion",
+        "sense",
+        "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
+        "out/linear-beam examples/linear-beam/fast",
+    ),
     "frequencies": Place(
         "motion",
         "frequencies",

@@ -49,7 +49,7 @@ class FitData:
     push_s: Array  # (F,)
     problem: Problem  # grid and what does not change
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
-    farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
+    farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `share_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
     poses: SeenPoses | None  # what tells in which equilibrium each is; None: in that which grows from rest
@@ -121,7 +121,7 @@ def fit_data(
         push_s=push_s,
         problem=problem,
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
-        farther=_farther(problem, push_s),
+        farther=share_farther(problem, push_s),
         weight=problem.dead_force + inertia,
         ends=ends,
         poses=seen_poses(o, frames),
@@ -133,7 +133,7 @@ def fit_data(
     )
 
 
-def _farther(problem: Problem, push_s: Array) -> Array:
+def share_farther(problem: Problem, push_s: Array) -> Array:
     """(F, Q) 1/m: a dead force that acts d metres farther out along the tangent than `push_s` adds d times this to the
     share of it beyond each node.
 
