@@ -26,8 +26,8 @@ _FAST = 0.2  # of the sampling rate: a faster mode may be one that is faster sti
 _NYQUIST = 0.45  # of the sampling rate: nearer to half of it nothing is looked for
 _CYCLES = 3.0  # of a mode in the record, at least
 _PADDED = 4  # times the record's length, of the Fourier transform
-_AROUND = 30  # Fourier steps to either side, over which the noise under a peak is judged
-_BY_CHANCE = 0.01  # how likely the highest of all peaks of noise may count as a mode
+_AROUND, _OF_ALL = 30, 0.02  # Fourier steps to either side at least, and share of all: the noise of a peak
+_BY_CHANCE = 0.05  # how likely the highest of all peaks of noise may count as a mode
 _MOST = 200_000  # numbers that are looked at
 _APART = 3.0  # Fourier steps, or decay rates, to the next mode
 _MULTIPLE = 0.01  # within which a frequency counts as twice or three times another
@@ -244,7 +244,7 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
     power = np.sum(np.abs(np.fft.rfft(windowed, _PADDED * count, axis=0)) ** 2, axis=1)
     step = 2.0 * np.pi * s.rate / (_PADDED * count)
     omega = step * np.arange(len(power))
-    around = median_filter(power, 2 * _AROUND * _PADDED + 1)
+    around = median_filter(power, 2 * max(_AROUND, int(_OF_ALL * count)) * _PADDED + 1)
     around = np.maximum(around, 1e-3 * np.median(around))
     allowed = (omega > _CYCLES * 2.0 * np.pi / s.time[-1]) & (omega < 2.0 * np.pi * _NYQUIST * s.rate)
     for other, decay in known:
