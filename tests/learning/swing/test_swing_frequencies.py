@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
@@ -76,14 +78,14 @@ def test_a_part_is_found_and_slow_motion_is_sped_up() -> None:
 
 def test_in_a_long_record_noise_is_no_mode() -> None:
     """But for one record in twenty."""
-    found = 0
-    for seed in range(20):
-        noise = np.random.default_rng(seed).standard_normal((20_000, 1))
-        try:
-            found += len(swing_frequencies(np.arange(20_000) / RATE, noise).modes)
-        except LearningError as nothing:
-            assert "nothing in it swings" in str(nothing)
-    assert found <= 3
+
+    def swings(seed: int) -> bool:
+        noise = np.random.default_rng(seed).standard_normal((6_000, 1))
+        with suppress(LearningError):
+            return len(swing_frequencies(np.arange(6_000) / RATE, noise).modes) > 0
+        return False
+
+    assert sum(swings(seed) for seed in range(12)) <= 2
 
 
 def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
