@@ -20,7 +20,7 @@ from pathlib import Path
 FOLDER = Path(__file__).parent
 OUT = FOLDER.parent / "out" / "benchmarks"
 # Run as a user would: onebend sees to the BLAS threads itself.
-BARE = ("online", "one_recording", "reach", "shape", "loop", "startup", "mechanics", "free_vibration")
+BARE = ("online", "one_recording", "reach", "shape", "loop", "startup", "mechanics", "free_vibration", "studio")
 PAGES = FOLDER.parent / "docs" / "accuracy"
 REMARKS = "\n## Remarks\n"
 

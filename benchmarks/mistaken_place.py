@@ -2,8 +2,8 @@
 
 Every recording is a beam, bench and push drawn at random, every second with effects of a real bench, written as a
 folder of marker tracks and learned by the public call. `outside`: trusted, with k(s) out of the 95 % band on more than
-10 % of the identified places. `accused`: in doubt, or with a warning, of the place of the push. The camera sees the
-tool in films alone (`tool_place`); here nothing but the tags and the force can tell.
+10 % of the identified places. `accused`: in doubt for the place of the push; a warning alone may be of millimetres. The
+camera sees the tool in films alone (`tool_place`); here nothing but the tags and the force can tell.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.special import betaincinv
 
 from onebend.errors import OnebendError
 from onebend.lab.filming.force_log_file import write_log
@@ -26,6 +27,7 @@ from onebend.lab.filming.recording_toml import recording_toml
 from onebend.lab.random_bench import BenchRanges, random_bench
 from onebend.lab.random_effects import LABORATORY
 from onebend.lab.virtual import VirtualBench, VirtualRecording, true_stiffness, virtual_recording
+from onebend.learning.inference.misfit import DOUBTS
 from onebend.learning.stiffness_band import stiffness_of
 from onebend.pipeline import Run, learn
 from onebend.records import Array
@@ -36,6 +38,7 @@ WAYS = ("at the tip, acts inside", "inside, acts at the tip", "elsewhere")  # sa
 LEAST, MOST = 0.05, 0.4  # of the length, that a place is wrong by
 INNERMOST = 0.4  # where a push is said to act, or acts
 MUCH = 0.1  # of the identified places outside the band
+PLACE_DOUBTS = ("the push hardly acts where at_s says", DOUBTS["tool place"])
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,12 @@ class Outcome:
 
     @property
     def accused(self) -> bool:
-        """Of a wrong place of the push."""
+        """In doubt for the place of the push."""
+        return bool(set(PLACE_DOUBTS) & set(self.doubts))
+
+    @property
+    def warned(self) -> bool:
+        """Of a wrong place of the push, by any test."""
         return bool({"push place", "tool place"} & set(self.about))
 
 
@@ -176,12 +184,19 @@ def counts(name: str, outcomes: Iterable[Outcome]) -> str:
     refused = sum(bool(one.refused) for one in all_of)
     doubted = sum(not one.refused and not one.trusted for one in all_of)
     good = [one for one in all_of if one.trusted]
-    silent, warned = [one for one in good if one.silent], [one for one in good if one.accused]
-    half = np.median([one.half for one in good]) if good else np.nan
+    silent, warned = [one for one in good if one.silent], [one for one in good if one.warned]
+    known = [one for one in good if one.identified]
+    half = np.median([one.half for one in known]) if known else np.nan
+    places = np.average([one.outside for one in known], weights=[one.identified for one in known]) if known else np.nan
     return (
-        f"| {name} | {len(all_of)} | {refused} | {doubted} | {len(warned)} | {len(good)} | {len(silent)} | "
-        f"{100.0 * np.expm1(half):.0f} |"
+        f"| {name} | {len(all_of)} | {refused} | {doubted} | {len(warned)} | {len(good)} | {len(silent)} "
+        f"({at_most(len(silent), len(all_of))}) | {100.0 * places:.0f} | {100.0 * np.expm1(half):.0f} |"
     )
+
+
+def at_most(count: int, of: int) -> str:
+    """The share that `count` of so many leave possible, at 95 % (Clopper and Pearson, one side)."""
+    return f"at most {100.0 * (betaincinv(count + 1, of - count, 0.95) if count < of else 1.0):.0f} %"
 
 
 def main() -> None:
@@ -194,19 +209,27 @@ def main() -> None:
     wrong = [(asked.first + i, True) for i in range(asked.mistakes)]
     right = [(asked.first + i, False) for i in range(asked.right)]
     both = sorted([*wrong, *right])  # in turn, so that a run that is cut short tells of both
-    done = study(both, asked.kept or kept())
+    show(study(both, asked.kept or kept()))
+
+
+def show(done: Sequence[Outcome]) -> None:
+    """The table, and the recordings that went wrong."""
     print(
         "| the place | recordings | refused | in doubt | trusted, with a warning of it | trusted | of them outside "
-        "the band | half-width of the band, trusted [%] |"
+        "the band (share of all, at 95 %) | identified places outside, trusted [%] | half-width of the band, trusted "
+        "[%] |"
     )
-    print("| --- " * 8 + "|")
+    print("| --- " * 9 + "|")
     for i, way in enumerate(WAYS):
         print(counts(f"said {way}", (one for one in done if one.mistaken and one.seed % len(WAYS) == i)))
+    right = [one for one in done if not one.mistaken]
     print(counts("all mistakes", (one for one in done if one.mistaken)))
-    print(counts("said rightly", (one for one in done if not one.mistaken)))
-    print("\nSilently wrong, and rightly said but accused:\n")
+    print(counts("said rightly", right))
+    accused = sum(one.accused for one in right)
+    print(f"\nRight places accused: {accused} of {len(right)} ({at_most(accused, len(right))} of all, at 95 %).")
+    print("\nSilently wrong, and rightly said but refused, in doubt, warned of or outside the band:\n")
     for one in done:
-        if (one.mistaken and one.silent) or (not one.mistaken and (one.accused or not one.trusted or one.silent)):
+        if (one.mistaken and one.silent) or (not one.mistaken and (one.warned or not one.trusted or one.silent)):
             print(
                 f"- {'mistake' if one.mistaken else 'right'} {one.seed}: acts {one.acts_s:g}, said {one.said_s:g}, "
                 f"{one.tags} tags, {100 * one.outside:.0f} % outside, k off by {np.exp(one.worst):.2g} times at worst"

@@ -17,8 +17,10 @@ import numpy as np
 
 from benchmarks.truth import recordings_asked
 from onebend.recording.folder import FILE_NAME, read_recording
+from onebend.recording.kept_frames import spacing_of
 from onebend.recording.observe import observe
 from onebend.recording.preview import look_at
+from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording
 from onebend.recording.tool.film import tool_in_film, tool_remarks
 from onebend.recording.tool.place import ToolPlace
@@ -59,9 +61,10 @@ def row_of(folder: Path) -> Row | None:
     rec = read_recording(folder)
     if rec.video is None or rec.push is None or not np.isfinite(rec.push.at) or rec.force is None:
         return None
-    seen = observe(rec)
+    tags = detect_tags(rec.video, rec.tags)
+    seen, every = observe(rec, detections=tags), spacing_of(len(tags.time), tags.width * tags.height)
     began = time.process_time()
-    by_film = tool_in_film(rec, markers_of(seen), seen.loaded, seen.frame)
+    by_film = tool_in_film(rec, markers_of(seen), seen.loaded, seen.frame, every=every)
     seconds = time.process_time() - began
     at = float(json.loads((folder / "truth" / "truth.json").read_text(encoding="utf-8"))["s_a"])
     return Row(folder.name, at, rec, by_film, look_at(rec).tool, seconds)

@@ -28,6 +28,7 @@ ELSEWHERE = {
     "bench.md": 2,  # tests/lab/fabrication/test_bench_page.py; tests/lab/filming/test_film.py for the film
     "lab.md": 2,  # tests/lab/fabrication/test_page.py
     "live.md": 1,  # tests/streaming/test_live_page.py
+    "record.md": 1,  # tests/capture/test_record_page.py
     "streaming.md": 1,  # tests/learning/live/test_online_learner.py
 }
 

@@ -19,6 +19,7 @@ import onebend
 FACES = (
     "",
     ".beam",
+    ".capture",
     ".control",
     ".design",
     ".forecast",
@@ -30,7 +31,7 @@ FACES = (
     ".streaming",
 )
 PLAIN = (".errors", ".progress", ".records")  # modules of which everything is public
-MOST_AT_THE_TOP = 28
+MOST_AT_THE_TOP = 29
 
 
 def public(face: str) -> dict[str, Any]:

@@ -21,8 +21,9 @@ ROOT = Path(__file__).parents[1]
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
     "rerun", "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
-    "population",
+    "population", "record",
 )  # fmt: skip
+ENDLESS = ("studio",)  # it serves until it is stopped; tests/studio/ starts it
 
 
 def example_of(name: str) -> list[str]:
@@ -59,7 +60,7 @@ def stand_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return model
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in DEAR])
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in (*DEAR, *ENDLESS)])
 def test_the_example_runs(name: str, stand_in: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     workplace(tmp_path)
     (tmp_path / "out" / "linear-beam").mkdir()
@@ -84,7 +85,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "learn"])
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in ("learn", *ENDLESS)])
 def test_the_example_runs_on_the_demo(name: str, demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     workplace(tmp_path)
     shutil.copytree(demo / "out" / "linear-beam", tmp_path / "out" / "linear-beam")

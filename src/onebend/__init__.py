@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from onebend.learning.posterior import Posterior as Posterior
     from onebend.learning.posterior import fit as fit
     from onebend.learning.replay import replay as replay
+    from onebend.learning.sensing.sense import sense as sense
     from onebend.learning.swing.damping import learn_damping as learn_damping
     from onebend.learning.validation import validate as validate
     from onebend.pipeline import Run as Run
@@ -69,6 +70,7 @@ else:
             "onebend.learning.outcome": "Comparison",
             "onebend.learning.posterior": "Posterior fit",
             "onebend.learning.replay": "replay",
+            "onebend.learning.sensing.sense": "sense",
             "onebend.learning.swing.damping": "learn_damping",
             "onebend.learning.validation": "validate",
             "onebend.pipeline": "Run learn",

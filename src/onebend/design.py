@@ -7,6 +7,7 @@ from onebend.learning.design.identifiability import information, information_alo
 from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush, instruments_of
 from onebend.learning.design.planning import PlanSettings, after_push, plan
 from onebend.learning.design.proposals import Plan, Proposal, Quality
+from onebend.results.model import load_instruments
 
 __all__ = [
     "ForceDoubt",
@@ -21,5 +22,6 @@ __all__ = [
     "information",
     "information_along",
     "instruments_of",
+    "load_instruments",
     "plan",
 ]

@@ -47,6 +47,10 @@ class ExportError(OnebendError):
     """A beam cannot be written for other software: no mass, an unknown kind of file, a setting without meaning."""
 
 
+class StudioError(OnebendError):
+    """What the page asked for is not there, or not in the studio's folder."""
+
+
 PAGE = "troubleshooting.md"  # in docs/
 
 SECTIONS: dict[str, str] = {
@@ -60,6 +64,7 @@ SECTIONS: dict[str, str] = {
     "mass unknown": "the-mass-is-not-identifiable",
     "tag missed": "the-simulated-beam-misses-a-tag",
     "another beam": "the-validation-misses-by-more-than-the-noise",
+    "sensed misfit": "no-force-explains-the-shapes",
     "no validation": "a-recording-cannot-validate-itself",
     "pose": "no-equilibrium-is-near-the-points-of-a-pose",
     "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",

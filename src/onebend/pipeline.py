@@ -31,6 +31,7 @@ from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks
 from onebend.progress import Progress, Silent, Stopwatch
 from onebend.recording.folder import read_recording
+from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording
@@ -79,6 +80,7 @@ def learn(
     observing: ObserveSettings = ObserveSettings(),
     validate_on: Sequence[Path | str] = (),
     detect: Detect = detect_tags,
+    frames: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> Run:
     """Learn k(s) from the recording in `folder` (and `more` of the same beam), then compare it with `validate_on`.
@@ -86,7 +88,8 @@ def learn(
     What is a `Recording` already is learned from as it was read.
 
     The paper's regression learns from the first recording; the fit begins there and uses all. `fitting` None: only the
-    regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video.
+    regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video,
+    and `frames` that it kept spare a second decoding.
 
     Raises:
         RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
@@ -99,10 +102,10 @@ def learn(
     trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
-        every = [observe(one, settings=observing, detect=detect, progress=watch) for one in wanted]
+        every = [observe(one, settings=observing, detect=detect, frames=frames, progress=watch) for one in wanted]
 
     def compared(beam: Beam, known: UncertainStiffness | None) -> list[tuple[Comparison, Observations]]:
-        return compare(beam, others, stiffness=known, observing=observing, detect=detect, progress=watch)
+        return compare(beam, others, stiffness=known, observing=observing, detect=detect, frames=frames, progress=watch)
 
     return _learned(every, settings, fitting, compared, watch)
 
@@ -280,6 +283,7 @@ def compare(
     stiffness: UncertainStiffness | None = None,
     observing: ObserveSettings = ObserveSettings(),
     detect: Detect = detect_tags,
+    frames: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
     """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
@@ -293,7 +297,7 @@ def compare(
         check_same_length(beam, recording)
     pairs = []
     for recording in recordings:
-        seen = observe(recording, settings=observing, detect=detect, progress=progress)
+        seen = observe(recording, settings=observing, detect=detect, frames=frames, progress=progress)
         pairs.append((validate(beam, seen, stiffness=stiffness), seen))
     return [(_warned(found, seen, learned_from), seen) for found, seen in pairs]
 

@@ -29,6 +29,7 @@ SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second mom
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
 TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand
+GRAVITY_SD = math.radians(2.0)  # of the direction of gravity against the beam's axis, as a hand measures it
 DIRECTION_SD = math.radians(1.0)  # of a force log's axes against the beam's, aligned by hand
 CLAMP_SD = 3e-3  # rad, of the clamp's direction against the beam's own at rest
 CURVATURE_SD = 0.15  # rad, Legendre states of a natural curvature
@@ -262,6 +263,7 @@ class Stated:
     turn_sd: float = TURN_SD  # rad, tolerance of the tags' turns
     place_sd: float = PLACE_SD  # m, tolerance of the push's place along the beam
     direction_sd: float = DIRECTION_SD  # rad, tolerance of the force log's axes against the beam's
+    gravity_sd: float = GRAVITY_SD  # rad, tolerance of gravity's direction against the beam's x axis
     clamp_sd: float = math.nan  # rad, one sd of the clamp's direction (static: against x)
     curvature_sd: float = CURVATURE_SD  # rad, one sd of the Legendre states of q0; only where rest is "unknown"
     scale_sd: float = math.nan  # one sd of lengths in the picture

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 Result = TypeVar("Result")
@@ -33,3 +36,15 @@ def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Res
 def leave_interrupts_to_parent() -> None:
     """Initialiser of a worker process: an interrupt is its parent's business, which ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def end_with_parent() -> None:
+    """Initialiser of a worker process: interrupts are its parent's, and it ends when the parent is gone, however."""
+    leave_interrupts_to_parent()
+    threading.Thread(target=_end_after, args=(multiprocessing.parent_process(),), daemon=True).start()
+
+
+def _end_after(parent: BaseProcess | None) -> None:
+    if parent is not None:
+        parent.join()
+        os._exit(0)

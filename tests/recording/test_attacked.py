@@ -14,10 +14,10 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.lab.pushes import PushProfile
 from onebend.lab.random_beams import force_that_bends
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
+from onebend.recording.camera.tag_turns import check_turns
 from onebend.recording.clock.offset import fit_clock
 from onebend.recording.force.force_log import read_force_log, whole_log
 from onebend.recording.force.implausible_force import size_remarks
-from onebend.recording.tag_turns import check_turns
 from onebend.recording.toml.beam_entry import BeamEntry
 from onebend.recording.toml.implausible_entries import entry_remarks
 from onebend.recording.toml.source_entries import CameraEntry

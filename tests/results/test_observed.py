@@ -66,6 +66,7 @@ def full() -> Observations:
         turn_sd=0.1,
         place_sd=2e-3,
         direction_sd=0.2,
+        gravity_sd=0.3,
         clamp_sd=0.3,
         curvature_sd=0.4,
         scale_sd=0.5,

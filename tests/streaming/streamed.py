@@ -14,7 +14,7 @@ from onebend.recording.toml.entries import ForceEntry, PushEntry, Recording
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import FilmFrame
 from onebend.records import Array, ForceLog
-from tests.recording.filmed import LENGTH, film, recording, view
+from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, film, recording, view
 
 FPS, RATE = 15.0, 100.0
 OFFSET = 7.3  # s, what the log's clock is ahead of the film's
@@ -57,3 +57,32 @@ def described(start: float = OFFSET, uncertainty: float = 0.3) -> Recording:
         force=ForceEntry(Path("force.csv")),
         push=PushEntry(at=1.0),
     )
+
+
+def toml() -> str:
+    """A recording.toml of the made-up push."""
+    seen = view()
+    numbers = {"fx": seen.matrix[0, 0], "fy": seen.matrix[1, 1], "cx": seen.matrix[0, 2], "cy": seen.matrix[1, 2]}
+    camera = "\n".join(f"{name} = {float(value)}" for name, value in numbers.items())
+    beam = ", ".join(f"{{ id = {i}, s = {i / 3:.6f} }}" for i in (1, 2, 3))
+    return f"""format = 1
+[beam]
+length_m = {LENGTH}
+[tags]
+size_m = {SIZE}
+on_base = [{{ id = 0, s = 0.0 }}]
+on_beam = [{beam}]
+[camera]
+width = {WIDTH}
+height = {HEIGHT}
+{camera}
+dist = {seen.dist.tolist()}
+[video]
+file = "video.mp4"
+start_s = {OFFSET}
+start_uncertainty_s = 0.3
+[force]
+file = "force.csv"
+[push]
+at_s = 1.0
+"""

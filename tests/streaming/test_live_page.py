@@ -12,39 +12,9 @@ import pytest
 
 from onebend.recording.video import Picture
 from onebend.records import Array
-from tests.recording.filmed import HEIGHT, LENGTH, SIZE, WIDTH, view
-from tests.streaming.streamed import OFFSET, frames, log
+from tests.streaming.streamed import OFFSET, frames, log, toml
 
 PAGE = (Path(__file__).parents[2] / "docs" / "live.md").read_text(encoding="utf-8")
-
-
-def toml() -> str:
-    """A recording.toml of the made-up push."""
-    seen = view()
-    numbers = {"fx": seen.matrix[0, 0], "fy": seen.matrix[1, 1], "cx": seen.matrix[0, 2], "cy": seen.matrix[1, 2]}
-    camera = "\n".join(f"{name} = {float(value)}" for name, value in numbers.items())
-    beam = ", ".join(f"{{ id = {i}, s = {i / 3:.6f} }}" for i in (1, 2, 3))
-    return f"""format = 1
-[beam]
-length_m = {LENGTH}
-[tags]
-size_m = {SIZE}
-on_base = [{{ id = 0, s = 0.0 }}]
-on_beam = [{beam}]
-[camera]
-width = {WIDTH}
-height = {HEIGHT}
-{camera}
-dist = {seen.dist.tolist()}
-[video]
-file = "video.mp4"
-start_s = {OFFSET}
-start_uncertainty_s = 0.3
-[force]
-file = "force.csv"
-[push]
-at_s = 1.0
-"""
 
 
 class Sensor:

@@ -78,6 +78,12 @@ COMMANDS = {
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
+    "sense": Place(
+        "motion",
+        "sense",
+        "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
+        "out/linear-beam examples/linear-beam/fast",
+    ),
     "frequencies": Place(
         "motion",
         "frequencies",
@@ -103,7 +109,7 @@ COMMANDS = {
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "loop": Place(
-        "looping",
+        "control",
         "loop",
         "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
         "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
@@ -113,6 +119,12 @@ COMMANDS = {
         "new",
         "Write a recording.toml to fill in.",
         "my-beam",
+    ),
+    "record": Place(
+        "recordings",
+        "record",
+        "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
+        "out/my-push --play examples/linear-beam/train",
     ),
     "topics": Place(
         "recordings",
@@ -156,6 +168,12 @@ COMMANDS = {
         "rerun_command",
         "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
         "out/linear-beam examples/linear-beam/fast",
+    ),
+    "studio": Place(
+        "studio",
+        "studio",
+        "Open a local page: learn recordings and look at them, bend learned beams with the pointer.",
+        "out",
     ),
     "design": Place(
         "making",

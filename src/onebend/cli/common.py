@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import signal
 import sys
+import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,7 +16,7 @@ import typer
 from rich.console import Console
 
 from onebend.cli import GIVEN
-from onebend.errors import OnebendError, reference
+from onebend.errors import OnebendError, RecordingError, reference
 from onebend.escaping import printable
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
@@ -59,6 +61,11 @@ def screen() -> Console:
     """Where tables go: standard output, with what somebody named as text. (To look for numbers in a long
     name, so as to colour them, takes minutes.)"""
     return text_alone(Console(highlight=False))
+
+
+def stderr_screen() -> Console:
+    """Where progress goes: standard error, with what somebody named as text."""
+    return text_alone(Console(stderr=True, highlight=False))
 
 
 @contextmanager
@@ -136,7 +143,7 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield Silent()
         return
-    with Bars(text_alone(Console(stderr=True, highlight=False))) as bars:
+    with Bars(stderr_screen()) as bars:
         yield bars
 
 
@@ -163,3 +170,46 @@ def or_nan(value: float | None) -> float:
 def or_unlimited(limit: float | None) -> float:
     """A limit, or infinity where none was given."""
     return math.inf if limit is None else limit
+
+
+@contextmanager
+def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
+    """Events that Ctrl-C and the Enter key set: to end the film, and to begin it. A second Ctrl-C interrupts."""
+    stop, begin = threading.Event(), threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def end(*_: object) -> None:
+        stop.set()
+        signal.signal(signal.SIGINT, before)
+
+    def wait_for_enter() -> None:
+        sys.stdin.readline()
+        begin.set()
+
+    if sys.stdin is not None and sys.stdin.isatty():
+        threading.Thread(target=wait_for_enter, daemon=True).start()
+    in_main = threading.current_thread() is threading.main_thread()
+    if in_main:
+        signal.signal(signal.SIGINT, end)
+    try:
+        yield stop, begin
+    finally:
+        if in_main:
+            signal.signal(signal.SIGINT, before)
+
+
+def percent(text: str | None) -> float:
+    """A share, of text such as `5%`; NaN of none.
+
+    Raises:
+        RecordingError: no number above 0 and up to 100.
+    """
+    if text is None:
+        return math.nan
+    try:
+        share = float(text.strip().removesuffix("%")) / 100.0
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share <= 1.0:
+        raise RecordingError(f"--until {text}: write how exactly k(s) is wanted, as 5%.")
+    return share

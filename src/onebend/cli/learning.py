@@ -33,11 +33,12 @@ from onebend.pipeline import Run, compare, plan_next
 from onebend.pipeline import learn as learn_from
 from onebend.progress import Progress
 from onebend.recording.folder import folder_of
+from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.observe import ObserveSettings
 from onebend.records import CLAMP_SD
 from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.detection_cache import detection_cache
-from onebend.results.learned_files import learned_writer, validation_writer
+from onebend.results.learned_files import learned_writer, tables_writer, validation_writer
 from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of
@@ -73,7 +74,7 @@ Width = Annotated[
 ]
 Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
 NoReport = Annotated[
-    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a quarter of the time.")
+    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
 ]
 OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
 Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
@@ -149,6 +150,7 @@ def learn(
     fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
     if no_report and open_report:
         raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
+    frames = KeptFrames()
     with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
         with progress_of(quiet) as progress:
@@ -158,16 +160,20 @@ def learn(
                 fitting=fitting,
                 observing=observing,
                 validate_on=validate_on or (),
-                detect=detection_cache(onebend.__version__, place.work).detect,
+                detect=detection_cache(onebend.__version__, place.work, frames.keep).detect,
+                frames=frames,
                 progress=progress,
             )
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
         settled = {"fit": fitting, "regression": settings, "observing": observing}
+        tables = tables_writer(run, version=onebend.__version__)
 
         def put(pictures: Pictures | None) -> None:
             made_from = made_from_files(inputs, settled)
-            write = learned_writer(run, pictures, summary, version=onebend.__version__, made_from=made_from)
+            write = learned_writer(
+                run, pictures, summary, version=onebend.__version__, made_from=made_from, tables=tables
+            )
             put_in_place(place, write, pictures or Pictures(), made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
@@ -175,7 +181,7 @@ def learn(
             show_run(screen(), run, out, verbose=verbose, log=log, report=not no_report)
         if not no_report:
             with progress_of(quiet) as progress:
-                pictures = draw_all(run, progress=progress)
+                pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
@@ -186,11 +192,11 @@ def learn(
         open_in_browser(out / "report.html")
 
 
-def draw_all(run: Run, *, progress: Progress) -> Pictures:
+def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
     """Every figure of a report."""
     from onebend.report.figures import drawing  # here: Matplotlib takes a third of a second to load
 
-    return drawing.draw_all(run, progress=progress)
+    return drawing.draw_all(run, frames=frames, progress=progress)
 
 
 def validate(

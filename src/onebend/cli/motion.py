@@ -1,4 +1,4 @@
-"""The commands that learn from how a beam swings."""
+"""Commands on films of a beam: how it swings, and what force is on it."""
 
 from __future__ import annotations
 
@@ -10,21 +10,27 @@ import typer
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, progress_of, screen
+from onebend.cli.common import clean_errors, print_json, print_summary, progress_of, put_in_place, screen, workplace
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, Json, Model, Overwrite, Quiet, Recording, Threads
+from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
 from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
+from onebend.learning.sensing.sense import sense as sense_force
+from onebend.learning.sensing.sensed import Sensed, SenseSettings
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
 from onebend.learning.swing.swing_frequencies import frequencies_of
 from onebend.pipeline import check_same_length
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
+from onebend.report.figures.pictures import draw
 from onebend.results.detection_cache import detection_cache
-from onebend.results.model import model_text
+from onebend.results.model import model_file, model_text
+from onebend.results.provenance import inputs_of
+from onebend.results.recording_files import recording_files
+from onebend.results.sensing import SENSE_FORMAT, sense_summary, sense_writer
 from onebend.results.summary import damp_summary, frequencies_summary
-from onebend.terminal.damping import show_damping, show_frequencies
+from onebend.terminal.damping import show_damping, show_frequencies, show_sensed
 
 FromS = Annotated[
     float | None,
@@ -44,6 +50,32 @@ MassAlong = Annotated[
 ]
 ModelFile = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
+]
+
+ContactPlace = Annotated[
+    Literal["known", "unknown"],
+    typer.Option("--place", help="known: the force acts where the recording or --push-at says. unknown: it is sought."),
+]
+ContactAt = Annotated[
+    float | None,
+    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts; default: as written."),
+]
+ContactSd = Annotated[
+    float | None,
+    typer.Option("--push-sd-m", min=0.0, metavar="M", help="One sd of that place; default: as written."),
+]
+TagsNow = Annotated[
+    Literal["learned", "anew"],
+    typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
+]
+ForcePrior = Annotated[
+    float | None,
+    typer.Option(
+        "--force-prior-N",
+        min=LEAST,
+        metavar="N",
+        help="One sd of each component of the force before any shape is seen; default: three times k/L.",
+    ),
 ]
 
 
@@ -131,3 +163,48 @@ def damp(
         print_json({**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)})
     else:
         show_damping(screen(), fit, output)
+
+
+def sense(
+    model: Model,
+    recording: Recording,
+    *,
+    place: ContactPlace = "known",
+    at: ContactAt = None,
+    at_sd: ContactSd = None,
+    force_prior: ForcePrior = None,
+    tags: TagsNow = "learned",
+    output: Output = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
+    with clean_errors():
+        stored = read_trusted(model)
+        files = read_recording(recording)
+        check_same_length(stored.beam, files)
+        with progress_of(quiet) as progress:
+            detect, reading = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
+            seen = observe(files, settings=reading, detect=detect, progress=progress)
+        settings = SenseSettings(place, at, at_sd, force_prior, tags)
+        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
+        summary = sense_summary(str(model), found, written_by=BY)
+        if output is not None:
+            _write(output, overwrite, model, recording, found, summary)
+    if as_json:
+        print_summary(summary, output)
+    else:
+        show_sensed(screen(), found, output)
+
+
+def _write(
+    output: Path, overwrite: bool, model: Path, recording: Path, found: Sensed, summary: dict[str, object]
+) -> None:
+    from onebend.report.figures.sensing import sensed_regions, sensing  # here: Matplotlib is for pictures alone
+
+    with workplace(output, SENSE_FORMAT, overwrite) as work:
+        pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+        inputs = inputs_of([model_file(model), *recording_files([recording])])
+        put_in_place(work, sense_writer(found, pictures, summary), pictures, inputs=inputs)

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from onebend.cli.common import clean_errors, print_json, say, screen
-from onebend.cli.options import Json, Overwrite, Recording
+from onebend.cli.common import clean_errors, percent, print_json, say, screen, stderr_screen, stopped_by_hand
+from onebend.cli.options import Json, Overwrite, Quiet, Recording
 from onebend.errors import ObservationError, RecordingError
 from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
+from onebend.recording.folder import FILE_NAME
 from onebend.recording.template import Kind, write_template
 from onebend.strict_json import to_json
 from onebend.terminal.recordings import show_bag, show_overview
@@ -37,6 +38,40 @@ Definitions = Annotated[
 PICTURE = "check.png"
 SOFTWARE = "onebend check"  # what stands in the picture, so that only such a one is replaced unasked
 
+RecordFolder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
+]
+CameraSpec = Annotated[
+    str | None, typer.Option("--camera", metavar="SPEC", help="/dev/video0, film:REC (played) ...: docs/record.md.")
+]
+ForceSpec = Annotated[
+    str | None,
+    typer.Option(
+        "--force",
+        metavar="SPEC",
+        help="ati:ADDRESS, serial:/dev/ttyUSB0, ur:HOST, log:REC (played) ...; none: film alone.",
+    ),
+]
+Like = Annotated[
+    Path | None,
+    typer.Option("--like", metavar="REC", help="Another push of this recording's beam: begin with its recording.toml."),
+]
+Play = Annotated[
+    Path | None,
+    typer.Option(
+        "--play", metavar="REC", help="Play film and log of REC as camera and sensor: to try it without them."
+    ),
+]
+Until = Annotated[
+    str | None,
+    typer.Option("--until", metavar="PERCENT", help="Push until k(s) is known to ± this; else once."),
+]
+AtOnce = Annotated[bool, typer.Option("--now", help="Film at once, whatever is wrong with the picture.")]
+FilmAlone = Annotated[bool, typer.Option("--no-learning", help="Learn no k(s) meanwhile: for slow computers.")]
+Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
+Longest = Annotated[float, typer.Option("--longest-s", min=1.0, metavar="S", help="The film ends then at the latest.")]
+Crf = Annotated[int, typer.Option("--crf", min=0, max=40, metavar="N", help="Of H.264: less is larger and finer.")]
+Replace = Annotated[bool, typer.Option("--overwrite", help="Replace film and log of an earlier recording in DIR.")]
 Clear = Annotated[bool, typer.Option("--clear", help="Drop all that is kept.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
@@ -139,6 +174,58 @@ def check_replaceable(path: Path, overwrite: bool) -> None:
             if SOFTWARE.encode() in stream.read(200):
                 return
     check_name_free(path, overwrite=overwrite)
+
+
+def record(
+    folder: RecordFolder,
+    *,
+    camera: CameraSpec = None,
+    force: ForceSpec = None,
+    play: Play = None,
+    like: Like = None,
+    until: Until = None,
+    now: AtOnce = False,
+    no_learning: FilmAlone = False,
+    fast: Fast = False,
+    longest: Longest = 600.0,
+    crf: Crf = 18,
+    overwrite: Replace = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
+    from onebend import capture  # here: `new` and `topics` need no camera
+    from onebend.terminal.recordings import RecordingView
+
+    with clean_errors():
+        settings = capture.CaptureSettings(
+            until=percent(until),
+            begin_at_once=now,
+            follow=not no_learning,
+            longest=longest,
+            crf=crf,
+            overwrite=overwrite,
+        )
+        if play is not None:
+            camera, force = camera or f"film:{play}", force or f"log:{play}"
+            like = like if (folder / FILE_NAME).exists() else like or play
+        if camera is None:
+            raise RecordingError(
+                "--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording."
+            )
+        sources = capture.camera_of(camera), None if force is None else capture.force_of(force)
+        if like is not None:
+            capture.copy_description(like, folder)
+        with stopped_by_hand() as (stop, begin), RecordingView(None if quiet or as_json else stderr_screen()) as view:
+            clock = capture.PlayedClock() if fast else None
+            outcome = capture.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
+        if outcome.film is None or outcome.fault:
+            kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
+            raise RecordingError(f"{outcome.why}. {kept}")
+    if as_json:
+        print_json(capture.outcome_data(outcome))
+        return
+    say(capture.outcome_words(outcome))
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:

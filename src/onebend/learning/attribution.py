@@ -45,6 +45,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "mass": ("mass",),
         "camera": ("scale", "heights", "camera", "rolling shutter"),
         "inertia": ("inertia",),
+        "direction of gravity": ("gravity direction",),
         "error of the force log": ("force",),
         LEFT: ("discrepancy", "angle discrepancy"),
     }

@@ -17,6 +17,30 @@ from onebend.learning.model.own_weight import following
 from onebend.learning.model.parameters import Block, Layout
 from onebend.records import Array, Observations, PointMass
 
+# Of the pull of an even beam of the written mass on its clamp: a cone on its base has 0.5, a mass at the tip 2.
+LEAST_PULL, MOST_PULL = 0.42, 2.2
+LEANS = 4.0  # sds of gravity's written direction, beyond which it is another one
+
+
+def weight_doubts(mass: LearnedMass | None, leaning: Sequence[float]) -> list[str]:
+    """What contradicts the weight as written, given the mass after the fit and `leans`; empty as a rule."""
+    doubts = []
+    if mass is not None and np.isfinite(mass.written) and not LEAST_PULL < mass.even / mass.written < MOST_PULL:
+        doubts.append("the beam's weight and the force contradict each other")
+    if max((abs(lean) for lean in leaning), default=0.0) > LEANS:
+        doubts.append("gravity does not pull where [gravity] says")
+    return doubts
+
+
+def leans(recordings: Sequence[FitData], layout: Layout, mean: Array) -> list[float]:
+    """How far off its written direction gravity came out in each recording in which it bends the beam, in sds."""
+    found = []
+    for recording in recordings:
+        block = layout.index.get(("gravity direction", recording.number))
+        if block is not None and block.start >= 0:
+            found.append(float(mean[block.where][0] / block.prior_sd[0]))
+    return found
+
 
 def learned_mass(
     recordings: Sequence[FitData],

@@ -42,11 +42,19 @@ from onebend.learning.inference.stages import (
     carried_over,
     first_problem,
     first_recordings,
+    shared_among,
     whole_problem,
     with_mass_found,
 )
 from onebend.learning.known_shape import with_shared_shape
-from onebend.learning.learned_mass import from_legendre, learned_mass, mass_per_length, riding_masses
+from onebend.learning.learned_mass import (
+    from_legendre,
+    leans,
+    learned_mass,
+    mass_per_length,
+    riding_masses,
+    weight_doubts,
+)
 from onebend.learning.model.allowed import secant_of
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
@@ -133,6 +141,7 @@ class Posterior:
             doubts.append("the push hardly acts where at_s says")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
+        doubts += weight_doubts(self.mass, leans(self.recordings, self.layout, self.mean))
         for o in (recording.observations for recording in self.recordings):
             doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
         return tuple(doubts)
@@ -221,7 +230,8 @@ class Posterior:
     @property
     def mass(self) -> LearnedMass | None:
         """The beam's mass; None where nothing weighs or it was held as written."""
-        return learned_mass(self.recordings, self.layout, self.mean, self.covariance, self.stiffness, self.gain_sd)
+        bare = stiffness_of(self.problem, self.optimum, self.gain_sd)  # its doubts ask for the mass
+        return learned_mass(self.recordings, self.layout, self.mean, self.covariance, bare, self.gain_sd)
 
 
 @one_blas_thread
@@ -267,14 +277,16 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    recordings = with_shared_shape(recordings)
+    recordings, settings = with_shared_shape(recordings), shared_among(settings, len(recordings))
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
     recordings, near = with_mass_found(recordings, problem, near)
 
     every = whole_problem(recordings, problem, settings)
-    whole, estimate = find_on_branches(every, carried_over(few, near, every, some), late, progress)
+    begin = carried_over(few, near, every, some)
+    del problem, few, near
+    whole, estimate = find_on_branches(every, begin, late, progress)
     optimum = laplace_posterior(whole, estimate, late)
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)

@@ -37,6 +37,7 @@ _TRIED_HELD = np.geomspace(1e-4, 20.0, 16)  # the same with both ends held: it m
 _ROUGH = Resolution(order=6, widest=0.25)  # poses whose equilibria are sought
 _SOFTER, _HALF = 8, 0.5  # cables: so many times softer by this than the softest of those, while they come nearer
 _ELSEWHERE = 0.1  # of the length
+_FAR = 4.0  # times as far off as the best: in a film, beams softer than one that is so far off are not tried
 _TRIED = np.geomspace(0.05, 200.0, 25)  # k in units of (largest load) x L
 
 
@@ -65,7 +66,7 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     beams = [Beam(recordings[0].length, Scaled(float(unit * k), shape), mass_per_length=mass) for k in tried]
     beams += [replace(beams[0], stiffness=k) for k in swung]
     beams += [] if learned is None else [learned.beam]
-    away = [_distance(beam, recordings, frames) for beam in beams]  # infinite where a beam would snap through
+    away = _distances(beams, recordings, frames)
     while all(o.static for o in recordings) and away[0] == min(away) and len(away) < len(tried) + _SOFTER:
         softer = replace(beams[0], stiffness=Scaled(_HALF, beams[0].stiffness))
         beams, away = [softer, *beams], [_distance(softer, recordings, frames), *away]
@@ -115,6 +116,20 @@ def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
             "Film a push (or a beam that its weight bends), with the tags in view, and let the force log cover it"
         )
     return evenly_spread(usable, most, len(o.time))
+
+
+def _distances(beams: Sequence[Beam], recordings: Sequence[Observations], frames: list[BoolArray]) -> list[float]:
+    """`_distance` of each beam, infinite where a beam would snap through. Of films of a free end the last come first,
+    and those of `_TRIED` from the stiffest on: the softer ones, which take longest, are left out where they only lead
+    away."""
+    away = [np.inf] * len(beams)
+    films, best = not any(o.static or is_held(o) for o in recordings), np.inf
+    for i in reversed(range(len(beams))):
+        away[i] = _distance(beams[i], recordings, frames)
+        best = min(best, away[i])
+        if films and i + 1 < len(_TRIED) and away[i] > max(_FAR * best, away[i + 1]):
+            break
+    return away
 
 
 def _distance(beam: Beam, recordings: Sequence[Observations], frames: list[BoolArray]) -> float:

@@ -118,10 +118,15 @@ def marker_misfit(
     return marker_rms(from_the_clamp(observations, frames, predicted) - predicted), solved
 
 
-def solved_frames(beam: Beam, observations: Observations, frames: BoolArray) -> Iterator[Equilibrium]:
-    """Under the measured loads, chunk by chunk; static poses in the equilibria that their points show, all together."""
+def solved_frames(
+    beam: Beam, observations: Observations, frames: BoolArray, near: Array | None = None
+) -> Iterator[Equilibrium]:
+    """Under the measured loads, chunk by chunk; static poses in the equilibria that their points show, all together,
+    and so those of a film near shapes (F, Q) of a similar beam, where these are known."""
     loads = loads_of(observations, frames)
-    if not observations.static:
+    if not observations.static and near is not None:
+        yield refine(make_problem(beam, loads, RESOLUTION), near)
+    elif not observations.static:
         yield from simulate(beam, loads)
     else:
         yield shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))

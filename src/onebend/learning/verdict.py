@@ -10,6 +10,7 @@ from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.criticism.criticism import Finding
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
+from onebend.learning.learned_mass import leans, weight_doubts
 from onebend.learning.model.parameters import Priors, clamp_sd
 from onebend.learning.pose_equilibria import pose_names
 from onebend.learning.posterior import Posterior
@@ -76,7 +77,7 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
     ]
     if any(one.hopeless for one in posterior.misses):
         return (*wrong, *_search(posterior))
-    wrong += _elsewhere(posterior)
+    wrong += [*_elsewhere(posterior), *_weight(posterior)]
     tests = _tests(posterior)
     wrong += _left_out(posterior)
     odd = (*_clamp(posterior), *_nuisances(posterior), *_noise(posterior))
@@ -102,6 +103,18 @@ def _elsewhere(posterior: Posterior) -> list[Remark]:
         "all of that. Measure the place, and push where there is a tag"
     )
     return [Remark("note", text)]
+
+
+def _weight(posterior: Posterior) -> list[Remark]:
+    """A warning where the fit's weight is not the one that is written."""
+    said = weight_doubts(posterior.mass, leans(posterior.recordings, posterior.layout, posterior.mean))
+    if not said:
+        return []
+    text = (
+        f"{' and '.join(said)}: k(s) is NOT TO BE TRUSTED. Check base_angle_deg and direction_deg in [gravity], "
+        "mass_kg, and that the log is in newtons (not kg or g)"
+    )
+    return [Remark("warning", text, about="mass")]
 
 
 def _left_out(posterior: Posterior) -> list[Remark]:

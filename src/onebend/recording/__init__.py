@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from onebend.recording.folder import read_recording as read_recording
     from onebend.recording.force.cleaning import ForceSettings as ForceSettings
     from onebend.recording.force.contact import ContactSettings as ContactSettings
+    from onebend.recording.kept_frames import KeptFrames as KeptFrames
     from onebend.recording.observe import Detect as Detect
     from onebend.recording.observe import ObserveSettings as ObserveSettings
     from onebend.recording.tags.detection import detect_tags as detect_tags
@@ -43,6 +44,7 @@ else:
             "onebend.recording.folder": "read_recording",
             "onebend.recording.force.cleaning": "ForceSettings",
             "onebend.recording.force.contact": "ContactSettings",
+            "onebend.recording.kept_frames": "KeptFrames",
             "onebend.recording.observe": "Detect ObserveSettings",
             "onebend.recording.tags.detection": "detect_tags",
             "onebend.recording.tags.printed_code": "PrintedTag",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -13,11 +13,13 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent
 from onebend.recording.beam_frame import RestShape, rest_shape, to_beam_frame
 from onebend.recording.camera.projection import measure_markers
+from onebend.recording.camera.tag_turns import check_turns
 from onebend.recording.clock.offset import ClockFit, ClockSettings
 from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.recording.force.cleaning import ForceSettings
 from onebend.recording.force.contact import Contact, ContactSettings, find_contact
 from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
+from onebend.recording.kept_frames import KeptFrames, spacing_of
 from onebend.recording.pairing import (
     check_direction,
     check_place,
@@ -31,11 +33,10 @@ from onebend.recording.pairing import (
 from onebend.recording.photos import photo_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
-from onebend.recording.tag_turns import check_turns
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.tool.film import tool_in_film, tool_remarks
+from onebend.recording.tool.film import tool_checked
 from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.marker_tracks import track_markers
 from onebend.recording.tracks.measured_frequencies import frequency_observations, with_frequencies
@@ -90,12 +91,13 @@ def observe(
     settings: ObserveSettings = ObserveSettings(),
     detections: Detections | None = None,
     detect: Detect = detect_tags,
+    frames: KeptFrames | None = None,
     progress: Progress = Silent(),
 ) -> Observations:
     """The observations of a recording, on the force log's clock and in the beam's frame.
 
     `detections` are tags found earlier in the same video; without them the video is searched by `detect`, once the
-    other files are known to be good.
+    other files are known to be good. `frames` of it that `detect` has kept are not read from it again.
 
     Raises:
         RecordingError: a file is missing or cannot be read.
@@ -104,11 +106,16 @@ def observe(
     rec = recording if isinstance(recording, Recording) else read_recording(recording)
     if rec.frequencies and rec.only_frequencies:
         return frequency_observations(rec)
-    return with_frequencies(_shown(rec, settings, detections, detect, progress), rec)
+    return with_frequencies(_shown(rec, settings, detections, detect, frames, progress), rec)
 
 
 def _shown(
-    rec: Recording, settings: ObserveSettings, detections: Detections | None, detect: Detect, progress: Progress
+    rec: Recording,
+    settings: ObserveSettings,
+    detections: Detections | None,
+    detect: Detect,
+    frames: KeptFrames | None,
+    progress: Progress,
 ) -> Observations:
     """What film, tracks, photos or poses show of the beam."""
     if rec.poses is not None:
@@ -124,7 +131,8 @@ def _shown(
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = markers_of(rec, detections)
-    return _tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle)
+    every = spacing_of(len(detections.time), detections.width * detections.height)
+    return tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle, every, frames)
 
 
 def markers_of(rec: Recording, detections: Detections) -> Markers:
@@ -149,21 +157,6 @@ def observe_markers(
         ObservationError: as `observe`.
     """
     return with_frequencies(assemble(rec, markers, log, None, settings), rec)
-
-
-def _tool_checked(rec: Recording, seen: Observations, base_angle: Array) -> Observations:
-    """With what the film shows of the tool: a warning where it is elsewhere than `at_s` says. `base_angle` (T,) is of
-    every frame."""
-    if rec.video is None or rec.push is None or not np.isfinite(rec.push.at) or not rec.video.file.exists():
-        return seen
-    markers = Markers(
-        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
-        seen.source.view,
-    )  # fmt: skip
-    tool = tool_in_film(rec, markers, seen.loaded, seen.frame)
-    remarks = tool_remarks(tool, rec)
-    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
-    return replace(seen, source=source)
 
 
 def swing_signals(

@@ -15,7 +15,7 @@ import numpy as np
 
 from onebend.errors import OnebendError, told
 from onebend.recording.camera.projection import measure_markers
-from onebend.recording.tag_turns import check_turns
+from onebend.recording.camera.tag_turns import check_turns
 from onebend.recording.tags.detection import refuse_doubles, refuse_unseen, unseen_remarks
 from onebend.recording.tags.finder import Finder, Sighting
 from onebend.recording.tags.tracking import sure_doubles
@@ -23,7 +23,7 @@ from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.tool.film import tool_in, tool_remarks
 from onebend.recording.tool.place import ToolPlace, not_seen
-from onebend.recording.video import FilmFrame, luma_in, timed
+from onebend.recording.video import FilmFrame, picture_in, timed
 from onebend.records import Array, BoolArray, Detections, Markers, Remark
 from onebend.workers import available_cores
 
@@ -109,7 +109,7 @@ def spread_frames(video: VideoEntry, count: int) -> tuple[list[FilmFrame], int, 
     step, read = 1, 0
     for index, time, raw in timed(video):
         if index % step == 0:
-            kept.append(FilmFrame(index, time, luma_in(video, index, raw)))
+            kept.append(FilmFrame(index, time, picture_in(video, index, raw)))
         read = index + 1
         if len(kept) >= 2 * count:
             kept, step = kept[::2], 2 * step

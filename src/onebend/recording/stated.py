@@ -10,7 +10,7 @@ from onebend.errors import RecordingError
 from onebend.recording.tables import Columns, read_columns
 from onebend.recording.toml.beam_entry import LONGEST
 from onebend.recording.toml.entries import Recording
-from onebend.records import Array, MassLine, PointMass, SectionShapeName, Stated, StatedSection
+from onebend.records import GRAVITY_SD, Array, MassLine, PointMass, SectionShapeName, Stated, StatedSection
 
 # recording.toml's width lies in the plane of bending
 SIZES = ("width_m", "thickness_m", "diameter_m", "inner_diameter_m", "across_flats_m")
@@ -47,6 +47,7 @@ def stated_in(recording: Recording) -> Stated:
         turn_sd=tags.turn_sd,
         place_sd=recording.place_sd,
         direction_sd=recording.direction_sd,
+        gravity_sd=GRAVITY_SD if recording.gravity is None else recording.gravity.direction_sd,
         clamp_sd=recording.clamp_sd,
         curvature_sd=beam.curvature_sd,
         scale_sd=recording.scale_sd,
@@ -125,7 +126,7 @@ def _sizes(rec: Recording) -> dict[str, Array]:
     if beam.section_file is not None:
         table = read_columns(beam.section_file, ("s",), (*SIZES, "I_m4"), kind="table of the section", strict=True)
         s, known = table.get("s"), [name for name in (*SIZES, "I_m4") if name in table.numbers]
-        measured = {name: _measured(table, name) for name in known}
+        measured = {name: _measured(table, name, beam.length) for name in known}
         _refuse_places(table, "the sizes", steps=True)
         if not measured:
             raise RecordingError(
@@ -188,11 +189,14 @@ def _check_known_shape(rec: Recording, section: StatedSection | None) -> None:
         )
 
 
-def _measured(table: Columns, name: str) -> Array:
+def _measured(table: Columns, name: str, length: float) -> Array:
     """(P,) m, one size of the section; m^4 its second moment."""
     size = table.get(name)
     unit = "m^4" if name == "I_m4" else "metres"
     table.refuse(~((size > 0.0) & (size <= LONGEST)), f"{name} must be above zero, and in {unit}.")
+    if name != "thickness_m":  # in the plane of bending; 12 I is the fourth power of a square's side
+        thick = (12.0 * size) ** 0.25 if name == "I_m4" else size
+        table.refuse(thick > length, f"the beam is thicker than long there. Correct {name}; it is in {unit}.")
     return size
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from onebend.records import Array, Remark
 from onebend.text_files import csv_rows, quoted
 
 Picture = NDArray[np.uint8]
+Keep = Callable[[VideoEntry, int, av.VideoFrame], None]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
 RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between stated and measured rate gets a remark
@@ -39,28 +40,32 @@ class FilmFrame:
 
     index: int
     time: float  # s since the first frame, the video's own clock
-    luma: Picture  # (H, W), as a person sees it (rotation of the camera taken off)
+    luma: Picture  # (H, W), as a person sees it (rotation of the camera taken off); not to be written to
 
 
-def read_frames(video: VideoEntry) -> Iterator[FilmFrame]:
+def read_frames(video: VideoEntry, keep: Keep | None = None) -> Iterator[FilmFrame]:
     """Every frame in order, one at a time.
 
     The times are the presentation times of the container, or those of the CSV file that `recording.toml` names, or in a
     bag the stamps of its images. A frame's time is taken as the middle of its exposure; a constant delay is part of
-    the clock offset found later.
+    the clock offset found later. `keep` is shown every frame of a video file as it passes.
 
     Raises:
         RecordingError: not a video, no frame, truncated or damaged (with the last good frame), no or falling frame
             times.
     """
     for index, time, raw in timed(video):
-        yield FilmFrame(index, time, luma_in(video, index, raw))
+        if keep is not None and not video.topic:
+            keep(video, index, raw)
+        yield FilmFrame(index, time, picture_in(video, index, raw))
 
 
-def luma_in(video: VideoEntry, index: int, raw: Any) -> Picture:
-    """The luma of what `timed` gives."""
+def picture_in(video: VideoEntry, index: int, raw: Any, *, colour: bool = False) -> Picture:
+    """The luma (H, W), or (H, W, 3) RGB, of what `timed` gives, as a person sees it."""
     if video.topic:
-        return picture_of(raw, f"{video.file}, image {index} of {video.topic}")
+        return picture_of(raw, f"{video.file}, image {index} of {video.topic}", colour=colour)
+    if colour:
+        return upright(raw.to_ndarray(format="rgb24").astype(np.uint8, copy=False), raw.rotation)
     return luma_of(raw)
 
 
@@ -105,29 +110,26 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
     Raises:
         RecordingError: the video has no such frame, or cannot be read.
     """
-    for _, picture in frames_at(video, [index]):
+    for _, picture in pictures_at(video, [index], colour=True):
         return picture
     of = f" of {video.topic}" if video.topic else ""
     raise RecordingError(f"{video.file} has no frame {index}{of}.")
 
 
-def frames_at(video: VideoEntry, indices: Collection[int]) -> Iterator[tuple[int, Picture]]:
-    """Those of these frames that the video has, in order, with their indices; each as from `frame_at`.
+def pictures_at(video: VideoEntry, indices: Collection[int], *, colour: bool = False) -> Iterator[tuple[int, Picture]]:
+    """Those of these frames that the video has, in order, with their indices; each as from `picture_in`. It is read to
+    the last of them.
 
     Raises:
         RecordingError: the video cannot be read.
     """
-    last, wanted = max(indices, default=-1), frozenset(indices)
-    if video.topic:
-        for index, (_, message) in enumerate(bag_frames(video)):
-            if index in wanted:
-                yield index, picture_of(message, f"{video.file}, image {index} of {video.topic}", colour=True)
-            if index >= last:
-                return
+    if not indices:
         return
-    for index, frame in enumerate(decoded(video.file)):
+    last, wanted = max(indices), frozenset(indices)
+    every: Iterator[Any] = (message for _, message in bag_frames(video)) if video.topic else decoded(video.file)
+    for index, raw in enumerate(every):
         if index in wanted:
-            yield index, upright(frame.to_ndarray(format="rgb24").astype(np.uint8, copy=False), frame.rotation)
+            yield index, picture_in(video, index, raw, colour=colour)
         if index >= last:
             return
 
@@ -280,6 +282,7 @@ def luma_of(frame: av.VideoFrame) -> Picture:
     plane = frame.planes[0]
     if bits == 8:
         rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
+        rows.flags.writeable = False  # the decoder builds later frames on it
         return upright(rows[: frame.height, : frame.width], frame.rotation)
     wide = np.dtype(">u2" if layout.is_big_endian else "<u2")
     deep = np.frombuffer(memoryview(plane), wide).reshape(-1, plane.line_size // 2)[: frame.height, : frame.width]
@@ -287,11 +290,11 @@ def luma_of(frame: av.VideoFrame) -> Picture:
 
 
 def upright(picture: Picture, rotation: int) -> Picture:
-    """The picture turned as the camera's orientation says (degrees counter-clockwise), in memory of its own.
+    """The picture turned as the camera's orientation says (degrees counter-clockwise); itself where it is not turned.
 
     Raises:
         RecordingError: the turn is not a multiple of 90 degrees.
     """
     if rotation % 90:
         raise RecordingError(f"The video is stored turned by {rotation} degrees. Only multiples of 90 can be read.")
-    return np.array(np.rot90(picture, rotation // 90), order="C")
+    return picture if rotation % 360 == 0 else np.array(np.rot90(picture, rotation // 90), order="C")

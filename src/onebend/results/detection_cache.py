@@ -27,6 +27,7 @@ from onebend.recording.bags.reader import files_of
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import Keep
 from onebend.records import Detections, Remark
 from onebend.results.provenance import checksum_of, inputs_of
 
@@ -40,6 +41,7 @@ class DetectionCache:
 
     folders: tuple[KeptFolder, ...]
     version: str  # of onebend: another version may find the tags better
+    keep: Keep | None = None  # is shown the frames of a film that is searched
 
     def detect(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
@@ -51,17 +53,17 @@ class DetectionCache:
         found = next((d for folder in self.folders if (d := unpacked(folder.load(name), wanted)) is not None), None)
         if found is not None:
             return found
-        found = detect_tags(video, tags, threads=threads, progress=progress)
+        found = detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
         if all(one.is_still_there() for one in inputs):  # else the key is not that of what was read
             content = packed(found)
             any(folder.save(name, content) for folder in self.folders)
         return found
 
 
-def detection_cache(version: str, workplace: Path | None = None) -> DetectionCache:
+def detection_cache(version: str, workplace: Path | None = None, keep: Keep | None = None) -> DetectionCache:
     """The user's cache where there is one; `workplace`: where else detections may be kept."""
     folders = (users_folder(), None if workplace is None else KeptFolder(workplace))
-    return DetectionCache(tuple(one for one in folders if one is not None), version)
+    return DetectionCache(tuple(one for one in folders if one is not None), version, keep)
 
 
 def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:

@@ -26,9 +26,10 @@ if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to
     from onebend.learning.swing.damping import Damping
 
 FORMAT = "onebend-model"
-VERSION = 6
-# 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset` of log k
-READABLE = (1, 2, 3, 4, 5, 6)
+VERSION = 7
+# 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset` of log k,
+# 6 no `shared_mean` and `discrepancy` in `bench`
+READABLE = (1, 2, 3, 4, 5, 6, 7)
 FILE_NAME = "model.json"
 KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", "section", OWN_CHECKSUM}
 
@@ -113,6 +114,12 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
             "Learn it again with `onebend learn`"
         )
     return stored.uncertain
+
+
+def load_instruments(path: Path | str) -> Instruments | None:
+    """What the recordings behind the model in `path` were made with, and where the tags were found to sit; None where
+    it was learned without a band or a force log. Warns and raises as `load_model`."""
+    return _read_and_warn(path).bench
 
 
 def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand | None:

@@ -266,3 +266,8 @@ class Live:
             reviewer.begin(self._seen())
             if (at_once := reviewer.result(following.later)) is not None:
                 following.take(at_once)
+
+
+def seen_by(live: Live) -> Seen:
+    """A copy of what is kept of a stream, for `onebend.streaming.review.observed_in` in another process."""
+    return live._seen()

@@ -43,6 +43,7 @@ class Arrival:
     stamp: Array  # () or (n,) s, the own clock of what sends it
     picture: Picture | None = None
     rows: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) N, or with the place of the push (n, 3)
+    number: int = -1  # of the picture in its film
 
 
 def play(
@@ -86,6 +87,7 @@ def _sent(
             at=frame.time + how.frame_delay + late,
             stamp=np.array(frame.time + how.frame_jitter * rng.normal()),
             picture=frame.luma,
+            number=frame.index,
         )
         times = 0 if rng.random() < how.frames_lost else 1 + int(rng.random() < how.frames_twice)
         yield frame.time, [arrival] * times

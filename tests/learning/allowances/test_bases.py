@@ -112,6 +112,9 @@ def test_allowances_of_one_kind_add_up() -> None:
     np.testing.assert_allclose(allowed(one, layout, x, "poses"), np.sum(own, axis=0), atol=1e-15)
 
 
+WEIGHING = {"inertia", "gravity direction"}  # which need the nodes: see `unknown_mass` and `gravity_direction`
+
+
 def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **changed: object) -> set[str]:
     o = replace(MADE, **changed)  # type: ignore[arg-type]
     one, grid = np.ones(20, dtype=bool), make_grid(order=5)
@@ -120,7 +123,7 @@ def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **ch
 
 
 def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:
-    assert chosen(forces(20)) == OF_ONE - {"inertia"}  # which needs the nodes: see `unknown_mass`
+    assert chosen(forces(20)) == OF_ONE - WEIGHING
 
 
 def test_only_what_is_wanted_is_allowed_for() -> None:
@@ -129,10 +132,10 @@ def test_only_what_is_wanted_is_allowed_for() -> None:
 
 
 def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
-    assert OF_ONE - chosen(np.zeros((20, 2))) == {"inertia", "slide", "posture"}
+    assert OF_ONE - chosen(np.zeros((20, 2))) == {*WEIGHING, "slide", "posture"}
     assert chosen(forces(20), static=True) == set()
 
 
 def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
-    assert OF_ONE - chosen(forces(20), source=tracked) == {"inertia", "heights", "rolling shutter"}
+    assert OF_ONE - chosen(forces(20), source=tracked) == {*WEIGHING, "heights", "rolling shutter"}

@@ -92,6 +92,20 @@ def test_what_is_remembered_of_a_change_is_the_derivative_of_the_shift() -> None
         np.testing.assert_allclose(found[..., i], (up - down) / (2.0 * h), atol=1e-8)
 
 
+def test_what_is_remembered_is_linear_in_the_change_and_by_the_textbook_sum() -> None:
+    q, remembering = push(), memory(SHARES, TIME)
+    change = np.random.default_rng(2).standard_normal((42, 3, 2))
+    found, bent = remembered(remembering, q, WEIGHTS, change), q[:40]
+    v, v_moved = remembering @ bent, np.einsum("st,tqp->sqp", remembering, change[:40])
+    c, square = reached_part(v, bent, WEIGHTS), np.sum(WEIGHTS * bent**2)
+    for p in range(2):
+        one, late = change[:40, :, p], v_moved[:, :, p]
+        by_c = np.sum(WEIGHTS * ((v - 2.0 * c * bent) * one + bent * late)) / square
+        wanted = (late - c * one - by_c * bent) / (1.0 - c) + (v - c * bent) * by_c / (1.0 - c) ** 2
+        np.testing.assert_allclose(found[:40, :, p], wanted, atol=1e-13)
+    assert np.all(found[40:] == 0.0)
+
+
 @pytest.mark.parametrize("shares", [SHARES, 0.0 * SHARES])
 def test_the_derivatives_with_the_shares(shares: Array) -> None:
     q, h = push(), 1e-6

@@ -7,14 +7,13 @@ from functools import cache
 
 import numpy as np
 
+from onebend.learning.criticism.criticism import ALARM
+from onebend.learning.criticism.place_evidence import at_written, log_ratio, moved, under
 from onebend.learning.criticism.push_place import (
     ACCUSED,
-    ACCUSED_BEYOND,
     INNERMOST,
     MISTAKEN,
-    _log_ratio,
     _weights,
-    counted,
     doubtful,
     search_place,
     with_places,
@@ -91,13 +90,43 @@ def test_where_nothing_tells_the_places_keep_their_weights() -> None:
     assert np.sum(far) < 1.0
 
 
-def test_farther_out_only_far_more_evidence_counts() -> None:
-    s, written = np.array([0.6, 0.7, 0.9, 1.0]), 0.8
-    gain = counted(s, np.array([3.0, 14.0, 39.0, 41.0]), written)
-    assert gain.tolist() == [3.0, 14.0, -np.inf, 41.0]
-    held = counted(s, np.array([-9.0, -5.0, 22.0, 39.0]), written)
-    assert np.sum(_weights(s, held, written)[2:]) == 0.0  # so the band is not widened by them
-    assert ACCUSED_BEYOND > ACCUSED
+def test_a_push_that_acts_farther_out_is_accused_by_the_same_level() -> None:
+    one = fitted(1.0, 0.7)  # the k(s) found there is one that no step leads away from
+    search = search_place(one.problem, one.optimum, SETTINGS)
+    assert search is not None
+    assert search.accused
+    assert search.s[np.argmax(search.gain)] > 0.9
+
+
+def test_a_right_place_inside_gains_nothing_on_either_side() -> None:
+    one = fitted(0.75, 0.75)
+    search = search_place(one.problem, one.optimum, SETTINGS)
+    assert search is not None
+    assert np.any(search.s > 0.75)
+    assert np.any(search.s < 0.75)
+    assert np.max(search.gain) < 0.25 * ACCUSED
+
+
+def test_places_are_compared_under_one_noise() -> None:
+    one = fitted(0.75, 0.75)
+    here = at_written(one.problem, one.optimum, 0.75, SETTINGS)
+    assert here is not None
+    there = moved(here, 0.85, SETTINGS)
+    assert there is not None
+    assert there.estimate.hyperparameters.noise == here.estimate.hyperparameters.noise
+    [noise] = here.estimate.hyperparameters.noise
+    quieter = replace(here.estimate.hyperparameters, noise=(replace(noise, marker=0.9 * noise.marker),))
+    here_again, there_again = under(here, quieter), under(there, quieter)
+    assert here_again is not None
+    assert there_again is not None
+    gain, gain_again = there.log_evidence - here.log_evidence, there_again.log_evidence - here_again.log_evidence
+    assert abs(gain_again - gain) < 0.3 * abs(gain) + 0.5
+    # under noises that differ by a tenth the same fit would lose more than half the level
+    assert here_again.log_evidence - here.log_evidence < -0.5 * ACCUSED
+
+
+def test_a_place_is_accused_where_other_tests_would_speak() -> None:
+    assert np.isclose(np.exp(-ACCUSED), 10.0**ALARM)
 
 
 def test_where_the_film_shows_the_tool_no_other_place_is_asked() -> None:
@@ -110,6 +139,6 @@ def test_where_the_film_shows_the_tool_no_other_place_is_asked() -> None:
 
 def test_moments_of_pushes_at_two_places() -> None:
     s = np.linspace(0.0, INNERMOST, 5)
-    assert np.allclose(np.exp(_log_ratio(s, 1.0, 0.7)), (0.7 - s) / (1.0 - s))
-    assert np.allclose(np.exp(_log_ratio(s, 0.7, 1.0)), (1.0 - s) / (0.7 - s))
-    assert np.all(np.isfinite(_log_ratio(np.linspace(0.0, 1.0, 50), 1.0, 0.7)))
+    assert np.allclose(np.exp(log_ratio(s, 1.0, 0.7)), (0.7 - s) / (1.0 - s))
+    assert np.allclose(np.exp(log_ratio(s, 0.7, 1.0)), (1.0 - s) / (0.7 - s))
+    assert np.all(np.isfinite(log_ratio(np.linspace(0.0, 1.0, 50), 1.0, 0.7)))

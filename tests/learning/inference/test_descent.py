@@ -10,7 +10,7 @@ import pytest
 from onebend.learning.inference import descent
 from onebend.learning.inference.descent import MapEstimate, _Linearised, _trial, rows_of, with_own_forces
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
-from onebend.learning.inference.linear_gaussian import data_information, rest_information, split_off_force, tag_score
+from onebend.learning.inference.linear_gaussian import data_information, split_off_force, tag_score
 from onebend.learning.inference.optimizer import estimate_at
 from tests.learning.inference.test_hyperparameters import evidence_of
 
@@ -26,7 +26,7 @@ def far_off(marker: float = 1.3, k: float = 0.06) -> tuple[FitProblem, Hyperpara
 
 def linearised(problem: FitProblem, hyperparameters: Hyperparameters, estimate: MapEstimate) -> _Linearised:
     before = prior(problem, hyperparameters)
-    return _Linearised(problem, estimate, before, [rest_information(problem, 0)], rows_of(estimate))
+    return _Linearised(problem, estimate, before, rows_of(estimate))
 
 
 def test_each_frames_own_force_is_settled_with_all_else_held() -> None:

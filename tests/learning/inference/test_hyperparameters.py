@@ -20,6 +20,9 @@ from onebend.learning.inference.linear_gaussian import (
     data_information,
     residual_rows,
     rest_information,
+    rest_residuals,
+    rest_score,
+    rows_by_force,
     unweighted_rows,
 )
 from onebend.learning.model.fit_data import fit_data
@@ -99,6 +102,17 @@ def test_the_effect_of_a_frames_own_force_is_part_of_its_residuals() -> None:
     np.testing.assert_allclose(with_own.r, without.r, atol=0.02 * effect)
 
 
+def test_rows_by_force_are_the_rows_without_the_parameters() -> None:
+    problem, noise = evidence_of(1)[0].problem, RecordingNoise(1.3, 0.004)
+    x = np.zeros(problem.layout.size)
+    x[:8] = LEVEL
+    now = predict(problem.recordings[0], problem.layout, x, None)
+    found, every = rows_by_force(now, noise), residual_rows(now, noise)
+    assert found.slopes.j.shape[-1] == found.slopes.weights.shape[-1] == 0
+    np.testing.assert_allclose(found.a, every.a, atol=1e-10 * np.max(np.abs(every.a)))
+    np.testing.assert_allclose(found.r, every.r, rtol=1e-8, atol=1e-10)
+
+
 def test_the_log_in_the_rests_shows_the_slow_error_but_for_a_tenth_of_the_coloured_noise() -> None:
     problem = evidence_of(1)[0].problem
     recording, rng = problem.recordings[0], np.random.default_rng(0)
@@ -115,5 +129,12 @@ def test_the_log_in_the_rests_shows_the_slow_error_but_for_a_tenth_of_the_colour
     one, other = 0.01 * rng.standard_normal((2, problem.layout.size))
     form = [x @ told.matrix @ x - 2.0 * told.vector @ x for x in (one, other)]
     assert form[0] - form[1] == pytest.approx(minus_two_log(one) - minus_two_log(other), rel=1e-9)
+    rests = replace(recording, error=error)
+    squares = [float(np.sum(rest_residuals(rests, problem.layout, x) ** 2)) for x in (one, other)]
+    assert squares[0] - squares[1] == pytest.approx(form[0] - form[1], rel=1e-9)
+    slope = told.vector - told.matrix @ one
+    np.testing.assert_allclose(
+        rest_score(rests, problem.layout, one), slope, rtol=1e-9, atol=1e-12 * np.max(np.abs(slope))
+    )
     whole = told.constant + 2.0 * told.log_noise + values.size * np.log(2.0 * np.pi)
     assert whole == pytest.approx(minus_two_log(np.zeros_like(one)), rel=1e-9)

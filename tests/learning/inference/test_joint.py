@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from onebend.learning.inference.block_root import BlockRoot, beside
 from onebend.learning.inference.fit_problem import Prior
 from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.joint import JointInformation, coupled, marginal, solved
+from onebend.learning.inference.joint import JointInformation, coupled, marginal, own_in_z, prior_in_own_z, solved
 from onebend.records import Array
 
 SHARED, OWN, NUMBERS = 3, (2, 4, 0), 9  # parameters that are shared, own ones of each recording, numbers of each
@@ -66,6 +66,16 @@ def form_of(j: Array, y: Array, sd: Array) -> InformationForm:
     return InformationForm(weighted @ j, weighted @ y, float(np.sum((y / sd) ** 2)), float(np.sum(np.log(sd))))
 
 
+def test_evidence_with_own_parameters_at_their_most_probable_has_no_volume_of_theirs() -> None:
+    case, own = Case(), slice(SHARED, SIZE)
+    posterior, onto = solved(case.data, case.before), case.j @ case.root
+    precision = np.eye(SIZE) + onto.T @ onto
+    away = case.y - case.j @ case.before.mean
+    least = float(away @ away - away @ onto @ np.linalg.solve(precision, onto.T @ away))
+    volume = np.linalg.slogdet(precision)[1] - np.linalg.slogdet(precision[own, own])[1]
+    np.testing.assert_allclose(posterior.log_evidence_of_shared, -0.5 * (least + volume))
+
+
 def test_a_root_does_what_its_matrix_does() -> None:
     rng = np.random.default_rng(1)
     root = beside(root_of(rng, 2), root_of(rng, 4))
@@ -99,6 +109,20 @@ def test_a_damping_is_added_to_every_parameters_precision() -> None:
     np.testing.assert_allclose(solved(case.data, case.before, 2.5).solve(v), np.linalg.solve(whole, v), rtol=1e-9)
 
 
+@pytest.mark.parametrize("damping", [0.0, 2.5])
+def test_z_in_the_place_of_own_parameters_leaves_the_posterior_as_it_is(damping: float) -> None:
+    case, v = Case(12), np.random.default_rng(13).standard_normal(SIZE)
+    forms = tuple(own_in_z(form, case.before, number) for number, form in enumerate(case.data.forms))
+    data, before = JointInformation(forms, PARTS), prior_in_own_z(case.before)
+    found, plain = solved(data, before, damping), solved(case.data, case.before, damping)
+    np.testing.assert_allclose(found.z, plain.z, rtol=1e-9)
+    np.testing.assert_allclose(found.solve(v), plain.solve(v), rtol=1e-9)
+    assert found.log_evidence == pytest.approx(plain.log_evidence, rel=1e-9)
+    precision = case.root.T @ case.j.T @ case.j @ case.root
+    x = before.times(v)
+    assert x @ data.times(x) == pytest.approx(v @ precision @ v, rel=1e-9)
+
+
 def test_the_covariance_is_that_of_dense_algebra_by_recording() -> None:
     case = Case(5)
     found, dense = solved(case.data, case.before).covariance, case.covariance
@@ -109,6 +133,7 @@ def test_the_covariance_is_that_of_dense_algebra_by_recording() -> None:
     np.testing.assert_allclose(found.with_shared(slice(2)), dense[:, :2], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(found.among(slice(6, 8)), dense[6:8, 6:8], rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(found.shared_with(slice(6, 8)), dense[:SHARED, 6:8], rtol=1e-8, atol=1e-12)
+    np.testing.assert_array_equal(solved(case.data, case.before).pair(1), found.pairs[1])
     with pytest.raises(ValueError, match="more than one"):
         found.among(slice(4, 6))
 

@@ -27,6 +27,17 @@ def test_a_filter_that_lets_all_through_leaves_the_process_as_it_is() -> None:
     np.testing.assert_allclose(filtered(lag, np.inf).covariance(0.3, 0.2), 0.09 * np.exp(-lag / 0.2))
 
 
+@pytest.mark.parametrize("even", [True, False])
+def test_the_covariance_behind_the_filter_is_the_cosine_transform_of_what_it_lets_through(even: bool) -> None:
+    lag, sd, tau, white = np.linspace(0.0, 3.0, 14), 0.3, 0.2, 1e-3
+    lag = lag if even else np.sort(np.append(lag, 1.234))
+    behind = filtered(lag, 2.0)
+    f = behind.frequency
+    density = white + 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * f * tau) ** 2)
+    dense = np.cos(2.0 * np.pi * lag[:, None] * f) @ (behind.weight * density)
+    np.testing.assert_allclose(behind.covariance(sd, tau, white), dense, atol=1e-13 * dense[0])
+
+
 def test_white_noise_has_its_variance_below_half_the_rate_of_its_samples() -> None:
     error = replace(force_error(MADE, MADE.time), noise=ForceNoise(0.02, 0.01, 0.2, 0.0, spacing=0.005))
     assert error.white * 0.5 / 0.005 == pytest.approx(0.02**2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline
+from onebend.beam.profiles.stiffness import LogSpline, Scaled
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.learning.allowances.contact import SLIDE_SD
 from onebend.learning.model.prediction_error import few_frames, variances
@@ -91,3 +91,12 @@ def test_a_few_frames_stand_for_all() -> None:
     assert few.sum() == 100
     assert not np.any(few & ~frames)
     assert np.array_equal(few_frames(frames[:60]), frames[:60])
+
+
+def test_shapes_near_those_of_a_like_beam_are_those_from_rest() -> None:
+    made, every = seen(), np.ones(COUNT, dtype=bool)
+    [other] = solved_frames(replace(BEAM, stiffness=Scaled(1.1, BEAM.stiffness)), made, every)
+    [from_rest], [near] = solved_frames(BEAM, made, every), solved_frames(BEAM, made, every, other.q)
+    assert near.converged.all()
+    np.testing.assert_allclose(near.q, from_rest.q, atol=1e-9)
+    assert np.max(np.abs(other.q - near.q)) > 1e-3

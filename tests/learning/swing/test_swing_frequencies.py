@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,28 @@ def test_a_part_is_found_and_slow_motion_is_sped_up() -> None:
     assert found.modes[0].frequency == pytest.approx(2.3, rel=1e-4)
     assert found.sped_up(8.0).modes[0].frequency == pytest.approx(8.0 * found.modes[0].frequency)
     assert frequencies_of(np.arange(420) / RATE, seen, FilmPart(2.0, 5.0)).begin == pytest.approx(2.0)
+
+
+def test_in_a_long_record_noise_is_no_mode() -> None:
+    """But for one record in twenty."""
+
+    def swings(seed: int) -> bool:
+        noise = np.random.default_rng(seed).standard_normal((6_000, 1))
+        with suppress(LearningError):
+            return len(swing_frequencies(np.arange(6_000) / RATE, noise).modes) > 0
+        return False
+
+    assert sum(swings(seed) for seed in range(12)) <= 2
+
+
+def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("onebend.learning.swing.swing_frequencies._MOST", 600)
+    found = frequencies_of(TIME, swing(0, 0.02))
+    assert found.samples == 200
+    assert found.end < 4.0
+    [note] = [remark.text for remark in found.remarks if "looked at" in remark.text]
+    assert "first 200" in note
+    assert found.modes[0].frequency == pytest.approx(2.3, rel=1e-3)
 
 
 @pytest.mark.parametrize(

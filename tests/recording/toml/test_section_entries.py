@@ -116,7 +116,7 @@ FILE = 'section_file = "section.csv"'
 WITH = f'{FILE}\nstiffness_along = "section"'
 REFUSED = {
     "both shapes": ("diameter_m = 0.01\nwidth_m = 0.01", "", "Give one of these, not several"),
-    "twice": (f"{FILE}\nwidth_m = 0.01", "s,width_m,thickness_m\n0,1,1\n1,1,1\n", "width_m stands in [beam] and in"),
+    "twice": (f"{FILE}\nwidth_m = 0.01", "s,width_m,thickness_m\n0,0.1,0.1\n1,0.1,0.1\n", "width_m stands in [beam]"),
     "not whole": (FILE, "s,width_m\n0,0.01\n1,0.01\n", "thickness_m is missing"),
     "no size": (f"{FILE}\nwidth_m = 0.01\nthickness_m = 0.01", "s,note\n0,a\n1,b\n", "there is no column width_m"),
     "another unit": (FILE, "s,width_mm,thickness_m\n0,9,0.01\n1,9,0.01\n", "did you mean width_m?"),
@@ -136,6 +136,8 @@ REFUSED = {
     ),
     "moment and size": (f"{FILE}\nwidth_m = 0.01", "s,I_m4\n0,1e-9\n1,1e-9\n", "Give one of these, not several"),
     "moment of zero": (FILE, "s,I_m4\n0,1e-9\n1,0\n", "row 3: I_m4 must be above zero, and in m^4"),
+    "a spike": (FILE, "s,diameter_m\n0,0.01\n0.5,6\n1,0.01\n", "row 3: the beam is thicker than long there"),
+    "moment of a thick beam": (FILE, "s,I_m4\n0,1e-9\n1,0.01\n", "row 3: the beam is thicker than long there"),
     "sd of sizes": (f"{FILE}\nsection_sd_m = 1e-4", "s,I_m4\n0,1e-9\n1,1e-9\n", "Of I_m4, give I_sd"),
     "sd of moments": ("diameter_m = 0.01\nI_sd = 0.1", "", "Of sizes, give section_sd_m"),
     "no section": ('stiffness_along = "section"\nwidth_m = 0.01', "", 'stiffness_along = "section" needs the section'),

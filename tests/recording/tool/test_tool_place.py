@@ -8,11 +8,12 @@ from math import nan
 import numpy as np
 import pytest
 
+from onebend.recording.signals import runs
 from onebend.recording.toml.entries import PushEntry
-from onebend.recording.tool.covered import deviations, shrunk
+from onebend.recording.tool.covered import deviations, middle, shrunk
 from onebend.recording.tool.film import of_rows, rows_to_look_at, tool_remarks
 from onebend.recording.tool.place import ToolPlace, not_seen, place_of
-from onebend.recording.tool.strips import Meeting
+from onebend.recording.tool.strips import Meeting, runs_in_rows
 from tests.recording.filmed import LENGTH, recording
 from tests.recording.tool.scenes import (
     FRAMES,
@@ -137,6 +138,13 @@ def test_frames_are_chosen_over_time_and_way() -> None:
     assert np.sum((rows >= 300) & (rows < 400)) > np.sum(rows >= 400)  # a hold is seen seldom
     assert len(rows_to_look_at(xy[:5], loaded[:5])) == 5
     assert len(rows_to_look_at(xy[:0], loaded[:0])) == 0
+    fourth = np.arange(700) % 4 == 0
+    some = rows_to_look_at(xy, loaded, fourth)
+    assert fourth[some].all()
+    np.testing.assert_allclose(some[:: len(some) - 1], rows[:: len(rows) - 1], atol=4)
+    few = rows_to_look_at(xy, loaded, np.arange(700) % 16 == 0)  # too few of the loaded ones
+    assert np.array_equal(few[few >= 300], rows[rows >= 300])
+    assert (few[few < 300] % 16 == 0).all()
 
 
 def test_another_place_than_stated_is_warned_of() -> None:
@@ -153,3 +161,14 @@ def test_another_place_than_stated_is_warned_of() -> None:
     assert not tool_remarks(tool, replace(rec, push=PushEntry(column="push_s")))
     assert not tool_remarks(tool, replace(rec, push=None))
     assert not tool_remarks(not_seen("nothing is there"), rec)
+
+
+def test_medians_and_runs_are_those_of_the_plain_ways() -> None:
+    rng = np.random.default_rng(5)
+    for count in (7, 12):
+        pictures = rng.integers(0, 255, (count, 9, 11)).astype(np.float32)
+        np.testing.assert_array_equal(middle(pictures), np.median(pictures, axis=0))
+    mask = rng.random((20, 30)) < 0.6
+    mask[3], mask[4] = True, False
+    for row, found in zip(mask, runs_in_rows(mask), strict=True):
+        assert found == [(a, b) for a, b in runs(row).tolist()]

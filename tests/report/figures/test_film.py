@@ -14,11 +14,12 @@ from PIL import Image
 
 from onebend.learning.explained import explained
 from onebend.recording.camera.lens import project
+from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import frame_at, frames_at
+from onebend.recording.video import frame_at, pictures_at, read_frames
 from onebend.records import Observations
 from onebend.report.figures import drawing, film
-from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip, shape_band
+from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip, shape_band, spread_frames
 from onebend.report.page.page import page
 from tests import made_up
 from tests.made_up import with_source
@@ -47,9 +48,30 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Observations:
 def test_frames_are_read_in_one_pass(filmed: Observations) -> None:
     assert filmed.source.video is not None
     entry = VideoEntry(file=filmed.source.video)
-    found = dict(frames_at(entry, [7, 2, 5000]))
+    found = dict(pictures_at(entry, [7, 2, 5000], colour=True))
     assert list(found) == [2, 7]
     np.testing.assert_array_equal(found[7], frame_at(entry, 7))
+
+
+def test_frames_that_were_kept_make_the_same_strip(filmed: Observations) -> None:
+    assert filmed.source.video is not None
+    kept, entry = KeptFrames(), VideoEntry(file=filmed.source.video)
+    for _ in read_frames(entry, kept.keep):
+        pass
+    sought, passed = (film_strip(filmed, FIT, BEAM, UNCERTAIN, one) for one in (None, kept))
+    assert sought is not None
+    assert passed is not None
+    assert [one.jpeg for one in passed.frames] == [one.jpeg for one in sought.frames]
+
+
+def test_the_frames_shown_are_spread_and_likely_to_be_kept() -> None:
+    frame = np.arange(60, 501)
+    places = spread_frames(frame)
+    assert len(places) == MOST_FRAMES
+    assert np.diff(places, prepend=0, append=len(frame) - 1).max() <= 2 * np.ceil(len(frame) / MOST_FRAMES)
+    assert np.all(np.diff(places) > 0)
+    assert np.all(frame[places] % 8 == 0)
+    assert spread_frames(frame[:5]).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observations) -> None:

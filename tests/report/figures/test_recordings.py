@@ -18,7 +18,7 @@ from onebend.learning.model.allowed import allowed
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import validate
 from onebend.report.figures import curves, recordings, style
-from onebend.report.figures.simulated import centreline, largest_push, spread_of_pushes
+from onebend.report.figures.simulated import centreline, largest_push, push_to_show, spread_of_pushes
 from onebend.report.figures.style import BLUE, colour, named, png_of
 from tests import made_up
 from tests.made_up import with_source
@@ -181,6 +181,7 @@ def test_the_frame_shown_is_the_largest_push_with_all_markers() -> None:
     t = largest_push(ONE)
     size = np.linalg.norm(ONE.force, axis=1)
     assert size[t] == size.max()
+    assert size[push_to_show(ONE)] >= 0.99 * size.max()
     hidden = replace(ONE, measured=np.where((size > 0.2)[:, None, None], np.nan, ONE.measured))
     assert size[largest_push(hidden)] <= 0.2
     chosen = spread_of_pushes(ONE, 6)

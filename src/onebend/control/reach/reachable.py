@@ -93,7 +93,7 @@ class ReachableSet:
             if away < _LEAST_PROGRESS * length or not np.all(np.isfinite(s)):
                 break
             now = along.T @ state.load[:2]
-            aim = _best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
+            aim = best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
             while share > _SHORTEST_STEP and not better:
                 load = np.append(along @ (now + share * (aim - now)), 0.0)
                 trail = trace(pushed, load, start=state, shortest=_SHORTEST_FOLLOW)
@@ -163,7 +163,7 @@ def reachable(
     return ReachableSet(pushed, max_force, max_curvature, force, point.reshape(*shape, 2), q.reshape(*shape, -1))
 
 
-def _best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:
+def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:
     """(P,) x that minimises |S x - wanted| with |x| <= radius; one number: with 0 <= x <= radius."""
     if one_sided:
         return np.array([np.clip(float(s[:, 0] @ wanted) / max(float(s[:, 0] @ s[:, 0]), 1e-300), 0.0, radius)])

@@ -25,8 +25,14 @@ from onebend.learning.allowances.relaxation import relaxation
 from onebend.learning.allowances.section import section
 from onebend.records import Array, BoolArray
 
-# Of the others, inertia needs frames to come, and three need the camera's place.
-CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {"inertia", "heights", "camera", "rolling shutter"}
+# Of the others, inertia needs frames to come, gravity's direction the weight, and three need the camera's place.
+CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {
+    "inertia",
+    "gravity direction",
+    "heights",
+    "camera",
+    "rolling shutter",
+}
 _LINEAR = (0, 2)  # those of the discrepancy's functions that are linear in the displacement, on both ways
 # For time's sake these stand for all five. Their sd is such that at the largest displacement they are worth as much.
 _WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))

@@ -29,6 +29,7 @@ AllowanceName = Literal[
     "patches",
     "length",
     "inertia",
+    "gravity direction",
     "heights",
     "camera",
     "rolling shutter",

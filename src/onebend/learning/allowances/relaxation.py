@@ -90,18 +90,16 @@ def secant_share(remembering: Array, q: Array, weights: Array) -> float:
 def remembered(remembering: Array, q: Array, weights: Array, change: Array) -> Array:
     """(F, Q, P) by which the curvature at rest shifts with changes (F, Q, P) of the curvature, to first order."""
     count, p = len(remembering), change.shape[-1]
-    bent, moved = q[:count], change[:count]
-    v = remembering @ bent
-    v_moved = (remembering @ moved.reshape(count, -1)).reshape(moved.shape)
-    reached, square = reached_part(v, bent, weights), float(np.sum(weights * bent**2))
-    w = np.broadcast_to(weights, bent.shape)
-    by_shape = np.einsum("tq,tqp->p", w * (v - 2.0 * reached * bent), moved) + np.einsum("tq,tqp->p", w * bent, v_moved)
-    reached_moved = by_shape / max(square, np.finfo(float).tiny)  # (P,)
+    bent, moved = q[:count], change[:count].reshape(count, -1)
+    v, square = remembering @ bent, float(np.sum(weights * bent**2))
+    reached = reached_part(v, bent, weights)
     left = 1.0 - min(reached, LARGEST)
-    out = np.zeros((len(q), q.shape[1], p))
-    out[:count] = (v_moved - reached * moved - bent[..., None] * reached_moved) / left
-    out[:count] += (v - reached * bent)[..., None] * (reached_moved / left**2)
-    return out
+    by_shape = weights * (v - 2.0 * reached * bent) + remembering.T @ (weights * bent)
+    reached_moved = by_shape.ravel() @ moved.reshape(-1, p) / max(square, np.finfo(float).tiny)  # (P,)
+    by_reached = (v - reached * bent) / left**2 - bent / left
+    out = ((remembering - reached * np.eye(count)) / left @ moved).reshape(*bent.shape, p)
+    out += by_reached[..., None] * reached_moved
+    return np.concatenate([out, np.zeros((len(q) - count, *out.shape[1:]))]) if len(q) > count else out
 
 
 def shift_derivatives(shares: Array, time: Array, q: Array, weights: Array) -> Array:

@@ -78,8 +78,8 @@ def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
     """The linearised model at an optimum."""
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
     rows = tuple(residual_rows(now, n) for now, n in zip(optimum.predictions, noise, strict=True))
-    data = data_information(problem, rows, x, optimum.hyperparameters)
-    posterior = solved(data, prior(problem, optimum.hyperparameters))
+    before = prior(problem, optimum.hyperparameters)
+    posterior = solved(data_information(problem, rows, x, optimum.hyperparameters), before)
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
     return LinearisedFit(problem, optimum, rows, known, posterior, posterior.covariance, posterior.mean - x)
 

@@ -12,7 +12,7 @@ from onebend.errors import LearningError
 from onebend.learning.inference.fit_problem import Hyperparameters, log_k_map
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import expected_noise, filtered
-from onebend.learning.model.frames import typical
+from onebend.learning.model.frames import moved_by, typical
 from onebend.learning.model.parameters import Layout
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
@@ -86,19 +86,34 @@ class Instruments:
     shared_covariance: Array  # (N, N) of what is left of them once the coefficients are known
     place_sd: float = PLACE_SD  # m, a push's place along the beam, anew in every push
     direction_sd: float = DIRECTION_SD  # rad, the force log's axes against the beam's, likewise
+    shared_mean: Array | None = None  # (N,) the shared nuisances as found; None: in models of before
+    # 1 and rad/m, one sd of what is left of a tag's place and angle for each metre that the tags move (RMS)
+    discrepancy: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         m, count = len(self.tags), self.shared_size
         shapes = (self.tag_sd.shape, self.shared_covariance.shape, self.shared_slope.shape[:1])
         if m == 0 or shapes != ((m, 3), (count, count), (count,)):
             raise LearningError(f"a bench of {m} tags and {count} shared nuisances cannot hold arrays of {shapes}")
+        if self.shared_mean is not None and self.shared_mean.shape != (count,):
+            raise LearningError(f"{count} shared nuisances cannot have means {self.shared_mean.shape}")
         if not (self.frames > 0 and self.seconds > 0.0 and np.all(self.tag_sd > 0.0) and self.force.tau > 0.0):
             raise LearningError("a bench needs frames, seconds, the tags' sd and the force's tau above zero")
 
     @property
     def shared_size(self) -> int:
         """N."""
-        return sum({"curvature": 3, "mass": 4}.get(name, len(self.tags)) for name in self.shared)
+        return sum(self._sizes)
+
+    @property
+    def shared_parts(self) -> dict[str, slice]:
+        """Where each of `shared` stands among the N."""
+        ends = np.cumsum([0, *self._sizes]).tolist()
+        return {name: slice(a, b) for name, a, b in zip(self.shared, ends[:-1], ends[1:], strict=True)}
+
+    @property
+    def _sizes(self) -> list[int]:
+        return [{"curvature": 3, "mass": 4}.get(name, len(self.tags)) for name in self.shared]
 
     def joint(self, covariance: Array) -> Array:
         """(p + N, p + N) covariance of coefficients and shared nuisances, from that of the coefficients (p, p)."""
@@ -114,8 +129,11 @@ class Instruments:
         """From `as_dict`. Raises `LearningError` where an entry is missing, unknown or not as it must be."""
         try:
             entries = {**data, "force": ForceDoubt(**data["force"])}
-            for name in ("tags", "gravity", "shared"):
-                entries[name] = tuple(data[name])
+            entries.setdefault("discrepancy", (0.0, 0.0))
+            for name in ("tags", "gravity", "shared", "discrepancy"):
+                entries[name] = tuple(entries[name])
+            if entries.get("shared_mean") is not None:
+                entries["shared_mean"] = np.asarray(entries["shared_mean"], dtype=float)
             for name in ("tag_sd", "shared_slope", "shared_covariance"):
                 entries[name] = np.asarray(data[name], dtype=float)
             entries["shared_slope"] = entries["shared_slope"].reshape(len(data["shared_slope"]), -1)
@@ -170,6 +188,8 @@ def instruments_of(posterior: Posterior) -> Instruments:
         shared_covariance=left,
         place_sd=_prior_sd(at, films, "place"),
         direction_sd=_prior_sd(at, films, "direction"),
+        shared_mean=np.concatenate([np.zeros(0), *(at.get(posterior.mean, name) for name in names)]),
+        discrepancy=_discrepancy(films, scales),
     )
 
 
@@ -200,6 +220,16 @@ def _given_coefficients(posterior: Posterior, names: tuple[str, ...]) -> tuple[A
     slope = across @ np.linalg.pinv(posterior.stiffness.covariance, rcond=1e-11, hermitian=True)
     left = covariance[np.ix_(others, others)] - slope @ across.T
     return slope, np.asarray(0.5 * (left + left.T))
+
+
+def _discrepancy(films: tuple[FitData, ...], scales: Hyperparameters) -> tuple[float, float]:
+    """1 and rad/m, as large as the evidence chose it; 0 where the fit has none."""
+    sds = {a.name: float(a.prior_sd[0]) for film in films for a in film.allowances if len(a.prior_sd)}
+    moved = [float(np.nanmax(moved_by(f.observations), initial=0.0)) for f in films]
+    # at the largest displacement the squares of its functions of the bending add up to this
+    size = np.sqrt(2.5) / max(float(np.median(moved)), np.finfo(float).tiny)
+    place, angle = (sds.get(name, 0.0) * scales.sizes.get(name, 1.0) for name in ("discrepancy", "angle discrepancy"))
+    return size * place, size * angle
 
 
 def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDoubt:

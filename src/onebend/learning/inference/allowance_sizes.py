@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.learning.allowances.allowance import Sizes
-from onebend.learning.inference.block_root import BlockRoot, beside
+from onebend.learning.inference.block_root import beside, unit_root
 from onebend.learning.inference.fit_problem import Hyperparameters, prior
 from onebend.learning.inference.hyperparameters import Evidence
-from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.information_form import InformationForm, in_z
 from onebend.learning.inference.joint import coupled, marginal, solved
 from onebend.learning.model.parameters import Block
 from onebend.records import Array, IntArray
@@ -41,9 +41,10 @@ def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array
         return log_density_of([_scaled(told, 0, sd[0])], 0)
     data, some = coupled(evidence.data, before, where[1:])
     couple, root = some.parts[0].stop, some.roots[0]
-    forms = [
-        _scaled(_whitened(f, some.mean[:couple], root), couple, s) for f, s in zip(data.forms, sd[1:], strict=True)
-    ]
+    forms = []
+    for form, s in zip(data.forms, sd[1:], strict=True):
+        mean = np.concatenate([some.mean[:couple], np.zeros(len(s))])
+        forms.append(_scaled(in_z(form, mean, beside(root, unit_root(len(s)))), couple, s))
     return log_density_of(forms, couple)
 
 
@@ -69,14 +70,6 @@ def _scaled(form: InformationForm, kept: int, sd: Array) -> InformationForm:
     """A form in units of sd (n,) of all but its first parameters."""
     scale = np.concatenate([np.ones(kept), sd])
     return InformationForm(scale[:, None] * form.matrix * scale, scale * form.vector)
-
-
-def _whitened(form: InformationForm, mean: Array, root: BlockRoot) -> InformationForm:
-    """A form in z of its first parameters, of prior mean (c,) and root."""
-    count = len(mean)
-    both = beside(root, BlockRoot(np.ones(len(form.vector) - count)))
-    vector = form.vector - form.matrix[:, :count] @ mean
-    return InformationForm(both.around(form.matrix), both.transposed_times(vector))
 
 
 def log_density_of(forms: Sequence[InformationForm], couple: int) -> Array:

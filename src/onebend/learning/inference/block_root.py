@@ -57,3 +57,8 @@ def beside(first: BlockRoot, second: BlockRoot) -> BlockRoot:
     """The root of two independent groups of parameters together."""
     later = tuple((index + len(first.sd), root) for index, root in second.blocks)
     return BlockRoot(np.concatenate([first.sd, second.sd]), (*first.blocks, *later))
+
+
+def unit_root(count: int) -> BlockRoot:
+    """The root of parameters (n,) that are their own z."""
+    return BlockRoot(np.ones(count))

@@ -16,13 +16,15 @@ import numpy as np
 
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, Prior, RecordingNoise
 from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.joint import JointInformation, solved
+from onebend.learning.inference.joint import JointInformation, Solved, own_in_z, prior_in_own_z, solved
 from onebend.learning.inference.linear_gaussian import (
     ResidualRows,
-    data_information,
+    recording_information,
     residual_rows,
     residuals,
-    rest_information,
+    rest_residuals,
+    rest_score,
+    rows_by_force,
     split_off_force,
     tag_score,
 )
@@ -39,6 +41,7 @@ _WORTH_GOING_ON = 0.5  # of what is missing: a correction that leaves more of it
 _OWN_PASSES = 2  # in which each frame's own force is settled: the second leaves the square of what the first left
 _ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
 _LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
+_TOGETHER = 10.0  # recordings: of more, nearly all that a step gains is in the parameters of single ones
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,6 @@ class _Linearised:
     problem: FitProblem
     estimate: MapEstimate
     before: Prior
-    rests: Sequence[InformationForm]  # of each recording
     rows: Sequence[ResidualRows]
 
     @cached_property
@@ -69,9 +71,20 @@ class _Linearised:
         return [one.slopes / one.data.sd[:, None] for one in here]
 
     @cached_property
-    def data(self) -> JointInformation:
-        """What tags, rests and frequencies say."""
-        return data_information(self.problem, self.rows, self.estimate.x, self.estimate.hyperparameters)
+    def in_own_z(self) -> tuple[JointInformation, Prior]:
+        """What tags, rests and frequencies say, and the prior; the z of each recording's own parameters stand for
+        them."""
+        problem, x, noise = self.problem, self.estimate.x, self.estimate.hyperparameters.noise
+
+        def of(number: int, rows: ResidualRows, noise: RecordingNoise) -> InformationForm:
+            return own_in_z(recording_information(problem, number, rows, x, noise), self.before, number)
+
+        forms = each(of, range(len(self.rows)), self.rows, noise)
+        return JointInformation(forms, problem.layout.parts), prior_in_own_z(self.before)
+
+    def solved(self, damping: float = 0.0) -> Solved:
+        """The posterior of the linearised model in z; `damping` is added to its precision."""
+        return solved(*self.in_own_z, damping)
 
     @cached_property
     def slope(self) -> Array:
@@ -81,20 +94,22 @@ class _Linearised:
     @cached_property
     def gain(self) -> float:
         """Of an undamped step, in sd squared."""
-        return float(self.slope @ solved(self.data, self.before).solve(self.slope))
+        return float(self.slope @ self.solved().solve(self.slope))
 
     def bent(self, z: Array) -> float:
         """`z' A z`, A being the second derivatives of half the cost with z."""
-        x = self.before.times(z)
-        return float(z @ z + x @ self.data.times(x))
+        data, before = self.in_own_z
+        x = before.times(z)
+        return float(z @ z + x @ data.times(x))
 
     def slope_at(self, x: Array, r: Sequence[Array]) -> Array:
         """(P,) as `slope`, at parameters x with residuals r, (F, R) of each recording, by the derivatives from here."""
         told, layout = np.zeros(len(x)), self.problem.layout
-        every = zip(self.rows, self.rests, r, self.estimate.hyperparameters.noise, strict=True)
-        for number, (rows, rest, residual, noise) in enumerate(every):
-            known = layout.known_to(number)
-            told[known] += tag_score(rows, residual, noise) + rest.vector - rest.matrix @ x[known]
+        every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
+        for recording, rows, residual, noise in every:
+            told[layout.known_to(recording.number)] += tag_score(rows, residual, noise) + rest_score(
+                recording, layout, x
+            )
         if self.problem.frequencies:
             for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
                 told += slopes.T @ there.residuals
@@ -116,8 +131,8 @@ class _Linearised:
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
-        known = [x[self.problem.layout.known_to(number)] for number in range(len(self.rests))]
-        rests = sum(y @ one.matrix @ y - 2.0 * one.vector @ y for one, y in zip(self.rests, known, strict=True))
+        layout = self.problem.layout
+        rests = sum(float(np.sum(rest_residuals(one, layout, x) ** 2)) for one in self.problem.recordings)
         return float(tags + swings + z @ z + rests)
 
 
@@ -141,14 +156,14 @@ def with_own_forces(estimate: MapEstimate) -> MapEstimate:
     """The estimate with each frame's own force where it is most probable, all else as it is; unchanged where a beam
     under these forces would not stand."""
 
-    def settled(p: Prediction, rows: ResidualRows, noise: RecordingNoise) -> Prediction:
+    def settled(p: Prediction, noise: RecordingNoise) -> Prediction:
+        rows = rows_by_force(p, noise)
         return predict(p.recording, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
 
     for _ in range(_OWN_PASSES):
-        moved = each(settled, estimate.predictions, rows_of(estimate), estimate.hyperparameters.noise)
+        moved = each(settled, estimate.predictions, estimate.hyperparameters.noise)
         if not all_converged(moved):
             break
-        release(estimate)
         estimate = replace(estimate, predictions=moved)
     return estimate
 
@@ -163,10 +178,11 @@ def descend(
     is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
     of its length. It ends where an undamped step would gain next to nothing.
     """
-    damping, rests = _FIRST_DAMPING, [rest_information(problem, number) for number in range(len(problem.recordings))]
+    many = max(1.0, len(problem.recordings) / _TOGETHER)  # the more there are, the nearer it begins, too
+    damping, enough, little = _FIRST_DAMPING / many**2, many * tolerance**2, many * max(_LITTLE, tolerance**2)
     for _ in range(most_steps):
-        here = _Linearised(problem, estimate, before, rests, rows_of(estimate))
-        if here.gain < tolerance**2:
+        here = _Linearised(problem, estimate, before, rows_of(estimate))
+        if here.gain < enough:
             return replace(estimate, converged=True)
         cost, tried = here.cost(estimate), None
         while damping <= _LARGEST_DAMPING:
@@ -176,7 +192,7 @@ def descend(
             damping *= _HARDER
         else:
             return replace(estimate, converged=here.gain < _ROUNDING)  # no step lowers the cost any more
-        settled = here.gain < _ROUNDING and cost - reached < max(_LITTLE, tolerance**2)
+        settled = here.gain < _ROUNDING and cost - reached < little
         del here  # with the derivatives of where it began
         release(estimate)
         estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
@@ -187,7 +203,7 @@ def descend(
 
 def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate, float]:
     """A damped step from an estimate of this cost, corrected while that helps, and the cost that it reaches."""
-    before, damped = here.before, solved(here.data, here.before, damping)
+    before, damped = here.before, here.solved(damping)
     z = damped.solve(here.slope)
     of_k = before.times(z)[: here.problem.layout.spline.count]
     share = min(1.0, _LONGEST / max(float(np.max(np.abs(of_k))), 1e-300))

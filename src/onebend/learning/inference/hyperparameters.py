@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -36,6 +37,7 @@ from onebend.learning.inference.stiffness_prior import (
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import ForceError
 from onebend.records import Array, IntArray
+from onebend.workers import each
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
 # One sd of their logs. The coloured noise behind the filter is known to a factor of two in size and two and a half in
@@ -124,19 +126,23 @@ def _chosen(hyperparameters: Hyperparameters) -> Array:
 
 
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
-    """Sizes of the force error of greatest evidence, and the mean prior of log k under them; where its shape is stated,
-    that prior stays as it is."""
+    """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
     bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
     options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
-    chosen, problem = evidence.hyperparameters_at(start, result.x), evidence.problem
+    return with_stiffness_prior(evidence, evidence.hyperparameters_at(start, result.x))
+
+
+def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -> Hyperparameters:
+    """The hyperparameters with the mean prior of log k under them; where its shape is stated, it stays as it is."""
+    problem = evidence.problem
     if problem.layout.known is not None:
-        return chosen
-    spline = problem.layout.spline
+        return hyperparameters
+    form = evidence.stiffness_form(evidence.posterior(hyperparameters))
     variances, chains = mean_part_variances(
-        spline, evidence.stiffness_form(evidence.posterior(chosen)), problem.level, _ON_THE_WAY, start.chains
+        problem.layout.spline, form, problem.level, _ON_THE_WAY, hyperparameters.chains
     )
-    return replace(chosen, part_variances=variances, chains=chains)
+    return replace(hyperparameters, part_variances=variances, chains=chains)
 
 
 def averaged_posterior(
@@ -148,20 +154,24 @@ def averaged_posterior(
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
     pairs, forms, mean = [np.zeros((len(index), len(index))) for index in known], [], np.zeros(len(best))
+
+    def add(pair: Array, number: int, index: IntArray, posterior: Solved, weight: float) -> None:
+        away = (posterior.mean - best)[index]
+        pair += weight * (posterior.pair(number) + np.outer(away, away))
+
     for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
         posterior, weight = evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
         if layout.known is None:
             forms.append(evidence.stiffness_form(posterior, weight))
         mean += weight * posterior.mean
-        away = posterior.mean - best
-        for pair, one, index in zip(pairs, posterior.covariance.pairs, known, strict=True):
-            pair += weight * (one + np.outer(away[index], away[index]))
-    spline = layout.spline
+        each(partial(add, posterior=posterior, weight=weight), pairs, range(len(known)), known)
     if layout.known is not None:
-        p, halves = spline.count, [0.5 * (pair + pair.T) for pair in pairs]
-        return normal_mixture(mean[:p], halves[0]), JointCovariance(layout.shared, tuple(halves), layout.parts)
-    stiffness = stiffness_mixture(spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
-    pairs = [_with_stiffness(pair, stiffness.covariance) for pair in pairs]
+        pairs = [0.5 * (pair + pair.T) for pair in pairs]
+        stiffness = normal_mixture(mean[: layout.spline.count], pairs[0])
+    else:
+        stiffness = stiffness_mixture(layout.spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
+        for pair in pairs:  # in its place: all of them take much memory
+            pair[:] = _with_stiffness(pair, stiffness.covariance)
     return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)
 
 

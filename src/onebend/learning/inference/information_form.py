@@ -6,10 +6,9 @@ Those of independent data add up, and what is known of some parameters with all 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numpy as np
-
+from onebend.learning.inference.block_root import BlockRoot
 from onebend.records import Array
 
 
@@ -26,9 +25,17 @@ class InformationForm:
 
 def total(parts: Sequence[InformationForm]) -> InformationForm:
     """The log likelihood of independent data together."""
+    first, *others = parts
     return InformationForm(
-        np.sum([p.matrix for p in parts], axis=0),
-        np.sum([p.vector for p in parts], axis=0),
+        sum((p.matrix for p in others), first.matrix),
+        sum((p.vector for p in others), first.vector),
         sum(p.constant for p in parts),
         sum(p.log_noise for p in parts),
     )
+
+
+def in_z(form: InformationForm, mean: Array, root: BlockRoot) -> InformationForm:
+    """The same of z, where the parameters are `mean + L z` with a root L."""
+    gap = form.vector - form.matrix @ mean
+    constant = form.constant - float((form.vector + gap) @ mean)
+    return replace(form, matrix=root.around(form.matrix), vector=root.transposed_times(gap), constant=constant)

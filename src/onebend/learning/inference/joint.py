@@ -14,9 +14,9 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from onebend.learning.inference.block_root import BlockRoot, beside
+from onebend.learning.inference.block_root import BlockRoot, beside, unit_root
 from onebend.learning.inference.fit_problem import Prior
-from onebend.learning.inference.information_form import InformationForm, total
+from onebend.learning.inference.information_form import InformationForm, in_z, total
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.records import Array, IntArray
 from onebend.workers import each
@@ -113,7 +113,7 @@ class Solved:
         x = self.before.mean[self.before.parts[0]] + self.before.roots[0].times(shared)
         return np.concatenate([shared, *(one.given(x, one.white) for one in self.own)])
 
-    @property
+    @cached_property
     def mean(self) -> Array:
         """(P,) of the parameters."""
         return self.before.mean + self.before.times(self.z)
@@ -121,9 +121,15 @@ class Solved:
     @property
     def log_evidence(self) -> float:
         """But for a constant; of no meaning with a damping."""
+        return self.log_evidence_of_shared - self.left.log_noise
+
+    @property
+    def log_evidence_of_shared(self) -> float:
+        """The same with the shared parameters integrated out and each recording's own ones at their most probable: less
+        the volumes of noise and own parameters."""
         mean, left = self.before.mean[self.before.parts[0]], self.left
         misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
-        return float(-0.5 * misfit - left.log_noise - np.sum(np.log(np.diag(self.factor))))
+        return float(-0.5 * misfit - np.sum(np.log(np.diag(self.factor))))
 
     def solve(self, v: Array) -> Array:
         """(P, ...) `A^-1 v`, A being the precision of z."""
@@ -138,19 +144,24 @@ class Solved:
         """(P, ...) `C v`, C being the covariance of the parameters."""
         return self.before.times(self.solve(self.before.transposed_times(v)))
 
+    @cached_property
+    def _of_shared(self) -> Array:
+        """(n, n) covariance of the shared parameters."""
+        half = _lower(self.factor, self.before.roots[0].dense().T)
+        return half.T @ half
+
+    def pair(self, number: int) -> Array:
+        """(n, n) covariance of the shared parameters and one recording's own."""
+        one, shared = self.own[number], self._of_shared
+        onto = -one.root.times(_upper(one.factor, one.across))
+        own = _lower(one.factor, one.root.dense().T)
+        across = onto @ shared
+        return np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]])
+
     @property
     def covariance(self) -> JointCovariance:
         """Of the parameters."""
-        half = _lower(self.factor, self.before.roots[0].dense().T)
-        shared = half.T @ half
-
-        def pair(one: Eliminated) -> Array:
-            onto = -one.root.times(_upper(one.factor, one.across))
-            own = _lower(one.factor, one.root.dense().T)
-            across = onto @ shared
-            return np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]])
-
-        return JointCovariance(len(shared), each(pair, self.own), self.before.parts)
+        return JointCovariance(len(self._of_shared), each(self.pair, range(len(self.own))), self.before.parts)
 
 
 def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solved:
@@ -164,6 +175,21 @@ def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solve
     factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
     white = _lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
     return Solved(before, own, left, factor, white)
+
+
+def own_in_z(form: InformationForm, before: Prior, number: int) -> InformationForm:
+    """What one recording says, with z for its own parameters: what does not change with the damping is then worked out
+    once."""
+    part, shared = before.parts[1 + number], before.parts[0].stop
+    mean = np.concatenate([np.zeros(shared), before.mean[part]])
+    return in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
+
+
+def prior_in_own_z(before: Prior) -> Prior:
+    """The prior, with z for the parameters that each recording has of its own."""
+    shared, first = before.parts[0], before.roots[0]
+    mean = np.concatenate([before.mean[shared], np.zeros(len(before.mean) - shared.stop)])
+    return Prior(mean, before.parts, (first, *(unit_root(part.stop - part.start) for part in before.parts[1:])))
 
 
 def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> tuple[JointInformation, Prior]:

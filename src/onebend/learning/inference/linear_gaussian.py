@@ -23,6 +23,7 @@ from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, 
 from onebend.learning.inference.information_form import InformationForm, total
 from onebend.learning.inference.joint import JointInformation
 from onebend.learning.model.fit_data import FitData
+from onebend.learning.model.force_error import ForceError
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.readings import whitened
@@ -64,20 +65,31 @@ class ResidualRows:
 
 def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
     """Rows of one recording, tags weighted by Student's t on the residuals that their frame's force cannot explain."""
-    plain = unweighted_rows(now)
+    return _weighted(unweighted_rows(now), noise)
+
+
+def rows_by_force(now: Prediction, noise: RecordingNoise) -> ResidualRows:
+    """`residual_rows` whose derivatives with the parameters are left out."""
+    return _weighted(_unweighted(now, now.whitened_by_force), noise)
+
+
+def unweighted_rows(now: Prediction) -> ResidualRows:
+    """Rows of one recording, whitened alone."""
+    return _unweighted(now, now.whitened_slopes)
+
+
+def _unweighted(now: Prediction, slopes: Slopes) -> ResidualRows:
+    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
+
+
+def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
     known, frames = plain.known, len(plain.r)
     unexplained, _ = split_off_force(plain, plain.r, noise)
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
     numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
     root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
     return ResidualRows(root * plain.r, plain.whitened, known, root)
-
-
-def unweighted_rows(now: Prediction) -> ResidualRows:
-    """Rows of one recording, whitened alone."""
-    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
-    slopes = now.whitened_slopes
-    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
 
 
 def residuals(now: Prediction) -> Array:
@@ -146,17 +158,38 @@ def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
 def rest_information(problem: FitProblem, number: int) -> InformationForm:
     """Log likelihood of one force log in the rests, where the true force is zero and the log is its own error; over the
     parameters that its recording knows."""
-    layout, recording = problem.layout, problem.recordings[number]
+    layout, error = problem.layout, problem.recordings[number].error
     count = len(layout.known_to(number))
     information, b = np.zeros((count, count)), np.zeros(count)
-    sd, values = _REST_SHARE * recording.error.size, recording.error.rest_values
+    sd, values = _rest_sd(error), error.rest_values
     where = layout.columns("force", number)
     if where is None or len(values) == 0:
         return InformationForm(information, b)
-    weights = np.kron(recording.error.rest_weights, np.eye(2)) / sd
-    information[where, where] = weights.T @ weights
-    b[where] = weights.T @ values.ravel() / sd
+    for axis in range(2):  # x and y in turn, alike
+        information[where, where][axis::2, axis::2] = error.rest_gram / sd**2
+    b[where] = (error.rest_weights.T @ values).ravel() / sd**2
     return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
+
+
+def rest_residuals(recording: FitData, layout: Layout, x: Array) -> Array:
+    """(R, 2) of the force log in the rests at parameters x (P,), over its sd there."""
+    error = recording.error
+    expected = error.rest_weights @ layout.get(x, "force", recording.number).reshape(-1, 2)
+    return np.asarray((error.rest_values - expected) / _rest_sd(error))
+
+
+def rest_score(recording: FitData, layout: Layout, x: Array) -> Array:
+    """(C,) minus half the gradient of the square of `rest_residuals`, over the parameters that the recording knows."""
+    out, where = np.zeros(len(layout.known_to(recording.number))), layout.columns("force", recording.number)
+    if where is not None:
+        residuals = rest_residuals(recording, layout, x)
+        out[where] = (recording.error.rest_weights.T @ residuals).ravel() / _rest_sd(recording.error)
+    return out
+
+
+def _rest_sd(error: ForceError) -> float:
+    """N, of the log in the rests about its slow error."""
+    return _REST_SHARE * error.size
 
 
 def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
@@ -171,16 +204,22 @@ def own_information(problem: FitProblem, number: int, x: Array) -> list[Informat
     return out
 
 
+def recording_information(
+    problem: FitProblem, number: int, rows: ResidualRows, x: Array, noise: RecordingNoise
+) -> InformationForm:
+    """Log likelihood of one recording's tags, rests and frequencies."""
+    return total([tag_information(rows, problem.layout, number, x, noise), *own_information(problem, number, x)])
+
+
 def data_information(
     problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
 ) -> JointInformation:
     """Log likelihood of all tags, rests and frequencies."""
 
-    def of(recording: FitData, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
-        tags = tag_information(r, problem.layout, recording.number, x, noise)
-        return total([tags, *own_information(problem, recording.number, x)])
+    def of(number: int, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
+        return recording_information(problem, number, r, x, noise)
 
-    return JointInformation(each(of, problem.recordings, rows, hyperparameters.noise), problem.layout.parts)
+    return JointInformation(each(of, range(len(rows)), rows, hyperparameters.noise), problem.layout.parts)
 
 
 def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:

@@ -11,7 +11,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.allowance import Sizes
 from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.inference.allowance_sizes import choose_sizes, likely_sizes
-from onebend.learning.inference.descent import MapEstimate, all_converged, descend, rows_of
+from onebend.learning.inference.descent import MapEstimate, all_converged, descend, release, rows_of
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, prior
 from onebend.learning.inference.hyperparameters import (
     Evidence,
@@ -19,14 +19,14 @@ from onebend.learning.inference.hyperparameters import (
     choose_hyperparameters,
     new_noise,
 )
-from onebend.learning.inference.information_form import total
-from onebend.learning.inference.joint import JointInformation, solved
+from onebend.learning.inference.information_form import InformationForm
+from onebend.learning.inference.joint import solved
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.linear_gaussian import (
+    ResidualRows,
     data_information,
     own_information,
     residuals,
-    tag_information,
 )
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
@@ -115,9 +115,10 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
-    sizes = _likely(evidence, hyperparameters)
-    estimate = replace(estimate, predictions=tuple(replace(one) for one in estimate.predictions))  # less their slopes
+    release(estimate)
+    sizes, log_evidence = _likely(evidence, hyperparameters), evidence.posterior(hyperparameters).log_evidence
     stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
+    del evidence  # with the information of every recording
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
@@ -127,7 +128,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
         hyperparameters=hyperparameters,
         sizes=sizes,
         predictions=predictions,
-        log_evidence=evidence.posterior(hyperparameters).log_evidence,
+        log_evidence=log_evidence,
         steps=estimate.steps,
         converged=estimate.converged,
         stopped=f"the last step moved the parameters by less than {settings.tolerance:g} sd"
@@ -178,16 +179,23 @@ def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
 
 def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
     """Noise of every recording from its residuals, then all else by the evidence."""
-    hyperparameters, layout = estimate.hyperparameters, problem.layout
-    rows = rows_of(estimate)
-    every = list(zip(problem.recordings, rows, hyperparameters.noise, strict=True))
-    tags = [tag_information(r, layout, recording.number, estimate.x, noise) for recording, r, noise in every]
-    forms = [total([one, *own_information(problem, number, estimate.x)]) for number, one in enumerate(tags)]
-    covariance = solved(JointInformation(tuple(forms), layout.parts), prior(problem, hyperparameters)).covariance
-    pairs = zip(covariance.pairs, tags, strict=True)
-    spent = [float(np.sum(pair * one.matrix)) for pair, one in pairs]  # parameters that each recording settled
-    noise = tuple(new_noise(*one, count) for one, count in zip(every, spent, strict=True))
+    hyperparameters, rows = estimate.hyperparameters, rows_of(estimate)
+    every = zip(problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows), strict=True)
+    noise = tuple(new_noise(*one) for one in every)
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
     return choose_hyperparameters(evidence, hyperparameters)
+
+
+def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRows]) -> tuple[float, ...]:
+    """How many parameters each recording's tags settled: the trace of their information times the covariance."""
+    x, hyperparameters = estimate.x, estimate.hyperparameters
+    data = data_information(problem, rows, x, hyperparameters)
+    posterior = solved(data, prior(problem, hyperparameters))
+
+    def of(number: int, form: InformationForm) -> float:
+        others = own_information(problem, number, x)
+        return float(np.sum(posterior.pair(number) * (form.matrix - sum(one.matrix for one in others))))
+
+    return each(of, range(len(rows)), data.forms)

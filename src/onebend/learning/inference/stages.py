@@ -42,6 +42,12 @@ class FitSettings:
     allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 
 
+def shared_among(settings: FitSettings, recordings: int) -> FitSettings:
+    """The settings for so many recordings: each gives fewer frames, the more there are."""
+    each_one = max(settings.most_frames_together // recordings, _FEWEST_FRAMES)
+    return replace(settings, most_frames=min(settings.most_frames, each_one))
+
+
 def first_recordings(recordings: Sequence[Observations], settings: FitSettings) -> list[int]:
     """Which recordings the fit begins with."""
     evenly = np.linspace(0, len(recordings) - 1, settings.first_recordings)
@@ -53,7 +59,7 @@ def first_problem(
 ) -> tuple[FitProblem, Array]:
     """The problem with a few frames of some recordings, and the parameters (P,) to begin with."""
     spline = Spline(settings.functions)
-    data = _data(recordings, settings.first_frames, spline, settings.allowances)
+    data = _data(recordings, min(settings.first_frames, settings.most_frames), spline, settings.allowances)
     layout = _layout(recordings, data, spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = _start(layout, start)
@@ -64,8 +70,7 @@ def first_problem(
 def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
     """The problem with all frames of all recordings."""
     spline = problem.layout.spline
-    most = min(settings.most_frames, max(settings.most_frames_together // len(recordings), _FEWEST_FRAMES))
-    data = _data(recordings, most, spline, settings.allowances)
+    data = _data(recordings, settings.most_frames, spline, settings.allowances)
     noise = tuple(expected_recording_noise(d) for d in data)
     layout, expected = _layout(recordings, data, spline, settings), replace(problem.expected, noise=noise)
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))

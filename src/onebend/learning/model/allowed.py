@@ -118,7 +118,7 @@ def allowance_changes(recording: FitData, beam: BentBeam) -> dict[str, Perturbat
     changes: dict[str, Perturbation] = {}
     for a in recording.allowances:
         if a.enters == "force":
-            changes[a.name] = pushed_by(beam, a.basis)
+            changes[a.name] = pushed_by(beam.beyond, a.basis)
         elif a.enters == "place":
             changes[a.name] = placed_by(beam, a.basis)
         elif a.enters == "load":

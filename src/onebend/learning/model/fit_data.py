@@ -20,7 +20,7 @@ from onebend.learning.model.force_error import ForceError, force_error
 from onebend.learning.model.frames import known_loads, mass_profile, push_places, typical
 from onebend.learning.model.held_ends import HeldEnds, held_ends, resolution_of
 from onebend.learning.model.mass import NEEDS_MASS
-from onebend.learning.model.own_weight import POWERS, OwnWeight, own_weight
+from onebend.learning.model.own_weight import POWERS, OwnWeight, gravity_direction, own_weight
 from onebend.learning.model.readings import pose_whitening
 from onebend.learning.model.spline import Spline
 from onebend.learning.pose_equilibria import SeenPoses, seen_poses
@@ -49,7 +49,7 @@ class FitData:
     push_s: Array  # (F,)
     problem: Problem  # grid and what does not change
     beyond: Array  # (F, Q) 1 where the push lies beyond the node
-    farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `_farther`
+    farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `share_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
     poses: SeenPoses | None  # what tells in which equilibrium each is; None: in that which grows from rest
@@ -104,6 +104,9 @@ def fit_data(
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
     mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
+    leaning = (
+        gravity_direction(o, problem, gravity, line, o.stated.masses) if "gravity direction" in allowances else None
+    )
     return FitData(
         observations=o,
         number=number,
@@ -118,7 +121,7 @@ def fit_data(
         push_s=push_s,
         problem=problem,
         beyond=np.asarray(nodes < push_s[:, None], dtype=float),
-        farther=_farther(problem, push_s),
+        farther=share_farther(problem, push_s),
         weight=problem.dead_force + inertia,
         ends=ends,
         poses=seen_poses(o, frames),
@@ -126,11 +129,11 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=allowed if mass is None else (*allowed, mass),
+        allowances=(*allowed, *(one for one in (mass, leaning) if one is not None)),
     )
 
 
-def _farther(problem: Problem, push_s: Array) -> Array:
+def share_farther(problem: Problem, push_s: Array) -> Array:
     """(F, Q) 1/m: a dead force that acts d metres farther out along the tangent than `push_s` adds d times this to the
     share of it beyond each node.
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import toeplitz
+from scipy.linalg import solve_triangular, toeplitz
 
 from onebend.recording.force.load_stages import displacement, load_changes
 from onebend.recording.signals import low_pass, low_pass_power
@@ -44,26 +44,31 @@ class Filtered:
     lag: Array  # (K,) s
     frequency: Array  # (N,) Hz, quadrature nodes; empty without a filter
     weight: Array  # (N,) Hz, quadrature times what the filter lets through
-    cosine: Array  # (K, N)
+    coarse: Array  # (A, N) complex, exp(i 2 pi f lag) at some of the lags
+    fine: Array  # (B, N) complex, the same of what is added to each of these: the K lags are the first of A B sums
 
     def covariance(self, sd: float, tau: float, white: float = 0.0) -> Array:
         """(K,) of a process of that sd and correlation time [s], and of white noise of density `white` [N^2 / Hz]."""
         if not len(self.frequency):
             return np.asarray(sd**2 * np.exp(-self.lag / tau))
         density = white + 4.0 * tau * sd**2 / (1.0 + (2.0 * np.pi * self.frequency * tau) ** 2)
-        return np.asarray(self.cosine @ (self.weight * density))
+        return np.asarray(((self.coarse * (self.weight * density)) @ self.fine.T).real.ravel()[: len(self.lag)])
 
 
 def filtered(lag: Array, cutoff: float) -> Filtered:
     """Gauss panels of four half waves of the longest lag each, up to thrice the cut-off [Hz]."""
     if not np.isfinite(cutoff) or not len(lag):
-        return Filtered(lag, np.zeros(0), np.zeros(0), np.zeros((len(lag), 0)))
+        nothing = np.zeros((len(lag), 0), dtype=complex)
+        return Filtered(lag, np.zeros(0), np.zeros(0), nothing, nothing)
     x, w = np.polynomial.legendre.leggauss(12)
     highest = 3.0 * cutoff
     edges = np.linspace(0.0, highest, int(np.ceil(highest * float(lag[-1]) / 2.0)) + 2)
     f = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)).ravel()
     weights = (0.5 * np.diff(edges)[:, None] * w).ravel() * low_pass_power(f, cutoff)
-    return Filtered(lag, f, weights, np.cos(2.0 * np.pi * lag[:, None] * f))
+    even = len(lag) > 2 and np.allclose(np.diff(lag), lag[1] - lag[0], rtol=1e-9, atol=0.0)
+    stride = int(np.ceil(np.sqrt(len(lag)))) if even else 1
+    coarse, fine = (np.exp(2j * np.pi * each[:, None] * f) for each in (lag[::stride], lag[:stride] - lag[0]))
+    return Filtered(lag, f, weights, coarse, fine)
 
 
 @dataclass(frozen=True)
@@ -81,12 +86,17 @@ class ForceError:
     stages: Array  # (K, K) of one sd of that, behind the filter
     mean: Array  # (K, 2) N, expected: what a zero that runs straight between rests took off
 
-    @property
+    @cached_property
     def size(self) -> float:
         """N, expected sd of the coloured part; next to nothing where no force was logged."""
         if not len(self.knots):
             return 1e-9
         return float(np.sqrt(self.filtered.covariance(self.noise.coloured, self.noise.tau, self.white)[0]))
+
+    @cached_property
+    def rest_gram(self) -> Array:
+        """(K, K) `W' W` of the weights W in the rests."""
+        return self.rest_weights.T @ self.rest_weights
 
     @property
     def white(self) -> float:
@@ -187,11 +197,11 @@ def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:
     step = float(knots[1] - knots[0])
     fine = np.arange(knots[0] - 4.0 * step, knots[-1] + 4.0 * step, step / _FINE)
     own = _own_time(observations, fine)
-    passed = low_pass(fine, np.exp(-np.abs(own[:, None] - own)), cutoff, longest_gap=np.inf)
-    passed = low_pass(fine, passed.T, cutoff, longest_gap=np.inf)
     inside = (fine >= knots[1]) & (fine <= knots[-2])
-    to_knots = np.linalg.pinv(spline_weights(knots, fine[inside]))
-    return np.asarray(to_knots @ passed[np.ix_(inside, inside)] @ to_knots.T)
+    q, r = np.linalg.qr(spline_weights(knots, fine[inside]))
+    passed = low_pass(fine, np.eye(len(fine)), cutoff, longest_gap=np.inf)[inside]
+    to_knots = solve_triangular(r, q.T @ passed)  # (K, N) least squares, of what the filter lets through
+    return np.asarray(to_knots @ np.exp(-np.abs(own[:, None] - own)) @ to_knots.T)
 
 
 def _own_time(observations: Observations, time: Array) -> Array:

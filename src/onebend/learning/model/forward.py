@@ -9,7 +9,8 @@ import numpy as np
 
 from onebend.beam.grid import apply, paired
 from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.sensitivity import of_force, of_moment, respond
+from onebend.beam.statics.perturbation import Perturbations
+from onebend.beam.statics.sensitivity import of_force, of_moment, of_rest_curvature, respond
 from onebend.learning.model.allowed import (
     allowance_changes,
     allowed,
@@ -28,7 +29,6 @@ from onebend.learning.model.parameters import Layout, rest_curvature
 from onebend.learning.model.readings import ruler_places, whitened, zeroed_coordinates
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
-    ResponseColumns,
     TagMotion,
     TagRide,
     balance_changes,
@@ -39,7 +39,7 @@ from onebend.learning.model.tag_jacobian import (
     put_tags,
     response_columns,
 )
-from onebend.records import Array
+from onebend.records import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,12 @@ class Slopes:
     @property
     def written(self) -> Array:
         """(F, ..., C) with all parameters."""
-        knots = -np.einsum("t...d,tk->t...kd", self.a @ self.axes, self.weights)
-        return np.concatenate([self.j, knots.reshape(*self.a.shape[:-1], 2 * self.weights.shape[1])], axis=-1)
+        count, frames = self.j.shape[-1], (len(self.weights), *[1] * (self.a.ndim - 2))
+        out = np.empty((*self.a.shape[:-1], count + 2 * self.weights.shape[1]))
+        out[..., :count] = self.j
+        by_knots = -(self.a @ self.axes)[..., None, :] * self.weights.reshape(*frames, -1, 1)
+        out[..., count:] = by_knots.reshape(*self.a.shape[:-1], -1)
+        return out
 
     def times(self, step: Array) -> Array:
         """(F, ...): what a step (C,) of the parameters does."""
@@ -89,8 +93,18 @@ class Prediction:
     @cached_property
     def whitened_slopes(self) -> Slopes:
         """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
-        slopes, whiten = self.slopes, self.recording.whiten
+        whiten, shapes = self.recording.whiten, replace(self.solved, problem=replace(self.solved.problem))
+        slopes = replace(self, solved=shapes).slopes  # what is worked out of the shapes on the way is not kept
         return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a))
+
+    @property
+    def whitened_by_force(self) -> Slopes:
+        """`whitened_slopes` with each frame's force, and with no parameter: a small part of the work."""
+        recording, frames = self.recording, len(self.pose)
+        by_force = pushed_by(_pushed(recording, self.layout, self.x), np.eye(2)[None])
+        ride = tag_ride(recording, self.layout, self.x, self.solved)
+        a = whitened(recording.whiten, ride.carry(_responses(self, Perturbations((by_force,)))[0]))
+        return Slopes(a[..., :0], a, np.eye(2), np.zeros((frames, 0)))
 
     def release(self) -> None:
         """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for."""
@@ -137,50 +151,56 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
 
 def _slopes(now: Prediction) -> Slopes:
     recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
-    s, _ = tag_places(recording, layout, x, solved)
     bent, axes = _bent(now), _axes(layout, x, r)
     logged = now.force - now.own - allowed(recording, layout, x, "force")
-    pushes = {name: pushed_by(bent, f) for name, f in push_forces(logged, axes, recording.rate).items()}
-    changes = balance_changes(bent) | pushes | allowance_changes(recording, bent)
-    columns, ride = response_columns(changes), tag_ride(recording, layout, x, solved)
+    pushes = {name: pushed_by(bent.beyond, f) for name, f in push_forces(logged, axes, recording.rate).items()}
+    columns = response_columns(balance_changes(bent) | pushes | allowance_changes(recording, bent))
+    nodes, has_memory = solved.q.shape[1], remembers(recording, layout, x)
+    each_node = of_rest_curvature(solved.problem, np.eye(nodes) if has_memory else np.zeros((nodes, 0)))
+    both, by_end = _responses(now, columns.changes + each_node)
+    response, by_node = np.split(both, [len(columns.changes.clamp)], axis=-1)
+    s, ride = tag_places(recording, layout, x, solved)[0], tag_ride(recording, layout, x, solved)
+    if recording.ends is None and "length" in columns.slices:
+        response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
+    carried = ride.carry(response)
     free, error = free_columns(layout, r), layout.columns("force", r)
     out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
-    if recording.ends is None:
-        response = respond(solved, columns.changes).poses(s)
-        if "length" in columns.slices:
-            response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
-    else:
-        wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
-        poses = respond(solved, columns.changes + wrench).poses(np.append(s, 1.0))
-        response, by_end = with_ends_held(poses, recording.ends)
-        held = replace(ride, angle=ride.angle[recording.ends.frames])
-        put_ends(out, recording.ends, layout, r, held.carry(by_end))
-    carried = ride.carry(response)
     slopes = Slopes(out, columns.split(carried)["push"], axes, recording.error_weights)
-    if remembers(recording, layout, x):
-        memory, of_knots = _memory(now, columns, axes, s)
-        carried = carried + memory
-        slopes = Slopes(slopes.written + of_knots, slopes.a, axes, np.zeros((len(now.pose), 0)))
+    if has_memory:
+        memory = remembered_poses(recording, layout, x, solved, columns, by_node)
+        carried = carried + ride.carry(memory.by_parameters)
+        slopes = _with_memory(slopes, ride.carry(memory.by_push), ride.carry(memory.by_pushes), memory.keys)
     blocks = columns.split(carried)
     blocks = blocks | {"rest change": blocks["curvature"]} | clamp_blocks(recording, blocks["clamp"])
     put_blocks(slopes.j, free, blocks)
     put_tags(slopes.j, free, _tag_motion(now, ride, s))
+    if recording.ends is not None:
+        held = replace(ride, angle=ride.angle[recording.ends.frames])
+        put_ends(slopes.j, recording.ends, layout, r, held.carry(by_end))
     if "zero" in free:
         for n, (i, c) in enumerate(zeroed_coordinates(recording.observations)):
             slopes.j[:, i, c, free["zero"].start + n] = -1.0
     return slopes
 
 
-def _memory(now: Prediction, columns: ResponseColumns, axes: Array, s: Array) -> tuple[Array, Array]:
-    """(F, m, 3, P) what the memory adds to the tags' derivatives with the parameters of `columns`, and (F, m, 3, C),
-    zero but for the knots of the force log's slow error."""
-    memory = remembered_poses(now.recording, now.layout, now.x, now.solved, columns, s)
-    ride = tag_ride(now.recording, now.layout, now.x, now.solved)
-    knots = ride.carry(memory.by_knots)
-    turned = -(knots.reshape(*knots.shape[:3], -1, 2) @ axes).reshape(knots.shape)  # the error is taken off the log
-    of_knots = np.zeros((*knots.shape[:3], len(now.layout.known_to(now.recording.number))))
-    of_knots[..., of_knots.shape[-1] - knots.shape[-1] :] = turned
-    return ride.carry(memory.by_parameters), of_knots
+def _responses(now: Prediction, changes: Perturbations) -> tuple[Array, Array]:
+    """(F, m, 3, P) of the beam's places under the tags to changes, and (H, m, 3, 3) to the held ends."""
+    recording, solved = now.recording, now.solved
+    s, _ = tag_places(recording, now.layout, now.x, solved)
+    if recording.ends is None:
+        return respond(solved, changes).poses(s), np.zeros((0, s.shape[-1], 3, 3))
+    wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
+    return with_ends_held(respond(solved, changes + wrench).poses(np.append(s, 1.0)), recording.ends)
+
+
+def _with_memory(slopes: Slopes, by_push: Array, by_pushes: Array, keys: IntArray) -> Slopes:
+    """With what the memory adds to the derivatives of the tags with the push: (F, m, 3, 2) of the frame itself,
+    (F, m, 3, 2 n) of n key frames. It goes to the knots of the force log's slow error, which are written out."""
+    written = replace(slopes, a=slopes.a + by_push).written
+    late = (by_pushes.reshape(*by_pushes.shape[:3], -1, 2) @ slopes.axes).swapaxes(-1, -2)  # (F, m, 3, 2, n)
+    by_knots = (late @ slopes.weights[keys]).swapaxes(-1, -2)  # the error is taken off the log
+    written[..., slopes.j.shape[-1] :] -= by_knots.reshape(*by_pushes.shape[:3], -1)
+    return Slopes(written, slopes.a, slopes.axes, slopes.weights[:, :0])
 
 
 def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:

@@ -209,6 +209,16 @@ def distances(difference: Array) -> Array:
     return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
 
 
+def moved_by(o: Observations) -> Array:
+    """(T,) m, root mean square over the tags of how far each is from where it rests, or, where no rest was seen, from
+    its place on a straight beam; NaN where none was seen."""
+    straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+    squared = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight)) ** 2
+    seen = np.isfinite(squared)
+    count, total = np.sum(seen, axis=1), np.sum(np.where(seen, squared, 0.0), axis=1)
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+
+
 def marker_rms(difference: Array) -> Array:
     """(m,) m, root mean square length of differences (T, m, 2) over the frames in which a tag was seen; NaN where in
     none."""

@@ -7,6 +7,7 @@ cone) `mu ~ k^(1/2)`. k(s) then carries the mass with it: `mu = (mass / L) k^p /
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,8 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.sensitivity import of_mass
-from onebend.records import Array, Observations
+from onebend.learning.allowances.allowance import Allowance
+from onebend.records import Array, Observations, PointMass
 
 POWERS = {"even": 0.0, "width": 1.0 / 3.0, "thickness": 1.0, "both": 0.5}  # p of `mu ~ k^p`
 
@@ -76,6 +78,22 @@ def own_weight(o: Observations, grid: Grid, gravity: Array, even: Array, written
     if o.stated.mass_along in ("section", "table"):  # the whole of it is heavier or lighter
         modes = np.concatenate([np.asarray(written(grid.nodes))[..., None], modes[..., 1:]], axis=-1)
     return OwnWeight(gravity, modes, grid.weights, POWERS.get(o.stated.mass_along))
+
+
+def gravity_direction(
+    o: Observations, problem: Problem, gravity: Array, written: Profile, masses: Sequence[PointMass]
+) -> Allowance | None:
+    """Gravity (F, 2) turned by one angle [rad] in all frames, to first order; None where nothing weighs, of static
+    poses, and where the direction is exact. `written`: kg/m."""
+    if o.static or not o.stated.gravity_sd > 0.0 or not np.any(gravity):
+        return None
+    nodes = problem.grid.nodes
+    beyond = _beyond(problem, np.asarray(written(nodes))[..., None], gravity)[..., 0]
+    for one in masses:
+        beyond = beyond + one.mass * gravity[:, None, :] * (nodes < one.s)[..., None]
+    turned = np.stack([-beyond[..., 1], beyond[..., 0]], axis=-1)
+    sd = np.array([o.stated.gravity_sd])
+    return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned[..., None])
 
 
 def following(o: Observations, stiffness: UncertainStiffness, mass: float) -> Profile | None:

@@ -68,7 +68,7 @@ def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
     changes = {
         "curvature": of_rest_curvature(problem, beam.rest_on_nodes),
         "clamp": of_clamp_angle(problem),
-        "push": pushed_by(beam, np.eye(2)[None]),
+        "push": pushed_by(beam.beyond, np.eye(2)[None]),
         "place": placed_by(beam, np.ones((1, 1))),
     }
     if beam.by_mass is not None:
@@ -178,9 +178,10 @@ def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> di
     return {name: np.einsum("fmad,fdn->fman", by_push, force) for name, force in forces.items()}
 
 
-def pushed_by(beam: BentBeam, force: Array) -> Perturbation:
-    """n parameters that add to the push: `force` (F, 2, n) N per unit in each frame."""
-    added = beam.beyond[..., None, None] * force[:, None]
+def pushed_by(beyond: Array, force: Array) -> Perturbation:
+    """n parameters that add to the push, of which the share `beyond` (F, Q) acts beyond each node: `force` (F, 2, n) N
+    per unit in each frame."""
+    added = beyond[..., None, None] * force[:, None]
     return Perturbation(added, None, None, np.zeros(force.shape[-1]))
 
 

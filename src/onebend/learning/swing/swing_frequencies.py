@@ -19,15 +19,16 @@ from scipy.optimize import least_squares
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.swing.free_swing import FilmPart, swinging_part
-from onebend.records import Array, BoolArray, Remark
+from onebend.records import Array, BoolArray, IntArray, Remark
 
 _FEWEST = 30  # samples
 _FAST = 0.2  # of the sampling rate: a faster mode may be one that is faster still
 _NYQUIST = 0.45  # of the sampling rate: nearer to half of it nothing is looked for
 _CYCLES = 3.0  # of a mode in the record, at least
 _PADDED = 4  # times the record's length, of the Fourier transform
-_AROUND = 30  # Fourier steps to either side, over which the noise under a peak is judged
-_ABOVE = 15.0  # times the median power around it, of a peak that is no noise
+_AROUND, _OF_ALL = 30, 0.02  # Fourier steps to either side at least, and share of all: the noise of a peak
+_BY_CHANCE = 0.05  # how likely the highest of all peaks of noise may count as a mode
+_MOST = 200_000  # numbers that are looked at
 _APART = 3.0  # Fourier steps, or decay rates, to the next mode
 _MULTIPLE = 0.01  # within which a frequency counts as twice or three times another
 _ROUNDS = 3  # of weights by what each signal leaves
@@ -89,8 +90,20 @@ def frequencies_of(
     """
     ends = swinging_part(time, signals)
     begin, end = (known if asked is None else asked for asked, known in zip((part.begin, part.end), ends, strict=True))
-    inside = (time >= begin) & (time <= end) & np.isfinite(signals).any(axis=1)
-    return swing_frequencies(time[inside], signals[inside], most=most, name=name)
+    inside = np.flatnonzero((time >= begin) & (time <= end) & np.isfinite(signals).any(axis=1))
+    looked_at = inside[: _MOST // signals.shape[1]]
+    found = swing_frequencies(time[looked_at], signals[looked_at], most=most, name=name)
+    if len(looked_at) == len(inside):
+        return found
+    return replace(found, remarks=(*found.remarks, _too_many(time, inside, looked_at)))
+
+
+def _too_many(time: Array, inside: IntArray, looked_at: IntArray) -> Remark:
+    text = (
+        f"{len(inside)} samples from {time[inside[0]]:.2f} to {time[inside[-1]]:.2f} s are more than are looked at: "
+        f"the first {len(looked_at)} are, to {time[looked_at[-1]]:.2f} s. For more of it write fewer samples a second"
+    )
+    return Remark("note", text)
 
 
 def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str = "the signals") -> FoundFrequencies:
@@ -231,13 +244,14 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
     power = np.sum(np.abs(np.fft.rfft(windowed, _PADDED * count, axis=0)) ** 2, axis=1)
     step = 2.0 * np.pi * s.rate / (_PADDED * count)
     omega = step * np.arange(len(power))
-    around = median_filter(power, 2 * _AROUND * _PADDED + 1)
+    around = median_filter(power, 2 * max(_AROUND, int(_OF_ALL * count)) * _PADDED + 1)
     around = np.maximum(around, 1e-3 * np.median(around))
     allowed = (omega > _CYCLES * 2.0 * np.pi / s.time[-1]) & (omega < 2.0 * np.pi * _NYQUIST * s.rate)
     for other, decay in known:
         allowed &= np.abs(omega - other) > _APART * max(decay, _PADDED * step)
     allowed[1:-1] &= (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
-    allowed &= power > _ABOVE * around
+    # The power of noise is exponentially distributed, its median ln 2 of the mean.
+    allowed &= power > around / np.log(2.0) * np.log(len(power) / _BY_CHANCE)
     if not allowed.any():
         return None
     return float(omega[np.argmax(np.where(allowed, power, 0.0))])

@@ -19,7 +19,7 @@ from onebend.recording.bags.film_topic import bag_frames
 from onebend.recording.bags.reader import is_bag, listed, open_bag
 from onebend.recording.bags.topics import guess
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Picture, decoded, frame_count, luma_in
+from onebend.recording.video import Picture, decoded, frame_count, picture_in
 from onebend.records import Array, IntArray
 
 BoardKind = Literal["chessboard", "charuco"]
@@ -121,7 +121,7 @@ def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress
         for index, now, raw in _timed(video):
             if index % every:
                 continue
-            picture = luma_in(video, index, raw)
+            picture = picture_in(video, index, raw)
             size = picture.shape if size is None else size
             if picture.shape != size:
                 raise RecordingError(f"{film}: the picture's size changes at frame {index}. Film in one size.")

@@ -18,7 +18,7 @@ from onebend.recording.tags.frozen import frozen, frozen_remarks, noting_changes
 from onebend.recording.tags.tracking import BlockTracks, track_block
 from onebend.recording.toml.entries import FAMILIES, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import FilmFrame, Picture, frame_count, rate_remarks, read_frames
+from onebend.recording.video import FilmFrame, Keep, Picture, frame_count, pictures_at, rate_remarks, read_frames
 from onebend.records import BoolArray, Detections, Remark
 from onebend.workers import available_cores
 
@@ -33,12 +33,17 @@ Result = TypeVar("Result")
 
 
 def detect_tags(
-    video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
+    video: VideoEntry,
+    tags: TagsEntry,
+    *,
+    threads: int | None = None,
+    progress: Progress = Silent(),
+    keep: Keep | None = None,
 ) -> Detections:
     """Find every tag of `tags` in every frame of `video`.
 
     The video is cut into blocks of frames that are searched independently, so the result does not depend on the
-    number of `threads` (default: one per core) nor on their timing.
+    number of `threads` (default: one per core) nor on their timing. `keep`: see `read_frames`.
 
     Raises:
         RecordingError: the video cannot be read to its end.
@@ -60,7 +65,7 @@ def detect_tags(
     blocks: list[BlockTracks] = []
     changes: list[float] = []
     with ThreadPoolExecutor(threads) as pool:
-        frames = noting_changes(read_frames(video), changes)
+        frames = noting_changes(read_frames(video, keep), changes)
         tracked = in_order(pool, follow_tags, in_blocks(frames, BLOCK), ahead=threads)
         for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
             blocks += [block] if block else []
@@ -187,7 +192,7 @@ def what_is_there(
     if pictures:
         pictures = [picture for i, picture in enumerate(pictures) if i in wanted]
     else:
-        pictures = [frame.luma for frame in read_frames(video) if frame.index in wanted]
+        pictures = [picture for _, picture in pictures_at(video, wanted)]
     for family in FAMILIES:
         if family != tags.family:
             finder = Finder(family)

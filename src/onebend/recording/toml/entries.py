@@ -24,7 +24,7 @@ from onebend.recording.toml.source_entries import (
     damaged_bag,
     message_definitions,
 )
-from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, TURN_SD, Remark
+from onebend.records import DIRECTION_SD, GAIN_SD, GRAVITY_SD, PLACE_SD, TURN_SD, Remark
 
 FAMILY_SIZES = {"tag36h11": 587, "tag25h9": 35, "tag16h5": 30, "tagCircle21h7": 38, "tagStandard41h12": 2115}
 FAMILIES = tuple(FAMILY_SIZES)
@@ -191,6 +191,13 @@ class GravityEntry:
         example='"base_angle.csv"',
         default=None,
     )
+    direction_sd: float = key(
+        "direction_sd_deg",
+        number(least=0, scale=math.pi / 180),
+        "how far off gravity's direction against the beam's x axis may be (one standard deviation), degrees; 0: exact",
+        example="2.0",
+        default=GRAVITY_SD,
+    )  # rad
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,11 @@ def shrink_factor(view: View, length: float) -> int:
 def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
     """(h, w), the mean of every `factor` x `factor` pixels; rows and columns that are left over are cut off."""
     h, w = (side // factor for side in picture.shape)
-    whole = picture[: h * factor, : w * factor].reshape(h, factor, w, factor)
-    return np.asarray(whole.mean(axis=(1, 3), dtype=np.float32))
+    total = np.zeros((h, w), dtype=np.uint32)
+    for row in range(factor):
+        for column in range(factor):
+            total += picture[row : h * factor : factor, column : w * factor : factor]
+    return np.asarray(total.astype(np.float32) / np.float32(factor**2))
 
 
 def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
@@ -67,15 +70,21 @@ def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     at edges; it is nowhere taken to be smaller than the pictures' typical one.
     """
     by = np.ones(len(pictures), dtype=bool) if by is None else by
-    background = np.median(pictures[by], axis=0)
+    background = middle(pictures[by])
     thin = (slice(None), slice(None, None, THIN), slice(None, None, THIN))
     ratio = pictures[thin] / np.maximum(background[thin[1:]], 1.0)
     brightness = np.maximum(np.median(ratio, axis=(1, 2)), 1e-3)[:, None, None].astype(np.float32)
     even = pictures / brightness
-    away = np.abs(even - np.median(even[by], axis=0))
-    noise = 1.4826 * np.median(away[by], axis=0)
+    away = np.abs(even - middle(even[by]))
+    noise = 1.4826 * middle(away[by])
     floor = max(float(np.median(noise)), QUIETEST)
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
+
+
+def middle(pictures: Pictures) -> NDArray[np.float32]:
+    """(h, w) the median of `pictures` (P, h, w), as `numpy.median` makes it in six times the time."""
+    ordered, half = np.sort(pictures, axis=0), len(pictures) // 2
+    return np.asarray(ordered[half] if len(pictures) % 2 else (ordered[half - 1] + ordered[half]) * np.float32(0.5))
 
 
 def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Array, Array]:

@@ -3,33 +3,68 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isnan
+from dataclasses import replace
+from math import isfinite, isnan
 
 import numpy as np
 
+from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.toml.entries import Recording
-from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.tool.covered import shrink_factor, shrunk
 from onebend.recording.tool.place import ToolPlace, not_seen, tool_place
-from onebend.recording.video import Picture, luma_in, timed
-from onebend.records import Array, BoolArray, IntArray, Markers, Remark
+from onebend.recording.video import Picture, pictures_at
+from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark
 
 LOADED, AT_REST = 40, 12  # frames of each that are looked at
 SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
 
 
-def tool_in_film(rec: Recording, markers: Markers, loaded: BoolArray, frame: IntArray) -> ToolPlace:
+def tool_checked(
+    rec: Recording, seen: Observations, base_angle: Array, every: int = 1, kept: KeptFrames | None = None
+) -> Observations:
+    """With what the film shows of the tool: a warning where it is elsewhere than `at_s` says. `base_angle` (T,) is of
+    every frame; `every` and `kept`: see `tool_in_film`.
+
+    Raises:
+        RecordingError: the film cannot be read.
+    """
+    if rec.video is None or rec.push is None or not isfinite(rec.push.at) or not rec.video.file.exists():
+        return seen
+    markers = Markers(
+        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
+        seen.source.view,
+    )  # fmt: skip
+    tool = tool_in_film(rec, markers, seen.loaded, seen.frame, every=every, kept=kept)
+    remarks = tool_remarks(tool, rec)
+    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
+    return replace(seen, source=source)
+
+
+def tool_in_film(
+    rec: Recording,
+    markers: Markers,
+    loaded: BoolArray,
+    frame: IntArray,
+    *,
+    every: int = 1,
+    kept: KeptFrames | None = None,
+) -> ToolPlace:
     """Where the film of `rec` shows the tool. `markers`, `loaded` and `frame`, the index in the film, have a row a
     frame.
+
+    Args:
+        every: of the frames that may be `kept`, see `kept_frames.spacing_of`: others are looked at only where these
+            are too few.
 
     Raises:
         RecordingError: the film cannot be read.
     """
     if rec.video is None or markers.view is None:
         return not_seen("there is no film")
-    rows = rows_to_look_at(markers.xy, loaded)
+    rows = rows_to_look_at(markers.xy, loaded, frame % every == 0 if every else None)
     factor = shrink_factor(markers.view, rec.beam.length)
-    found = dict(pictures_at(rec.video, frame[rows].tolist()))
+    seek = pictures_at if kept is None else kept.pictures
+    found = dict(seek(rec.video, frame[rows].tolist()))
     rows = np.array([row for row in rows.tolist() if int(frame[row]) in found], dtype=np.int64)
     return tool_in([found[int(frame[row])] for row in rows], rec, of_rows(markers, rows), loaded[rows], factor)
 
@@ -45,32 +80,19 @@ def tool_in(
     return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
 
 
-def rows_to_look_at(xy: Array, loaded: BoolArray) -> IntArray:
+def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
     """Some rows of the tags' places `xy` (T, m, 2), loaded and at rest, in order: evenly over time and way together, so
-    that a beam that is held still is not taken for the background."""
+    that a beam that is held still is not taken for the background. Only of those that are `rather` (T,) looked at,
+    where these are enough."""
     steps = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[:1]), axis=-1)).sum(axis=1)
     chosen = []
     for mask, most in ((loaded, LOADED), (~loaded, AT_REST)):
-        rows = np.flatnonzero(mask)
+        rows = np.flatnonzero(mask if rather is None or np.sum(mask & rather) < most else mask & rather)
         if len(rows):
-            way = np.cumsum(steps[rows]) / max(float(steps[rows].sum()), 1e-12) + np.linspace(0.0, 1.0, len(rows))
+            gone = np.cumsum(np.where(mask, steps, 0.0))
+            way = gone[rows] / max(float(gone[-1]), 1e-12) + np.linspace(0.0, 1.0, len(rows))
             chosen.append(rows[np.searchsorted(way, np.linspace(way[0], way[-1], min(most, len(rows))))])
     return np.unique(np.concatenate(chosen)).astype(np.int64) if chosen else np.zeros(0, dtype=np.int64)
-
-
-def pictures_at(video: VideoEntry, indices: Sequence[int]) -> list[tuple[int, Picture]]:
-    """Those of these frames that the film has, with their indices. It is read to the last of them.
-
-    Raises:
-        RecordingError: the film cannot be read.
-    """
-    wanted, last, out = set(indices), max(indices, default=-1), []
-    for index, _, raw in timed(video):
-        if index in wanted:
-            out.append((index, luma_in(video, index, raw)))
-        if index >= last:
-            break
-    return out
 
 
 def of_rows(markers: Markers, rows: IntArray) -> Markers:

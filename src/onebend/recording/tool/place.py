@@ -71,7 +71,9 @@ def tool_place(
     grid = grid_of(length)
     centre, normal = axes_of(markers, np.flatnonzero(good).tolist(), grid)
     different = deviations(pictures[good])
-    different[~pushed] = deviations(pictures[good], far_ones(markers.xy[good, _outermost(markers)], pushed))[~pushed]
+    far = far_ones(markers.xy[good, _outermost(markers)], pushed)
+    some = far | ~pushed
+    different[~pushed] = deviations(pictures[good][some], far[some])[~pushed[some]]
     beside = beside_beam(different, factor, markers.view, centre, normal, grid)
     reach = PAPER * tag_size + LEAST * length
     covered = np.asarray(beside > DIFFERS)

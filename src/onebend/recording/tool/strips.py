@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from statistics import median
 
 import numpy as np
 from scipy.ndimage import binary_closing
 
-from onebend.recording.signals import runs
 from onebend.recording.tool.covered import SideGrid
 from onebend.records import BoolArray, IntArray
 
@@ -80,8 +80,7 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
     rows = range(covered.shape[1] - 1, middle, -1) if left else range(middle)
     live: list[list[tuple[int, int, int]]] = []
     ended: list[Strip] = []
-    for row in rows:
-        here = [(int(a), int(b)) for a, b in runs(covered[:, row])]
+    for row, here in zip(rows, runs_in_rows(covered[:, rows].T), strict=True):
         taken, going = set[int](), []
         for strip in live:
             _, first, last = strip[-1]
@@ -90,7 +89,7 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             if not under:
                 continue
             begin, end = here[under[0]][0], here[under[-1]][1]
-            usual = float(np.median([b - a for _, a, b in strip[-USUAL:]]))
+            usual = median([b - a for _, a, b in strip[-USUAL:]])
             if end - begin > WIDER * usual + MORE:
                 ended.append(_strip(strip, row))
             else:
@@ -99,6 +98,16 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
         begun = [[(row, a, b)] for i, (a, b) in enumerate(here) if i not in taken and a > 0 and b < beyond]
         live = [*going, *begun]
     return ended
+
+
+def runs_in_rows(mask: BoolArray) -> list[list[tuple[int, int]]]:
+    """First and one-past-last index of every run of True in each row of `mask` (R, N)."""
+    edges = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    (row, first), (_, last) = np.nonzero(edges == 1), np.nonzero(edges == -1)
+    out: list[list[tuple[int, int]]] = [[] for _ in mask]
+    for at, a, b in zip(row.tolist(), first.tolist(), last.tolist(), strict=True):
+        out[at].append((a, b))
+    return out
 
 
 def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:

@@ -14,18 +14,19 @@ from onebend.errors import OnebendError
 from onebend.learning.explained import explained
 from onebend.learning.outcome import Comparison, Explained
 from onebend.progress import Progress, Silent
-from onebend.recording.video import frame_at
+from onebend.recording.kept_frames import KeptFrames
 from onebend.records import Observations
 from onebend.report.figures import curves, recordings
 from onebend.report.figures.film import film_of, film_strip
 from onebend.report.figures.pictures import Draw, Pictures, draw, reason_of
-from onebend.report.figures.simulated import largest_push
+from onebend.report.figures.simulated import push_to_show
 from onebend.report.findings import Findings
 from onebend.report.kinds import only_frequencies, words_of
 
 
-def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
-    """Every figure that the findings allow, in the order of the page."""
+def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
+    """Every figure that the findings allow, in the order of the page. The film is read for those of its frames that
+    are not in `frames`."""
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     posterior = findings.posterior
     if posterior is not None and (rows_told := curves.told(posterior.nuisances())):
@@ -33,15 +34,16 @@ def draw_all(findings: Findings, *, progress: Progress = Silent()) -> Pictures:
     if only_frequencies(findings.recordings):  # no tag moved
         return draw(wanted, progress)
     fits: Sequence[Explained | None] = [None] * len(findings.trainings) if posterior is None else explained(posterior)
-    return _with_film(findings, draw(wanted | _of_recordings(findings, fits), progress), fits[0])
+    kept = frames or KeptFrames()
+    return _with_film(findings, draw(wanted | _of_recordings(findings, fits, kept), progress), fits[0], kept)
 
 
-def _of_recordings(findings: Findings, fits: Sequence[Explained | None]) -> dict[str, Draw]:
+def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
     """What the recordings show, and how near the fit comes."""
     beam, learned = findings.beam, findings.learned
     training, recording = findings.trainings[0], findings.recordings[0]
     wanted: dict[str, Draw] = {
-        "fit": partial(fit, beam, training, recording, fits[0]),
+        "fit": partial(fit, beam, training, recording, fits[0], kept),
         "shapes": partial(recordings.shapes, beam, training, recording, fits[0]),
     }
     if not recording.static:  # poses have no time
@@ -68,12 +70,12 @@ def _of_recordings(findings: Findings, fits: Sequence[Explained | None]) -> dict
     return wanted | validation_figures(beam, pairs, *own)
 
 
-def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None) -> Pictures:
+def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
     """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
     if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
         return pictures
     try:
-        film = film_strip(findings.recordings[0], fitted, findings.beam, findings.posterior.stiffness)
+        film = film_strip(findings.recordings[0], fitted, findings.beam, findings.posterior.stiffness, kept)
         return replace(pictures, film=film)
     except Exception as error:  # as with every picture
         pictures.failed["film"] = reason_of(error)
@@ -109,14 +111,24 @@ def validation_figures(
 
 
 def fit(
-    beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None
+    beam: Beam,
+    comparison: Comparison,
+    observations: Observations,
+    fitted: Explained | None = None,
+    kept: KeptFrames | None = None,
 ) -> Figure | None:
     """The fit over the video frame; None where there is no video any more, or no camera."""
     if observations.source.view is None or observations.source.video is None:
         return None
     shown = comparison if fitted is None else fitted.comparison
+    wanted, film = int(shown.frame[push_to_show(shown)]), film_of(observations.source.video, observations)
     try:
-        image = frame_at(film_of(observations.source.video, observations), int(shown.frame[largest_push(shown)]))
+        found = dict((kept or KeptFrames()).pictures(film, [wanted], colour=True))
     except OnebendError:
         return None
-    return recordings.fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
+    image = found.get(wanted)
+    return (
+        None
+        if image is None
+        else recordings.fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
+    )

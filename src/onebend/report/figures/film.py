@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,9 @@ from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.outcome import Explained
 from onebend.learning.validation import solved_frames
 from onebend.recording.camera.lens import project
+from onebend.recording.kept_frames import KeptFrames, roundest
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import frames_at
-from onebend.records import Array, Observations, View
+from onebend.records import Array, IntArray, Observations, View
 
 MOST_FRAMES = 36
 WIDEST = 560  # px
@@ -58,17 +59,28 @@ def film_of(video: Path, observations: Observations) -> VideoEntry:
     return VideoEntry(file=video, topic=topic, damaged="keep" if topic else "refuse")
 
 
+def spread_frames(frame: IntArray) -> IntArray:
+    """(n,) places in `frame` (T,), about evenly spread, of frames that are likely to be kept."""
+    ends = np.linspace(0, len(frame), min(MOST_FRAMES, len(frame)) + 1).round().astype(int)
+    return np.array([a + roundest(frame[a:b]) for a, b in pairwise(ends.tolist())], dtype=np.int64)
+
+
 def film_strip(
-    observations: Observations, fitted: Explained, beam: Beam, uncertain: UncertainStiffness
+    observations: Observations,
+    fitted: Explained,
+    beam: Beam,
+    uncertain: UncertainStiffness,
+    kept: KeptFrames | None = None,
 ) -> FilmStrip | None:
-    """Frames spread evenly over those of the fit; None where the film is gone, or there is no camera."""
+    """Frames spread evenly over those of the fit, the film being read for those that are not `kept`; None where it is
+    gone, or there is no camera."""
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
         return None
-    chosen = np.unique(np.linspace(0, len(shown.frame) - 1, MOST_FRAMES).round().astype(int))
+    chosen = spread_frames(shown.frame)
     try:
         wanted = shown.frame[chosen].tolist()
-        found = dict(frames_at(film_of(source.video, observations), wanted))
+        found = dict((kept or KeptFrames()).pictures(film_of(source.video, observations), wanted, colour=True))
     except OnebendError:
         return None
     chosen = np.array([t for t, frame in zip(chosen, wanted, strict=True) if frame in found], dtype=int)
@@ -110,13 +122,15 @@ def shape_band(
     lines = fitted.line[chosen, ::_STEP]
     s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
     frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
-    bent = []
+    bent: list[Array] = []
+    near: Array | None = None
     for profile in uncertain.draw(_DRAWS, seed=0):
         try:
-            solved = list(solved_frames(replace(beam, stiffness=profile), observations, frames))
+            [solved] = solved_frames(replace(beam, stiffness=profile), observations, frames, near)
         except MechanicsError:
             continue
-        bent.append(np.concatenate([np.where(one.converged[:, None, None], one.xy(s), np.nan) for one in solved]))
+        near = solved.q if solved.converged.all() else near
+        bent.append(np.where(solved.converged[:, None, None], solved.xy(s), np.nan))
     along = np.gradient(lines, axis=1)
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)

@@ -20,7 +20,7 @@ from onebend.learning.outcome import Comparison, Explained, Learned, Trial
 from onebend.recording.camera.lens import project
 from onebend.recording.signals import runs
 from onebend.records import Array, Observations, View
-from onebend.report.figures.simulated import centreline, largest_push, same_frame, spread_of_pushes
+from onebend.report.figures.simulated import centreline, push_to_show, same_frame, spread_of_pushes
 from onebend.report.figures.style import BLUE, GREEN, INK, MUTED, ORANGE, blank, colour, named, shape, styled
 from onebend.report.wording import millimetres, significant
 
@@ -40,13 +40,13 @@ def fit_over_frame(
     observations: Observations,
     fitted: Explained | None = None,
 ) -> Figure:
-    """Measured tags and the beam at the largest push, over the video frame (RGB) itself.
+    """Measured tags and the beam at the largest push (to a percent), over the video frame (RGB) itself.
 
     The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
     force as logged.
     """
     shown = comparison if fitted is None else fitted.comparison
-    t = largest_push(shown)
+    t = push_to_show(shown)
     logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
     line = logged if fitted is None else fitted.line[t]
     what = "simulated" if fitted is None else "fitted"

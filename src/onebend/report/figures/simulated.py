@@ -8,14 +8,29 @@ from onebend.beam.model import Beam
 from onebend.errors import MechanicsError
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import solved_frames
+from onebend.recording.kept_frames import roundest
 from onebend.records import Array, BoolArray, Observations
+
+LARGE = 0.99  # of the largest force: so large is as good to look at
 
 
 def largest_push(comparison: Comparison) -> int:
     """Index of the frame with the largest force among those where most markers were seen."""
+    return int(np.argmax(_sizes(comparison)))
+
+
+def push_to_show(comparison: Comparison) -> int:
+    """Index of a frame whose force is the same to a percent, and that is likely to be kept."""
+    size = _sizes(comparison)
+    large = np.flatnonzero(size >= min(LARGE * size.max(), size.max()))
+    return int(large[roundest(comparison.frame[large])])
+
+
+def _sizes(comparison: Comparison) -> Array:
+    """(T,) N, of the forces; -1 where not most markers were seen."""
     seen = np.isfinite(comparison.measured[..., 0]).sum(axis=1)
     size = np.linalg.norm(comparison.force, axis=1)
-    return int(np.argmax(np.where((seen == seen.max()) & np.isfinite(size), size, -1.0)))
+    return np.asarray(np.where((seen == seen.max()) & np.isfinite(size), size, -1.0))
 
 
 def spread_of_pushes(comparison: Comparison, count: int) -> list[int]:

@@ -23,7 +23,7 @@ _DIGITS = 6
 def script_data(findings: Findings, film: FilmStrip | None = None) -> Markup:
     """JSON for a script element, with nothing in it that could end the element."""
     data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
-    text = to_json(data, ascii_only=True)
+    text = to_json(data, ascii_only=True, readable=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -27,6 +28,17 @@ def render(
             these and no other, and nothing from anywhere else.
     """
 
+    look = Markup(page_file(COMMON, "look.css"))
+    encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
+    script = Markup("\n".join(page_file(COMMON, file) for file in scripts))
+    given = {"look": look, "figures": encoded, "script": script, "policy": _policy(script)}
+    return _environment(package, name).get_template(name).render(**given, **content)
+
+
+@cache
+def _environment(package: str, name: str) -> Environment:
+    """For the template `name` of `package`; templates are compiled once."""
+
     def source(file: str) -> str:
         return page_file(package if file == name else COMMON, file)
 
@@ -34,11 +46,7 @@ def render(
         loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters["code"] = code_in
-    look = Markup(page_file(COMMON, "look.css"))
-    encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
-    script = Markup("\n".join(page_file(COMMON, file) for file in scripts))
-    given = {"look": look, "figures": encoded, "script": script, "policy": _policy(script)}
-    return environment.get_template(name).render(**given, **content)
+    return environment
 
 
 def code_in(text: str) -> Markup:

@@ -1,0 +1,1 @@
+"""Cameras and force sensors, one module a kind of wire."""

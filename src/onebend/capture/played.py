@@ -1,0 +1,217 @@
+"""A film and a force log played as a camera and a sensor would give them, at their own pace or as fast as they can be
+read, with what happens on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from onebend.capture.clocks import Clock, StampTiming
+from onebend.capture.sources import End, Frame, Samples
+from onebend.errors import RecordingError
+from onebend.recording.folder import FILE_NAME, folder_of, read_recording
+from onebend.recording.force.force_log import read_force_log
+from onebend.recording.pairing import read_log
+from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import FilmFrame, read_frames
+from onebend.records import ForceLog
+from onebend.streaming.played import Arrival, Disturbances, play
+
+TIMING = StampTiming(delay_error=0.01)
+_NO_LOG = ForceLog(np.empty(0), np.empty((0, 2)))
+
+
+@dataclass(frozen=True)
+class OwnClock:
+    """How a played source's stamps differ from the recorder's clock."""
+
+    offset: float = 0.0  # s
+    drift: float = 0.0  # of its second, as a share
+    late: float = 0.0  # s, mean of what an item takes to come, beyond what all take; exponential
+
+
+class _Playing:
+    """What is common to both: items with the times at which they come in."""
+
+    def __init__(self, name: str, own: OwnClock, seed: int) -> None:
+        self.name, self.timing = name, TIMING
+        self._own, self._rng = own, np.random.default_rng([seed, 7])
+        self._coming: Iterator[Arrival] = iter(())
+        self._next: Arrival | None = None
+        self._at = math.inf  # s, the recorder's clock
+        self._clock: Clock | None = None
+        self._fault = ""
+
+    def _begin(self, clock: Clock, coming: Iterator[Arrival]) -> None:
+        self._clock, self._coming, self._at = clock, coming, -math.inf
+        self._advance()
+
+    def due(self) -> float:
+        """s, on the clock that it was opened with."""
+        return self._at if self._next is not None else math.inf
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        self._coming, self._next = iter(()), None
+
+    def _take(self, wait: float) -> tuple[Arrival, float] | End | None:
+        """The next item and when it came in."""
+        clock = self._clock
+        if self._next is None or clock is None:
+            return End(self._fault or f"{self.name} was played to its end", fault=bool(self._fault))
+        if self._at > clock.now() + wait:
+            clock.wait_until(clock.now() + wait)
+            return None
+        clock.wait_until(self._at)
+        taken, at = self._next, max(self._at, clock.now())
+        self._advance()
+        return taken, at
+
+    def _advance(self) -> None:
+        try:
+            self._next = next(self._coming, None)
+        except RecordingError as wrong:
+            self._next, self._fault = None, str(wrong)
+        if self._next is not None and self._clock is not None:
+            late = float(self._rng.exponential(self._own.late)) if self._own.late > 0.0 else 0.0
+            self._at = max(self._at, self._clock.origin + self._next.at + late)
+
+
+class PlayedCamera(_Playing):
+    """A film as a camera."""
+
+    def __init__(
+        self,
+        film: VideoEntry | Iterable[FilmFrame],
+        disturbances: Disturbances = Disturbances(),
+        *,
+        own: OwnClock = OwnClock(),
+        seed: int = 0,
+        name: str = "the film",
+    ) -> None:
+        """`film`: a video, or its frames, whose times begin near 0 s."""
+        super().__init__(name, own, seed)
+        self._film, self._how, self._seed = film, disturbances, seed
+
+    def open(self, clock: Clock) -> None:
+        """Begin to play.
+
+        Raises:
+            RecordingError: the film cannot be read.
+        """
+        frames = iter(read_frames(self._film)) if isinstance(self._film, VideoEntry) else iter(self._film)
+        first = next(frames, None)  # so that what is no film is told now
+        frames = frames if first is None else chain([first], frames)
+        self._begin(clock, play(frames, _NO_LOG, 0.0, self._how, seed=self._seed))
+
+    def read(self, wait: float) -> Frame | End | None:
+        """The next picture."""
+        taken = self._take(wait)
+        if not isinstance(taken, tuple):
+            return taken
+        arrival, at = taken
+        assert arrival.picture is not None
+        stamp = self._own.offset + (1.0 + self._own.drift) * float(arrival.stamp)
+        return Frame(arrival.picture, stamp, at, arrival.number)
+
+
+class PlayedForce(_Playing):
+    """A force log as a sensor."""
+
+    def __init__(
+        self,
+        log: ForceLog,
+        start: float,
+        disturbances: Disturbances = Disturbances(),
+        *,
+        columns: tuple[str, ...] = ("fx_N", "fy_N"),
+        error: float = TIMING.delay_error,
+        own: OwnClock = OwnClock(),
+        seed: int = 0,
+        name: str = "the force log",
+    ) -> None:
+        """`start` [s]: the log's time when the film begins, to `error` [s]; what was logged before is left out."""
+        super().__init__(name, own, seed)
+        self.timing = replace(TIMING, delay_error=error)
+        self.columns = columns
+        kept = log.time >= start
+        place = None if log.push_s is None else log.push_s[kept]
+        self._log = replace(log, time=log.time[kept] - start, force=log.force[kept], push_s=place)
+        self._how, self._seed = disturbances, seed
+
+    def open(self, clock: Clock) -> None:
+        """Begin to play."""
+        how = replace(self._how, samples_each=max(1, self._how.samples_each))
+        self._begin(clock, play((), self._log, 0.0, how, seed=self._seed + 1))
+
+    def read(self, wait: float) -> Samples | End | None:
+        """The next rows."""
+        taken = self._take(wait)
+        if not isinstance(taken, tuple):
+            return taken
+        arrival, at = taken
+        stamp = self._own.offset + (1.0 + self._own.drift) * np.asarray(arrival.stamp, dtype=float)
+        return Samples(stamp, arrival.rows, at)
+
+
+def played_camera(
+    place: Path, disturbances: Disturbances = Disturbances(), *, own: OwnClock = OwnClock(), seed: int = 0
+) -> PlayedCamera:
+    """The film of a recording's folder, or a video file.
+
+    Raises:
+        RecordingError: there is no such film.
+    """
+    if (rec := _recording_at(place)) is not None:
+        if rec.video is None:
+            raise RecordingError(f"{place}: this recording has no film to play. Name one with [video].")
+        entry = rec.video
+    elif place.is_file():
+        entry = VideoEntry(place)
+    else:
+        raise RecordingError(f"film:{place}: there is no such film or recording. Name a video file, or a folder.")
+    return PlayedCamera(entry, disturbances, own=own, seed=seed, name=f"the film {place}")
+
+
+def played_force(
+    place: Path,
+    disturbances: Disturbances = Disturbances(),
+    *,
+    start: float = math.nan,
+    own: OwnClock = OwnClock(),
+    seed: int = 0,
+) -> PlayedForce:
+    """The force log of a recording's folder, or a CSV file with the columns time_s, fx_N and fy_N.
+
+    `start` [s]: the log's time when the film begins; NaN: as the recording says, else its first row.
+
+    Raises:
+        RecordingError: there is no such log, or it cannot be read.
+    """
+    rec, error = _recording_at(place), TIMING.delay_error
+    if rec is not None:
+        log = read_log(rec)
+        if math.isnan(start):
+            start, error = rec.start
+    elif place.is_file():
+        log = read_force_log(place, ("time_s", "fx_N", "fy_N"))
+    else:
+        raise RecordingError(f"log:{place}: there is no such log or recording. Name a CSV file, or a folder.")
+    if log is None:
+        raise RecordingError(f"{place}: this recording has no force log to play. Name one with [force].")
+    start, error = (float(log.time[0]), 5.0) if math.isnan(start) else (start, error)
+    columns = ("fx_N", "fy_N") if log.push_s is None else ("fx_N", "fy_N", "push_s")
+    return PlayedForce(
+        log, start, disturbances, columns=columns, error=error, own=own, seed=seed, name=f"the log {place}"
+    )
+
+
+def _recording_at(place: Path) -> Recording | None:
+    folder = folder_of(place)
+    return read_recording(folder) if (folder / FILE_NAME).is_file() else None

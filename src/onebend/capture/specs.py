@@ -1,0 +1,242 @@
+"""Sources as they are named on the command line: `kind:place,key=value,...`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from onebend.capture.devices.ati import PORT, WEB_PORT, AtiForce, AtiScale
+from onebend.capture.devices.cells import KNOWN, cells_of
+from onebend.capture.devices.growing_bag import GrowingBag
+from onebend.capture.devices.inputs import AvCamera
+from onebend.capture.devices.lines import GrowingLog, SerialForce
+from onebend.capture.devices.packages import FrankaForce, LslForce, UrForce
+from onebend.capture.devices.v4l2 import PACKED, V4l2Camera, V4l2Settings
+from onebend.capture.played import OwnClock, played_camera, played_force
+from onebend.capture.sources import CameraSource, ForceSource
+from onebend.errors import RecordingError
+from onebend.streaming.played import Disturbances
+
+Options = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class CameraKind:
+    """One way to name a camera."""
+
+    example: str
+    says: str
+    keys: tuple[str, ...]
+    make: Callable[[str, Options], CameraSource]
+
+
+@dataclass(frozen=True)
+class ForceKind:
+    """One way to name a force sensor."""
+
+    example: str
+    says: str
+    keys: tuple[str, ...]
+    make: Callable[[str, Options], ForceSource]
+
+
+_ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
+
+
+def camera_of(spec: str) -> CameraSource:
+    """The camera that a spec names, not opened yet.
+
+    Raises:
+        RecordingError: there is no such kind, or a key that it does not know.
+    """
+    kind, place, options = _split(spec, CAMERAS, "--camera")
+    return CAMERAS[kind].make(place, options)
+
+
+def force_of(spec: str) -> ForceSource:
+    """The force sensor that a spec names, not opened yet.
+
+    Raises:
+        RecordingError: as `camera_of`.
+    """
+    kind, place, options = _split(spec, FORCES, "--force")
+    return FORCES[kind].make(place, options)
+
+
+def number(options: Options, key: str, default: float, *, least: float = -math.inf) -> float:
+    """A number of a spec's options.
+
+    Raises:
+        RecordingError: it is none.
+    """
+    if key not in options:
+        return default
+    try:
+        value = float(options[key])
+    except ValueError:
+        value = math.nan
+    if not least <= value < math.inf:
+        raise RecordingError(
+            f"{key}={options[key]}: this must be a number{'' if least == -math.inf else f' from {least:g}'}."
+        )
+    return value
+
+
+def _split(
+    spec: str, kinds: Mapping[str, CameraKind] | Mapping[str, ForceKind], option: str
+) -> tuple[str, str, dict[str, str]]:
+    head, *more = spec.split(",")
+    kind, colon, place = ("v4l2", ":", head) if head.startswith("/dev/video") else head.partition(":")
+    if not colon or kind not in kinds:
+        known = ", ".join(one.example for one in kinds.values())
+        raise RecordingError(f"{option} {spec}: there is no such source. Name one of: {known}.")
+    options = {}
+    for part in more:
+        key, _, value = part.partition("=")
+        if key not in kinds[kind].keys:
+            known = ", ".join(kinds[kind].keys) or "none"
+            raise RecordingError(f"{option} {spec}: {kind} has no key {key}. Its keys: {known}.")
+        options[key] = value
+    return kind, place, options
+
+
+def _disturbances(options: Options) -> Disturbances:
+    lost, late = number(options, "lost", 0.0, least=0.0), number(options, "late", 0.0, least=0.0)
+    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
+    return Disturbances(
+        frames_lost=lost,
+        frames_late=late,
+        frame_jitter=jitter,
+        samples_lost=lost,
+        samples_late=late,
+        sample_jitter=jitter,
+    )
+
+
+def _own(options: Options) -> OwnClock:
+    return OwnClock(
+        drift=1e-6 * number(options, "drift_ppm", 0.0), late=1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
+    )
+
+
+def _film(place: str, options: Options) -> CameraSource:
+    seed = int(number(options, "seed", 0, least=0))
+    return played_camera(Path(place), _disturbances(options), own=_own(options), seed=seed)
+
+
+def _log(place: str, options: Options) -> ForceSource:
+    seed, start = int(number(options, "seed", 0, least=0)), number(options, "start_s", math.nan)
+    return played_force(Path(place), _disturbances(options), start=start, own=_own(options), seed=seed)
+
+
+def _ati(place: str, options: Options) -> ForceSource:
+    scale = None
+    if "counts" in options:
+        per = number(options, "counts", 0.0, least=1e-6)
+        scale = AtiScale(
+            per, number(options, "counts_torque", per, least=1e-6), number(options, "rate", 0.0, least=0.0)
+        )
+    port, web = (int(number(options, key, value, least=1)) for key, value in (("port", PORT), ("web_port", WEB_PORT)))
+    return AtiForce(place, port=port, web_port=web, scale=scale)
+
+
+def _names(options: Options, key: str) -> list[str]:
+    return [name for name in options.get(key, "").split("/") if name]
+
+
+def _serial(place: str, options: Options) -> ForceSource:
+    if "columns" not in options:
+        raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
+    cells = cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
+    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50)))
+
+
+def _csv(place: str, options: Options) -> ForceSource:
+    return GrowingLog(Path(place), _names(options, "columns"), _names(options, "zero"))
+
+
+def _lsl(place: str, options: Options) -> ForceSource:
+    if "columns" not in options:
+        raise RecordingError(f"lsl:{place}: say what its channels are, as columns=fx_N/fy_N/_. {KNOWN}.")
+    return LslForce(place, cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}"))
+
+
+def _v4l2(place: str, options: Options) -> CameraSource:
+    asked = V4l2Settings()
+    width, cross, height = options.get("size", f"{asked.width}x{asked.height}").partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise RecordingError(f"size={options['size']}: write width and height in pixels, as size=1280x720.")
+    packed = options.get("packed", asked.packed)
+    if packed not in PACKED:
+        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
+    settings = V4l2Settings(
+        width=int(width),
+        height=int(height),
+        fps=number(options, "fps", asked.fps, least=0.1),
+        packed=packed,
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01),
+    )
+    return V4l2Camera(Path(place), settings)
+
+
+def _av(place: str, options: Options) -> CameraSource:
+    more = {key: options[key] for key in ("framerate", "video_size", "pixel_format") if key in options}
+    return AvCamera(place, options.get("format", ""), more)
+
+
+CAMERAS: dict[str, CameraKind] = {
+    "v4l2": CameraKind(
+        "/dev/video0", "a camera of Linux, with the kernel's stamps", ("size", "fps", "packed", "exposure_ms"), _v4l2
+    ),
+    "av": CameraKind(
+        "av:PLACE,format=NAME",
+        "what FFmpeg opens: a camera of another system, a stream",
+        ("format", "framerate", "video_size", "pixel_format"),
+        _av,
+    ),
+    "film": CameraKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
+}
+FORCES: dict[str, ForceKind] = {
+    "ati": ForceKind(
+        "ati:192.168.1.1",
+        "an ATI Net F/T or Axia box on the network",
+        ("counts", "counts_torque", "rate", "port", "web_port"),
+        _ati,
+    ),
+    "serial": ForceKind(
+        "serial:/dev/ttyUSB0,columns=fx_N/fy_N",
+        "a load cell that sends a line of numbers a sample",
+        ("columns", "zero", "baud"),
+        _serial,
+    ),
+    "ur": ForceKind(
+        "ur:HOST",
+        "a Universal Robot's wrench (pip install 'onebend[ur]')",
+        ("rate",),
+        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0)),
+    ),
+    "franka": ForceKind(
+        "franka:HOST",
+        "a Franka arm's estimate (pip install 'onebend[franka]')",
+        (),
+        lambda place, _: FrankaForce(place),
+    ),
+    "lsl": ForceKind(
+        "lsl:NAME,columns=fx_N/fy_N",
+        "a stream of the Lab Streaming Layer (pip install 'onebend[lsl]')",
+        ("columns", "zero"),
+        _lsl,
+    ),
+    "bag": ForceKind(
+        "bag:PATH",
+        "a ROS bag that is being written",
+        ("topic", "field"),
+        lambda place, options: GrowingBag(Path(place), options.get("topic", ""), options.get("field", "")),
+    ),
+    "csv": ForceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
+    "log": ForceKind(
+        "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
+    ),
+}

@@ -1,0 +1,45 @@
+"""The command that opens the studio."""
+
+from __future__ import annotations
+
+import webbrowser
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Thread
+from typing import Annotated
+
+import typer
+
+from onebend.cli.common import clean_errors, say
+from onebend.errors import StudioError
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder with your recordings and results.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Of 127.0.0.1; default: a free one.")]
+NoOpen = Annotated[bool, typer.Option("--no-open", help="Show the address, and open no browser.")]
+
+NEEDED = ("starlette", "uvicorn", "websockets")
+
+
+def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) -> None:
+    """Open a local page: learn recordings and look at them, bend learned beams with the pointer.
+
+    It is served on this computer alone, to whoever has the address with its token. Ctrl-C ends it; a recording that is
+    being learned is then stopped, and what was found of it is kept.
+    """
+    with clean_errors():
+        if missing := [name for name in NEEDED if find_spec(name) is None]:
+            raise StudioError(f"the studio needs {', '.join(missing)}. Install it: pip install 'onebend[studio]'")
+        from onebend.studio.server import serve  # here: it is an optional part
+
+        def ready(address: str) -> None:
+            say(f"The studio of {folder.resolve()} is at\n\n  {address}\n\nCtrl-C ends it.")
+            if not no_open:
+                Thread(target=_shown, args=(address,), daemon=True).start()  # some browsers hold on to who calls them
+
+        serve(folder, port=port, ready=ready)
+
+
+def _shown(address: str) -> None:
+    with suppress(webbrowser.Error):  # the address stands in the terminal
+        webbrowser.open(address)

@@ -1,0 +1,1 @@
+"""The beam as a force sensor: the force from its shape."""

@@ -1,0 +1,1 @@
+"""A local page for one person: recordings, learning, and the learned beam to bend."""

@@ -1,0 +1,199 @@
+"""The room Bend: a learned beam whose point, or end, is dragged. All numbers come from `control` and `beam`."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from onebend.control.reach.drag import DragAnswer, DraggedPoint, HeldEnd
+from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
+from onebend.control.reach.reach_map import ReachMap
+from onebend.errors import StudioError
+from onebend.records import Array
+from onebend.results.model import StoredModel, read_model
+from onebend.studio.commands import hand_line, reach_line
+from onebend.studio.mapping import ellipse_of, pushed_beam
+
+PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
+Mode = Literal["point", "hand"]
+_BEGIN_TURN = 0.35  # rad, about, by which the tip is turned when a beam is opened
+_LARGEST_TIMES = 2.0  # the first bound on the force, times k / L^2 of the softest place
+
+
+@dataclass
+class Bending:
+    """One learned beam under the pointer. Not for two threads at once."""
+
+    model: str  # its name, as the page and the command line have it
+    stored: StoredModel
+    beam: str  # JSON, for the process beside
+    largest_first: float  # N
+    push_s: float = 1.0
+    point_s: float = 1.0
+    max_force: float = 0.0  # N
+    mode: Mode = "point"
+    point: DraggedPoint = field(init=False)
+    hand: HeldEnd | None = None
+    version: int = 0  # of the settings; a map belongs to one
+
+    def __post_init__(self) -> None:
+        self.max_force = self.max_force or self.largest_first
+        self._renew(None)
+
+    @staticmethod
+    def of(model: str, folder: Path) -> Bending:
+        """The beam in a results folder. Raises `ResultsError`, `ControlError` where it cannot be bent."""
+        stored = read_model(folder)
+        beam = stored.beam
+        s = np.linspace(0.0, 1.0, 201)
+        yields = float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s))))
+        text = json.dumps(beam.as_dict(), sort_keys=True)
+        one = Bending(model, stored, text, _round(_LARGEST_TIMES / (yields * beam.length)))
+        one.point.under((0.0, 0.5 * _BEGIN_TURN / (yields * beam.length)))
+        return one
+
+    @property
+    def pushed(self) -> PushedBeam:
+        return self.point.pushed
+
+    @property
+    def state(self) -> LoadedState:
+        return self.point.state if self.hand is None else self.hand.state
+
+    def opened(self) -> dict[str, Any]:
+        """What the page draws beside the answers: the beam itself, and how it is held."""
+        beam, known = self.stored.beam, self.stored.uncertain
+        rest = self._line(self.pushed.start.q)
+        return {
+            "model": self.model,
+            "length_m": beam.length,
+            "rest_m": rest.tolist(),
+            "places": PLACES.tolist(),
+            "push_s": self.push_s,
+            "point_s": self.point_s,
+            "max_force_N": self.max_force,
+            "largest_first_N": self.largest_first,
+            "mode": self.mode,
+            "doubts": [] if known is None else list(known.doubts),
+            "band": known is not None,
+            "version": self.version,
+        }
+
+    def change(self, wanted: dict[str, Any]) -> None:
+        """Other places, bound or mode, as far as they are named. Raises `StudioError` for one without meaning."""
+        mode: Mode = "point" if wanted.get("rest") is True else wanted.get("mode", self.mode)
+        if mode not in ("point", "hand"):
+            raise StudioError("a beam is bent at a point or by a hand")
+        push_s, point_s = _place(wanted.get("push_s", self.push_s)), _place(wanted.get("point_s", self.point_s))
+        max_force = float(wanted.get("max_force_N", self.max_force))
+        if not 0.0 < max_force < math.inf:
+            raise StudioError("the largest force must be positive")
+        if mode == "hand":
+            push_s = point_s = 1.0
+        same = (push_s, point_s, max_force) == (self.push_s, self.point_s, self.max_force)
+        before = self.pushed.start if wanted.get("rest") is True else self.state
+        if same and mode == self.mode and before is self.state:
+            return
+        moved = push_s != self.push_s
+        self.push_s, self.point_s, self.max_force, self.mode = push_s, point_s, max_force, mode
+        self.version += 1
+        kept = self.point.map if same else None
+        self._renew(None if moved else before)
+        self.point.map = kept
+        if mode == "hand":
+            self.hand = HeldEnd(self.pushed, self.point.state, max_force)
+
+    def take_map(self, version: int, found: ReachMap) -> bool:
+        """The map, where it is still of these settings."""
+        if version == self.version:
+            self.point.map = found
+        return version == self.version
+
+    def drag(self, goal: list[float]) -> dict[str, Any]:
+        """The beam with its point, or its end, on a goal, or as near as may be."""
+        began = time.perf_counter()
+        if not 2 <= len(goal) <= 3 or not all(math.isfinite(one) for one in goal):
+            raise StudioError("a goal is (x, y) in m, for a hand with its angle in rad")
+        if self.hand is not None:
+            angle = goal[2] if len(goal) == 3 else float(self.pushed.pose(self.hand.state.q)[2])
+            answer = self.hand.to((goal[0], goal[1], angle))
+        else:
+            answer = self.point.to(goal[:2])
+        return self.shown(answer, began)
+
+    def still(self) -> dict[str, Any]:
+        """The beam as it stands."""
+        began = time.perf_counter()
+        pose = self.pushed.pose(self.state.q)
+        answer = self.point.answer(pose[:2]) if self.hand is None else self.hand.answer(pose)
+        return self.shown(answer, began)
+
+    def shown(self, answer: DragAnswer, began: float) -> dict[str, Any]:
+        """An answer for the page."""
+        state, pose, known = answer.state, answer.pose, self.stored.uncertain
+        ellipse = None
+        if known is not None and self.hand is None:
+            ellipse = ellipse_of(self.pushed, known, state)
+        goal: list[float] = (pose if answer.limit else answer.goal).tolist()
+        if self.hand is None:
+            command = reach_line(self.model, goal, self.push_s, self.point_s, self.max_force)
+        else:
+            command = hand_line(self.model, goal)
+        return {
+            "goal_m": answer.goal[:2].tolist(),
+            "pose": pose.tolist(),
+            "force_N": state.load[:2].tolist(),
+            "moment_N_m": float(state.load[2]),
+            "push_m": self._at(state.q, self.push_s).tolist(),
+            "line_m": np.round(self._line(state.q), 6).tolist(),
+            "ellipse": ellipse,
+            "limit": answer.limit,
+            "turned_away_rad": float(pose[2] - answer.goal[2]) if len(answer.goal) == 3 else 0.0,
+            "away_m": float(np.hypot(*(pose[:2] - answer.goal[:2]))),
+            "margin": answer.margin,
+            "bend_per_m": self.pushed.bend(state.q),
+            "command": command,
+            "seconds": time.perf_counter() - began,
+            "version": self.version,
+        }
+
+    def _renew(self, state: LoadedState | None) -> None:
+        self.hand = None
+        self.point = DraggedPoint(pushed_beam(self.beam, self.push_s, self.point_s), self.max_force)
+        self._rows = float(self.pushed.problem.length) * self.pushed.problem.grid.integral_to(PLACES)
+        if state is not None and len(state.q) == self.pushed.count:
+            size = math.hypot(state.load[0], state.load[1])
+            self.point.under(state.load[:2] * min(1.0, self.max_force / max(size, 1e-300)))
+
+    def _line(self, q: Array) -> Array:
+        alpha = self.pushed.angles(q)
+        return np.asarray(self._rows @ np.stack([np.cos(alpha), np.sin(alpha)], axis=1))
+
+    def _at(self, q: Array, s: float) -> Array:
+        return np.array([np.interp(s, PLACES, row) for row in self._line(q).T])
+
+
+def outline_of(found: ReachMap) -> dict[str, Any]:
+    """The map's edge for the page."""
+    lines = [{"limit": limit, "line_m": np.round(line, 6).tolist()} for line, limit in found.outline()]
+    corners = found.triangles
+    points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
+    return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
+
+
+def _place(value: Any) -> float:
+    place = float(value)
+    if not 0.0 < place <= 1.0:
+        raise StudioError("a place lies in (0, 1]: 1 is the tip")
+    return place
+
+
+def _round(force: float) -> float:
+    """To two digits."""
+    return float(f"{force:.2g}")

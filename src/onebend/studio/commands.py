@@ -1,0 +1,37 @@
+"""The command lines that would do what the page does."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence
+
+
+def line(*words: str) -> str:
+    """`onebend ...`, for a shell."""
+    return shlex.join(["onebend", *words])
+
+
+def number(value: float) -> str:
+    """Short, and exact to a micrometre or a millionth of the unit."""
+    return (f"{value:.6f}".rstrip("0").rstrip(".") or "0") if math.isfinite(value) else "inf"
+
+
+def reach_line(model: str, goal: Sequence[float], push_s: float, point_s: float, max_force: float) -> str:
+    """What gives the force of a dragged point."""
+    places = [] if push_s == 1.0 else ["--push-at", number(push_s)]
+    places += [] if point_s == 1.0 else ["--point", number(point_s)]
+    goals = [number(goal[0]), number(goal[1])]
+    return line("reach", model, "--goal", *goals, *places, "--max-force-N", number(max_force))
+
+
+def hand_line(model: str, goal: Sequence[float]) -> str:
+    """What gives the wrench of a hand at the beam's end."""
+    angle = number(math.degrees(goal[2]))
+    return line("reach", model, "--goal", number(goal[0]), number(goal[1]), "--goal-angle-deg", angle, "--moment")
+
+
+def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, replace: bool) -> str:
+    """What learns the same."""
+    checks = [word for one in validate for word in ("--validate", one)]
+    return line("learn", *recordings, "--output", out, *checks, *(["--force"] if replace else []))

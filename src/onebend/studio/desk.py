@@ -1,0 +1,271 @@
+"""What the pages share: the beams that are bent, the work that runs, and everybody who looks on.
+
+All tabs see the same: each answer goes to all of them. Of drags that come faster than they are answered, the last
+counts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from onebend.errors import OnebendError, StudioError
+from onebend.studio.clients import Client
+from onebend.studio.jobs import Jobs
+from onebend.studio.places import StudioFolder
+from onebend.workers import end_with_parent
+
+if TYPE_CHECKING:  # and in `_load`: the page is there before the mechanics are loaded
+    from onebend.studio.bending import Bending
+
+_MOST_BEAMS = 8
+_RESTS = 0.3  # s without a drag, after which the ellipse is made exactly
+
+
+class Desk:
+    """State of the studio. All methods run in the server's loop."""
+
+    def __init__(self, places: StudioFolder) -> None:
+        self.places = places
+        self.clients: set[Client] = set()
+        self.jobs = Jobs(self._job_changed)
+        self.beams: dict[str, Bending] = {}
+        self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
+        self.beside = self._process()
+        self._wanted: dict[str, tuple[int, int, list[float]]] = {}  # by model: tab, number, goal
+        self._drags = asyncio.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._busy: set[str] = set()  # models whose hand's edge is being looked for
+        self._moves: dict[str, int] = {}
+        self._last_state = ("", False)
+
+    @staticmethod
+    def _process() -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
+
+    def begin(self) -> None:
+        """Load the mechanics, here and beside, while the page is already being looked at."""
+        loaded = self.thread.submit(_load)
+        loaded.add_done_callback(lambda _: self._load_beside())  # then: the first picture has both cores
+        self._spawn(self._answer_drags())
+
+    def _load_beside(self) -> None:
+        with contextlib.suppress(RuntimeError):  # it was ended meanwhile
+            self.beside.submit(_load)
+
+    async def end(self) -> None:
+        """Stop what runs."""
+        await self.jobs.stop()
+        for task in self._tasks:
+            task.cancel()
+        self.thread.shutdown(wait=False, cancel_futures=True)
+        self.beside.shutdown(wait=False, cancel_futures=True)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """One tab, from its coming to its going."""
+        await socket.accept()
+        client = Client(socket)
+        self.clients.add(client)
+        writer = asyncio.create_task(client.write())
+        client.put({"what": "hello", "you": client.number, "folder": str(self.places.root), "job": self._job()})
+        try:
+            while True:
+                message = await socket.receive_json()
+                await self._handle(client, message)
+        except (WebSocketDisconnect, ValueError, KeyError, RuntimeError):
+            pass  # it is gone, or it is not our page
+        finally:
+            self.clients.discard(client)
+            writer.cancel()
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+                await socket.close()
+
+    async def _handle(self, client: Client, message: Any) -> None:
+        if not isinstance(message, dict):
+            raise ValueError("not ours")
+        try:
+            do = message.get("do")
+            if do == "open":
+                await self._open(client, str(message["model"]))
+            elif do == "drag":
+                goal = [float(one) for one in list(message["goal"])[:3]]
+                self._wanted[str(message["model"])] = (client.number, int(message["n"]), goal)
+                self._drags.set()
+            elif do == "set":
+                await self._set(str(message["model"]), dict(message["settings"]))
+        except (OnebendError, TypeError) as error:
+            client.put({"what": "error", "text": str(error)})
+
+    async def _in_thread(self, work: Callable[[], Any]) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self.thread, work)
+
+    async def _open(self, client: Client, model: str) -> None:
+        """A beam as it stands: where another tab, or this one before, left it."""
+        if model not in self.beams:
+            folder = self.places.result(model)
+            bending = await self._in_thread(lambda: _opened(model, folder))
+            while len(self.beams) >= _MOST_BEAMS:
+                self.forget(next(iter(self.beams)))
+            self.beams.setdefault(model, bending)
+            self._spawn(self._map(model))
+        bending = self.beams[model]
+        shown = await self._in_thread(lambda: {"opened": bending.opened(), "answer": bending.still()})
+        client.put({"what": "beam", "model": model, **shown})
+        if bending.point.map is not None:
+            await self._show_map(model, bending, (client,))
+        if bending.hand is not None:
+            self._spawn(self._edge(model))
+
+    def forget(self, model: str) -> None:
+        """A beam that was learned anew, or one too many; who looks at it opens it again."""
+        if self.beams.pop(model, None) is not None:
+            self.tell({"what": "forgotten", "model": model})
+
+    async def _set(self, model: str, settings: dict[str, Any]) -> None:
+        bending = self._beam(model)
+
+        def change() -> dict[str, Any]:
+            bending.change(settings)
+            return {"opened": bending.opened(), "answer": bending.still()}
+
+        shown = await self._in_thread(change)
+        self.tell({"what": "beam", "model": model, **shown})
+        if bending.point.map is None:
+            self._spawn(self._map(model))
+        else:
+            await self._show_map(model, bending, tuple(self.clients))
+        if bending.hand is not None:
+            self._spawn(self._edge(model))
+
+    def _beam(self, model: str) -> Bending:
+        if model not in self.beams:
+            raise StudioError(f"{model} is not open")
+        return self.beams[model]
+
+    async def _answer_drags(self) -> None:
+        while True:
+            await self._drags.wait()
+            self._drags.clear()
+            while self._wanted:
+                model, (who, n, goal) = self._wanted.popitem()
+                bending = self.beams.get(model)
+                if bending is None:
+                    continue
+                try:
+                    answer = await self._in_thread(partial(bending.drag, goal))
+                except OnebendError as error:
+                    self.tell({"what": "error", "text": str(error)})
+                    continue
+                self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer})
+                self._moves[model] = self._moves.get(model, 0) + 1
+                if bending.hand is None:
+                    self._spawn(self._ellipse(model, self._moves[model]))
+                else:
+                    self._spawn(self._edge(model))
+
+    async def _aside(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        """Work in the process beside; it is made anew where it died."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self.beside, work, *arguments)
+        except BrokenExecutor:
+            self.beside = self._process()
+            raise StudioError("the process that makes maps ended. Try again") from None
+
+    async def _map(self, model: str) -> None:
+        from onebend.studio import mapping  # here and below: loaded beside the page's first picture
+
+        bending, version = self.beams[model], self.beams[model].version
+        work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)
+        try:
+            found = await self._aside(*work)
+        except OnebendError as error:
+            self.tell({"what": "error", "text": str(error)})
+            return
+        if await self._in_thread(lambda: bending.take_map(version, found)):
+            await self._show_map(model, bending, tuple(self.clients))
+
+    async def _show_map(self, model: str, bending: Bending, clients: tuple[Client, ...]) -> None:
+        from onebend.studio.bending import outline_of
+
+        found = bending.point.map
+        if found is not None:
+            shown = await self._in_thread(lambda: outline_of(found))
+            for client in clients:
+                client.put({"what": "map", "model": model, "version": bending.version, "map": shown})
+
+    async def _edge(self, model: str) -> None:
+        """The hand's edge, again and again until the hand rests."""
+        from onebend.studio import mapping
+
+        if model in self._busy:
+            return
+        self._busy.add(model)
+        try:
+            done = -1
+            while done != self._moves.get(model, 0) and (bending := self.beams.get(model)) is not None:
+                done, state = self._moves.get(model, 0), bending.state
+                if bending.hand is None:
+                    return
+                edge = await self._aside(mapping.hand_edge, bending.beam, state.q, state.load, bending.max_force)
+                self.tell({"what": "edge", "model": model, "edge": edge})
+        except OnebendError as error:
+            self.tell({"what": "error", "text": str(error)})
+        finally:
+            self._busy.discard(model)
+
+    async def _ellipse(self, model: str, moves: int) -> None:
+        """By drawn beams, once the point rests."""
+        await asyncio.sleep(_RESTS)
+        bending = self.beams.get(model)
+        if bending is None or bending.stored.uncertain is None or self._moves.get(model) != moves:
+            return
+        from onebend.studio import mapping
+
+        known, state = bending.stored.uncertain.as_dict(), bending.state
+        work = (mapping.full_ellipse, bending.beam, known, bending.push_s, bending.point_s, state.q, state.load)
+        with contextlib.suppress(OnebendError):
+            found = await self._aside(*work)
+            if found is not None and self._moves.get(model) == moves:
+                self.tell({"what": "ellipse", "model": model, "ellipse": found})
+
+    def tell(self, message: dict[str, Any]) -> None:
+        """To all tabs."""
+        for client in tuple(self.clients):
+            client.put(message)
+
+    def _job(self) -> dict[str, Any] | None:
+        return None if self.jobs.job is None else self.jobs.job.shown()
+
+    def _job_changed(self) -> None:
+        shown = self._job()
+        self.tell({"what": "job", "job": shown})
+        if shown is None:
+            return
+        state = (str(shown["state"]), bool(shown["published"]))
+        if state != self._last_state and (shown["published"] or state[0] not in ("running", "stopping")):
+            self.forget(shown["out"])
+            self.tell({"what": "places"})
+        self._last_state = state
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def _load() -> None:
+    from onebend.studio import bending  # noqa: F401  (here: while the page is being fetched)
+
+
+def _opened(model: str, folder: Any) -> Bending:
+    from onebend.studio.bending import Bending
+
+    return Bending.of(model, folder)

@@ -1,0 +1,96 @@
+"""The room Learn: what a result says, and the film with the fitted beam over it as the report keeps it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.errors import StudioError
+from onebend.files.manifest import LARGEST, SUMMARY
+from onebend.results.model import StoredModel, read_model
+
+REPORT = "report.html"
+_LARGEST_REPORT = 32 * 2**20  # bytes
+_DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
+_S = np.linspace(0.0, 1.0, 101)
+_LEVELS = (0.95, 0.8, 0.5)
+
+
+def result_data(name: str, folder: Path) -> dict[str, Any]:
+    """Verdict, k(s) with its bands, errors and remarks of a results folder.
+
+    Raises `ResultsError` where the model cannot be read.
+    """
+    stored = read_model(folder)
+    summary = _summary(folder)
+    fit = summary.get("fit") or {}
+    return {
+        "name": name,
+        "changed": [words for words in (stored.changed, stored.swapped) if words],
+        "length_m": stored.beam.length,
+        "curve": curve(stored),
+        "verdict": summary.get("verdict"),
+        "recordings": summary.get("recordings", []),
+        "training": summary.get("training", []),
+        "validation": summary.get("validation", []),
+        "fitted_rms_m": fit.get("fitted_rms_m"),
+        "allowances": [one for one in fit.get("allowances", []) if one.get("matters")],
+        "remarks": [one for one in summary.get("remarks", []) if one.get("level") == "warning"],
+        "command": (summary.get("provenance") or {}).get("command"),
+        "written": (summary.get("provenance") or {}).get("written"),
+        "report": (folder / REPORT).is_file(),
+    }
+
+
+def curve(stored: StoredModel) -> dict[str, Any]:
+    """k(s) in N m at 101 places, with its bands."""
+    known = stored.uncertain
+    found: dict[str, Any] = {"s": _S.tolist(), "k_N_m": np.asarray(stored.beam.stiffness(_S)).tolist(), "bands": []}
+    if known is None:
+        return found
+    for level in _LEVELS:
+        band = known.band(_S, level)
+        found["bands"].append({"level": level, "low_N_m": band.low.tolist(), "high_N_m": band.high.tolist()})
+    found["identified"] = known.band(_S).identified.tolist()
+    found["doubts"] = list(known.doubts)
+    return found
+
+
+def film_data(folder: Path) -> dict[str, Any] | None:
+    """The frames that the report shows, the fitted beam in their pixels; None where the report has no film.
+
+    Raises `StudioError` where there is no report, or one that is not onebend's.
+    """
+    path = folder / REPORT
+    try:
+        if path.stat().st_size > _LARGEST_REPORT:
+            raise StudioError(f"{path.name} is larger than any report. Learn again")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise StudioError(
+            f"{folder.name} has no report to take the film from. Learn again without --no-report"
+        ) from error
+    held = _DATA.search(text)
+    try:
+        data = json.loads(held[1]) if held else {}
+        film = data.get("film")
+    except (ValueError, AttributeError, RecursionError) as error:
+        raise StudioError(f"{path.name} was changed. Learn again") from error
+    if not isinstance(film, dict):
+        return None
+    return film | {"tag_id": (data.get("curve") or {}).get("tag_id", [])}
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    path = folder / SUMMARY
+    try:
+        if path.stat().st_size > LARGEST:
+            return {}
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}

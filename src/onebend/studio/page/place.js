@@ -1,0 +1,19 @@
+const ends = [];
+const kept = {};
+export const roomName = () => location.hash.slice(1).split("?")[0] || "bend";
+export function params() {
+    const own = location.hash.split("?")[1];
+    return new URLSearchParams(own ?? kept[roomName()] ?? "");
+}
+export function remember(values) {
+    const text = new URLSearchParams(Object.entries(values).filter(([, value]) => value !== "")).toString();
+    kept[roomName()] = text;
+    history.replaceState(null, "", `#${roomName()}${text ? `?${text}` : ""}`);
+}
+export function atEnd(...work) {
+    ends.push(...work);
+}
+export function leave() {
+    for (const end of ends.splice(0))
+        end();
+}

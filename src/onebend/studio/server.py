@@ -1,0 +1,186 @@
+"""The studio's server: the page, what it asks for, and its socket; on this computer alone."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import secrets
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from onebend.errors import OnebendError, StudioError
+from onebend.strict_json import plain
+from onebend.studio.commands import learn_line
+from onebend.studio.desk import Desk
+from onebend.studio.guard import Guard
+from onebend.studio.places import StudioFolder
+
+PAGE = Path(__file__).parent / "page"
+HOST = "127.0.0.1"
+LONGEST_MESSAGE = 64 * 1024  # bytes of the socket
+_MOST_RECORDINGS = 50
+
+
+def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
+    """The whole studio as an ASGI application that answers only to this token, at this port."""
+    desk = Desk(places)
+    asked = Asked(desk)
+
+    @contextlib.asynccontextmanager
+    async def life(_app: Starlette) -> AsyncIterator[None]:
+        desk.begin()
+        yield
+        await desk.end()
+
+    routes = [
+        Route("/api/places", clean(asked.places)),
+        Route("/api/result", clean(asked.result)),
+        Route("/api/film", clean(asked.film)),
+        Route("/api/job", clean(asked.job)),
+        Route("/api/learn", clean(asked.learn), methods=["POST"]),
+        Route("/api/stop", clean(asked.stop), methods=["POST"]),
+        WebSocketRoute("/socket", desk.serve),
+        Mount("/", StaticFiles(directory=PAGE, html=True)),
+    ]
+    return Guard(Starlette(routes=routes, lifespan=life), token, port)
+
+
+class Asked:
+    """What the page asks for by HTTP."""
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk = desk
+
+    async def places(self, _request: Request) -> Response:
+        found = await run_in_threadpool(self.desk.places.found)
+        rows = [{"name": one.name, "kind": one.kind, "changed": one.changed, **one.about} for one in found]
+        return JSONResponse(plain({"folder": str(self.desk.places.root), "found": rows}))
+
+    async def result(self, request: Request) -> Response:
+        from onebend.studio.learned import result_data  # here: not before the first picture
+
+        name = _name(request)
+        return JSONResponse(plain(await run_in_threadpool(result_data, name, self.desk.places.result(name))))
+
+    async def film(self, request: Request) -> Response:
+        from onebend.studio.learned import film_data
+
+        return JSONResponse(plain(await run_in_threadpool(film_data, self.desk.places.result(_name(request)))))
+
+    async def job(self, _request: Request) -> Response:
+        job = self.desk.jobs.job
+        return JSONResponse({"job": None if job is None else job.shown()})
+
+    async def learn(self, request: Request) -> Response:
+        asked = await _posted(request)
+        recordings, validate = _names(asked, "recordings"), _names(asked, "validate")
+        if not recordings:
+            raise StudioError("choose a recording to learn from")
+        for one in (*recordings, *validate):
+            self.desk.places.recording(one)
+        out = str(asked.get("out") or f"{Path(recordings[0]).name}-results")
+        if self.desk.places.path(out) == self.desk.places.root:
+            raise StudioError("results go to a folder of their own")
+        replace = asked.get("replace") is True
+        wanted = {
+            "folder": str(self.desk.places.root),
+            "recordings": recordings,
+            "validate": validate,
+            "out": out,
+            "replace": replace,
+            "command": learn_line(recordings, validate, out, replace),
+        }
+        await self.desk.jobs.start(wanted)
+        return JSONResponse({"out": out})
+
+    async def stop(self, _request: Request) -> Response:
+        await self.desk.jobs.stop()
+        return JSONResponse({})
+
+
+def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+    """`work`; what cannot be done is said in one sentence."""
+
+    async def inside(request: Request) -> Response:
+        try:
+            return await work(request)
+        except OnebendError as error:
+            return JSONResponse({"error": str(error)}, 422)
+
+    return inside
+
+
+def _name(request: Request) -> str:
+    return request.query_params.get("name", "")
+
+
+async def _posted(request: Request) -> dict[str, Any]:
+    try:
+        data = json.loads(await request.body())
+    except (ValueError, RecursionError) as error:
+        raise StudioError("the page sent no JSON") from error
+    if not isinstance(data, dict):
+        raise StudioError("the page sent no JSON object")
+    return data
+
+
+def _names(asked: dict[str, Any], key: str) -> list[str]:
+    found = asked.get(key, [])
+    if not isinstance(found, list) or len(found) > _MOST_RECORDINGS or not all(isinstance(one, str) for one in found):
+        raise StudioError(f"{key}: give names of recordings")
+    return [one if not one.startswith("-") else f"./{one}" for one in found]
+
+
+def opened_socket(port: int) -> socket.socket:
+    """A socket on this computer alone; port 0: a free one. Raises `StudioError` where the port is taken."""
+    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        found.bind((HOST, port))
+    except OSError as error:
+        found.close()
+        raise StudioError(
+            f"port {port} cannot be had ({error.strerror}). Take another --port, or leave it out"
+        ) from error
+    return found
+
+
+def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
+    """Serve until interrupted; `ready` is given the address, with its token, when the page is there.
+
+    Raises:
+        StudioError: no such folder, or the port is taken.
+    """
+    import uvicorn  # here: the application itself is made and tested without
+
+    places = StudioFolder.of(folder)
+    listening = opened_socket(port)
+    number, token = listening.getsockname()[1], secrets.token_urlsafe(24)
+
+    class Server(uvicorn.Server):
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets=sockets)
+            ready(f"http://{HOST}:{number}/?token={token}")
+
+    config = uvicorn.Config(
+        application(places, token, number),
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=LONGEST_MESSAGE,
+        lifespan="on",
+        server_header=False,
+        timeout_graceful_shutdown=2,
+    )
+    with contextlib.suppress(KeyboardInterrupt):  # the way to end it
+        Server(config).run(sockets=[listening])

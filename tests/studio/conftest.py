@@ -1,0 +1,59 @@
+"""A folder with a recording and a learned beam, and the studio over it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from onebend.results.model import save_model
+from onebend.studio.places import StudioFolder
+from onebend.studio.server import application
+from tests import made_up
+
+ROOT = Path(__file__).parents[2]
+PORT = 8765
+TOKEN = "a-token-that-nobody-guesses"
+HOME = f"http://127.0.0.1:{PORT}"
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, and a learned beam as its model alone."""
+    place = tmp_path_factory.mktemp("studio")
+    shutil.copytree(ROOT / "examples" / "hung-weights", place / "hung weights")
+    fit = made_up.posterior()
+    (place / "beam").mkdir()
+    save_model(place / "beam" / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
+    (place / "beam" / "summary.json").write_text("{}")
+    return place
+
+
+@pytest.fixture
+def stranger(folder: Path) -> TestClient:
+    """A client that has not shown the token. Nothing is computed: the work is not begun."""
+    return TestClient(application(StudioFolder.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False)
+
+
+@pytest.fixture
+def client(stranger: TestClient) -> TestClient:
+    """One that has."""
+    assert stranger.get("/", params={"token": TOKEN}).status_code == 303
+    return stranger
+
+
+@pytest.fixture(scope="module")
+def working(folder: Path) -> Iterator[TestClient]:
+    """The studio at work."""
+    with TestClient(application(StudioFolder.of(folder), TOKEN, PORT), base_url=HOME, follow_redirects=False) as found:
+        found.get("/", params={"token": TOKEN})
+        yield found
+
+
+def own(**more: str) -> dict[str, Any]:
+    """Headers of a request that the page itself makes."""
+    return {"origin": HOME, **more}

@@ -1,0 +1,163 @@
+"""The room Bend, over the socket: what it answers is what the library says."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
+from typer.testing import CliRunner
+
+from onebend.cli import app
+from onebend.errors import StudioError
+from onebend.results.model import read_model
+from onebend.studio.bending import Bending
+from onebend.studio.clients import text_of
+from tests.studio.conftest import PORT, own
+
+SOCKET = f"ws://127.0.0.1:{PORT}/socket"
+
+
+def heard(socket: WebSocketTestSession, what: str) -> dict[str, Any]:
+    """The next message of this kind."""
+    for _ in range(200):
+        message = socket.receive_json()
+        if message["what"] == what:
+            return dict(message)
+        assert message["what"] != "error", message
+    raise AssertionError(f"no {what}")
+
+
+def opened(client: TestClient) -> WebSocketTestSession:
+    return client.websocket_connect(SOCKET, headers=own(host=f"127.0.0.1:{PORT}"))
+
+
+def test_a_drag_is_answered_with_the_force_that_reach_gives(working: TestClient, folder: Path) -> None:
+    beam = read_model(folder / "beam").beam
+    goal = beam.equilibrium((0.05, 0.2)).xy(1.0)
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        assert heard(socket, "beam")["opened"]["mode"] == "point"
+        assert heard(socket, "map")["map"]["triangles"]
+        socket.send_json({"do": "drag", "model": "beam", "n": 7, "goal": goal.tolist()})
+        message = heard(socket, "answer")
+    assert message["n"] == 7
+    answer = message["answer"]
+    assert answer["limit"] is None
+    assert np.allclose(
+        answer["force_N"], [0.05, 0.2], atol=5e-4
+    )  # along the beam a force moves the point by next to nothing
+    assert np.allclose(answer["line_m"][-1], goal, atol=2e-6)
+    long, short = answer["ellipse"]["semi_axes_m"]
+    assert 0.0 < short <= long < 0.05
+
+
+def test_the_command_beside_it_gives_the_same_force(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bending = Bending.of("beam", folder / "beam")
+    answer = bending.drag([0.1338, 0.0638])
+    monkeypatch.chdir(folder)
+    done = CliRunner().invoke(app, [*shlex.split(answer["command"])[1:], "--json"])
+    assert done.exit_code == 0, done.output
+    assert np.allclose(json.loads(done.stdout)["force_N"], answer["force_N"], rtol=1e-3, atol=1e-5)
+
+
+def test_two_tabs_agree_and_a_returning_one_finds_the_beam_as_it_was(working: TestClient) -> None:
+    with opened(working) as one, opened(working) as other:
+        for socket in (one, other):
+            socket.send_json({"do": "open", "model": "beam"})
+            heard(socket, "beam")
+        one.send_json({"do": "drag", "model": "beam", "n": 1, "goal": [0.14, 0.03]})
+        seen = [heard(socket, "answer") for socket in (one, other)]
+        assert seen[0] == seen[1]
+        one.send_json({"do": "set", "model": "beam", "settings": {"point_s": 0.8, "push_s": 0.8}})
+        assert heard(other, "beam")["opened"]["point_s"] == 0.8
+    with opened(working) as again:
+        again.send_json({"do": "open", "model": "beam"})
+        found = heard(again, "beam")
+        assert found["opened"]["push_s"] == 0.8
+        again.send_json({"do": "set", "model": "beam", "settings": {"point_s": 1.0, "push_s": 1.0, "rest": True}})
+        assert heard(again, "beam")["answer"]["force_N"] == [0.0, 0.0]
+
+
+def test_of_many_drags_the_last_is_answered(working: TestClient) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "map")
+        for n in range(60):
+            socket.send_json({"do": "drag", "model": "beam", "n": n, "goal": [0.14, 0.02 + 0.0005 * n]})
+        answers: list[int] = []
+        while not answers or answers[-1] != 59:
+            answers.append(heard(socket, "answer")["n"])
+    assert answers == sorted(answers)
+
+
+def test_a_hand_holds_the_end_and_says_how_far_it_gets(working: TestClient) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "beam")
+        socket.send_json({"do": "drag", "model": "beam", "n": 1, "goal": [0.135, 0.05]})
+        heard(socket, "answer")
+        socket.send_json({"do": "set", "model": "beam", "settings": {"mode": "hand", "max_force_N": 20.0}})
+        answer = heard(socket, "beam")["answer"]
+        assert len(heard(socket, "edge")["edge"]) == 36
+        x, y, angle = answer["pose"]
+        socket.send_json({"do": "drag", "model": "beam", "n": 2, "goal": [x, y, angle + 0.05]})
+        turned = heard(socket, "answer")["answer"]
+        assert turned["pose"][2] == pytest.approx(angle + 0.05, abs=1e-6)
+        assert turned["moment_N_m"] != 0.0
+        assert "--moment" in turned["command"]
+        socket.send_json({"do": "set", "model": "beam", "settings": {"mode": "point"}})
+        heard(socket, "beam")
+
+
+@pytest.mark.parametrize("model", ["nowhere", "../beam", "/etc"])
+def test_a_beam_that_is_not_there_is_said(working: TestClient, model: str) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": model})
+        assert socket.receive_json()["what"] == "hello"
+        assert socket.receive_json()["what"] == "error"
+
+
+@pytest.mark.parametrize("message", [[], 3, {"do": "drag"}, {"do": "drag", "model": "beam", "n": 1, "goal": ["x"]}])
+def test_what_is_no_message_of_the_page_ends_the_socket(working: TestClient, message: object) -> None:
+    with opened(working) as socket:
+        assert socket.receive_json()["what"] == "hello"
+        socket.send_json(message)
+        assert socket.receive()["type"] == "websocket.close"
+
+
+@pytest.mark.parametrize(
+    "settings", [{"mode": "foot"}, {"push_s": 0.0}, {"point_s": 2}, {"max_force_N": -1}, {"max_force_N": float("nan")}]
+)
+def test_settings_without_meaning_are_refused(folder: Path, settings: dict[str, Any]) -> None:
+    with pytest.raises(StudioError):
+        Bending.of("beam", folder / "beam").change(settings)
+
+
+def test_a_goal_without_meaning_is_refused(folder: Path) -> None:
+    bending = Bending.of("beam", folder / "beam")
+    for goal in ([0.1], [float("nan"), 0.0], [0.0] * 4):
+        with pytest.raises(StudioError):
+            bending.drag(goal)
+
+
+def test_a_beam_that_was_learned_anew_is_opened_again(working: TestClient, folder: Path) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "beam")
+        (folder / "odd").mkdir(exist_ok=True)
+        (folder / "odd" / "recording.toml").write_text("format = 1\n")
+        asked = {"recordings": ["odd"], "out": "beam"}
+        assert working.post("/api/learn", json=asked, headers=own()).status_code == 200
+        assert heard(socket, "forgotten")["model"] == "beam"
+        socket.send_json({"do": "open", "model": "beam"})
+        assert heard(socket, "beam")["opened"]["model"] == "beam"
+
+
+def test_a_number_that_is_not_finite_is_null() -> None:
+    sent = text_of({"what": "answer", "answer": {"margin": float("nan"), "pose": [0.1, float("inf")]}})
+    assert json.loads(sent) == {"what": "answer", "answer": {"margin": None, "pose": [0.1, None]}}

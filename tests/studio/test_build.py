@@ -1,0 +1,37 @@
+"""The page that is served was built from the sources that stand beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from onebend.studio.server import PAGE
+
+SOURCES = Path(__file__).parents[2] / "web" / "src"
+
+
+def test_the_page_is_of_these_sources() -> None:
+    if not SOURCES.is_dir():
+        pytest.skip("the sources of the page are not here: an installed package")
+    written = json.loads((PAGE / "sources.json").read_text())
+    now = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(SOURCES.iterdir())}
+    assert written == now, "build the page again: cd web && npm ci && npm run build"
+
+
+def test_every_source_has_its_built_file_and_no_other_is_there() -> None:
+    written = json.loads((PAGE / "sources.json").read_text())
+    built = {name.replace(".ts", ".js") for name in written}
+    assert {path.name for path in PAGE.iterdir()} == built | {"sources.json"}
+
+
+def test_the_page_asks_nothing_of_the_network() -> None:
+    for path in PAGE.iterdir():
+        text = path.read_text(encoding="utf-8")
+        found = re.findall(r"\b(?:https?|wss?)://[^\s`\"']+", text)
+        assert all(one == "ws://${location.host}/socket" for one in found), (path.name, found)
+        assert "innerHTML" not in text
+        assert "eval(" not in text
