@@ -7,6 +7,7 @@ buffer may cause: that is an `End` with its reason. `open` raises, with what to 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from onebend.capture.clocks import Clock, StampTiming
@@ -72,6 +73,18 @@ class ForceSource(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class FromFiles(Protocol):
+    """A source that reads files of this computer."""
+
+    files: tuple[Path, ...]
+
+
+def files_of(*sources: CameraSource | ForceSource | None) -> tuple[Path, ...]:
+    """The files that these sources read, which no recording may replace."""
+    return tuple(path for source in sources if isinstance(source, FromFiles) for path in source.files)
 
 
 @runtime_checkable
