@@ -75,16 +75,9 @@ class ForceSource(Protocol):
     def close(self) -> None: ...
 
 
-@runtime_checkable
-class FromFiles(Protocol):
-    """A source that reads files of this computer."""
-
-    files: tuple[Path, ...]
-
-
 def files_of(*sources: CameraSource | ForceSource | None) -> tuple[Path, ...]:
-    """The files that these sources read, which no recording may replace."""
-    return tuple(path for source in sources if isinstance(source, FromFiles) for path in source.files)
+    """The files that these sources read (their `files`, where they have any), which no recording may replace."""
+    return tuple(Path(path) for source in sources for path in getattr(source, "files", ()))
 
 
 @runtime_checkable
