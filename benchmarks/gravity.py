@@ -1,6 +1,6 @@
 """Gravity said wrongly, of a heavy beam that bends in its plane: seen, or in the band?
 
-Films of one beam under a gravity that makes its weight 0.4 to 0.5 of the largest force, hanging, lying and rising by
+Films of one beam under a gravity that makes its weight twice the largest force, hanging, lying and rising by
 30 degrees, learned as they are, with `base_angle_deg` off by so much, and with the force log in kilograms. `outside`:
 share of the identified places where k(s) is out of the 95 % band.
 """

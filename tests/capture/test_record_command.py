@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import threading
 from io import StringIO
@@ -85,7 +86,9 @@ def test_json_is_one_object(original: Path, tmp_path: Path) -> None:
         (("--camera", "/dev/video99", "--force", "log:PLAYED"), "there is no such camera. Plug it in"),
         (("--camera", "disk:0"), "there is no such source"),
         (("--camera", "film:PLAYED", "--force", "log:PLAYED", "--until", "much"), "--until much: write how exactly"),
-        (("--camera", "film:PLAYED", "--force", "log:PLAYED", "--like", "PLAYED"), "exists already. Leave out --like"),
+        (("--camera", "film:"), "nothing stands behind the colon"),
+        (("--camera", "film:PLAYED,lost=2"), "lost=2: this must be a number from 0 to 1."),
+        (("--camera", "film:PLAYED", "--force", "serial:/dev/ttyUSB9"), "Name forces as fx_N"),
         (("--camera", "film:/nowhere", "--force", "log:PLAYED"), "there is no such film"),
     ],
 )
@@ -104,6 +107,39 @@ def test_a_folder_without_a_description_is_told_to_make_one(original: Path, tmp_
     done = run(tmp_path / "empty", "--camera", f"film:{original}")
     assert done.exit_code == 2
     assert "onebend new" in done.stderr
+
+
+def test_a_start_that_failed_is_begun_again_with_the_same_words(original: Path, tmp_path: Path) -> None:
+    words = (tmp_path / "new", "--like", original, "--force", f"log:{original}", "--camera")
+    for _ in range(2):
+        failed = run(*words, "/dev/video99")
+        assert failed.exit_code == 2
+        assert "there is no such camera" in failed.stderr
+    done = run(*words, f"film:{original}", "--fast", "--no-learning", "--now", "--longest-s", "1")
+    assert done.exit_code == 0, done.stderr
+
+
+def test_another_description_is_not_replaced_by_like(original: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "recording.toml"
+    mine.write_text(toml() + "# mine\n", encoding="utf-8")
+    done = run(tmp_path, "--camera", f"film:{original}", "--force", f"log:{original}", "--like", original)
+    assert done.exit_code == 2
+    assert "exists already. Leave out --like" in " ".join(done.stderr.split())
+    assert mine.read_text(encoding="utf-8").endswith("# mine\n")
+    done = run(mine, "--camera", f"film:{original}", "--force", f"log:{original}", "--like", original)
+    assert "is not a folder" in " ".join(done.stderr.split())
+
+
+@pytest.mark.parametrize(("camera", "force"), [("film:MINE", "log:MINE"), ("film:PLAYED", "csv:MINE/force.csv")])
+def test_what_is_read_is_not_replaced_even_when_asked(original: Path, tmp_path: Path, camera: str, force: str) -> None:
+    mine = tmp_path / "mine"
+    shutil.copytree(original, mine)
+    before = {path.name: path.read_bytes() for path in mine.iterdir()}
+    specs = [spec.replace("MINE", str(mine)).replace("PLAYED", str(original)) for spec in (camera, force)]
+    done = run(mine, "--camera", specs[0], "--force", specs[1], "--fast", "--no-learning", "--now", "--overwrite")
+    assert done.exit_code == 2, done.output
+    assert "would be replaced" in " ".join(done.stderr.split())
+    assert {path.name: path.read_bytes() for path in mine.iterdir()} == before
 
 
 def test_the_tables_of_the_beam_are_copied_with_its_description(original: Path, tmp_path: Path) -> None:

@@ -37,8 +37,12 @@ class RecordingPlaces:
     earlier: tuple[Path, ...] = ()  # files that are to be replaced
 
 
-def places_for(folder: Path | str, columns: tuple[str, ...] | None, *, overwrite: bool = False) -> RecordingPlaces:
+def places_for(
+    folder: Path | str, columns: tuple[str, ...] | None, *, overwrite: bool = False, read: tuple[Path, ...] = ()
+) -> RecordingPlaces:
     """Read recording.toml, and check that a camera and a sensor of these `columns` (None: no sensor) can fill it.
+
+    The sources read the files `read`; these are not replaced, not even with `overwrite`.
 
     Raises:
         RecordingError: what is wrong with it, or what is there already.
@@ -65,6 +69,10 @@ def places_for(folder: Path | str, columns: tuple[str, ...] | None, *, overwrite
     if rec.force is not None and columns is not None:
         log, named = rec.force.file, _named(rec, columns)
     found = [path for path in (film, log, rec.folder / STAMPS) if path is not None and path.exists()]
+    if found and (own := [path for path in found for one in read if one.exists() and path.samefile(one)]):
+        raise RecordingError(
+            f"{own[0]} is what the camera or the sensor reads, and would be replaced. Record into another folder."
+        )
     if found and not overwrite:
         raise RecordingError(
             f"{found[0]} is there already. Record into another folder (copy {FILE_NAME}), or add --overwrite to "
@@ -217,19 +225,24 @@ def room_left(folder: Path) -> float:
 def copy_description(like: Path, folder: Path) -> None:
     """Begin a recording of the beam of another one: its recording.toml, and the tables of the beam that it names.
 
+    Files that are there already and the same, of a start that failed, are left as they are.
+
     Raises:
-        RecordingError: there is one in `folder` already, or `like` cannot be read.
+        RecordingError: others are in `folder`, it is no folder, or `like` cannot be read.
     """
-    if (folder / FILE_NAME).exists():
-        raise RecordingError(f"{folder / FILE_NAME} exists already. Leave out --like, or name another folder.")
     source = folder_of(like)
     rec = read_recording(source, filmed=False)
+    if folder.exists() and not folder.is_dir():
+        raise RecordingError(f"{folder} is not a folder. Name the folder to record into.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in (source / FILE_NAME, rec.beam.mass_file, rec.beam.section_file):
             if path is not None:
                 target = folder / path.relative_to(source)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(path, target)
+                if not target.exists():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(path, target)
+                elif target.read_bytes() != path.read_bytes():
+                    raise RecordingError(f"{target} exists already. Leave out --like, or name another folder.")
     except (OSError, ValueError) as wrong:
         raise RecordingError(f"{folder}: {source} cannot be copied ({wrong}). Copy {FILE_NAME} by hand.") from None

@@ -97,6 +97,7 @@ class PlayedCamera(_Playing):
     ) -> None:
         """`film`: a video, or its frames, whose times begin near 0 s."""
         super().__init__(name, own, seed)
+        self.files = (film.file,) if isinstance(film, VideoEntry) else ()
         self._film, self._how, self._seed = film, disturbances, seed
 
     def open(self, clock: Clock) -> None:
@@ -135,11 +136,13 @@ class PlayedForce(_Playing):
         own: OwnClock = OwnClock(),
         seed: int = 0,
         name: str = "the force log",
+        files: tuple[Path, ...] = (),
     ) -> None:
-        """`start` [s]: the log's time when the film begins, to `error` [s]; what was logged before is left out."""
+        """`start` [s]: the log's time when the film begins, to `error` [s]; what was logged before is left out;
+        `files`: where the log was read from."""
         super().__init__(name, own, seed)
         self.timing = replace(TIMING, delay_error=error)
-        self.columns = columns
+        self.columns, self.files = columns, files
         kept = log.time >= start
         place = None if log.push_s is None else log.push_s[kept]
         self._log = replace(log, time=log.time[kept] - start, force=log.force[kept], push_s=place)
@@ -196,11 +199,11 @@ def played_force(
     """
     rec, error = _recording_at(place), TIMING.delay_error
     if rec is not None:
-        log = read_log(rec)
+        log, files = read_log(rec), () if rec.force is None else (rec.force.file,)
         if math.isnan(start):
             start, error = rec.start
     elif place.is_file():
-        log = read_force_log(place, ("time_s", "fx_N", "fy_N"))
+        log, files = read_force_log(place, ("time_s", "fx_N", "fy_N")), (place,)
     else:
         raise RecordingError(f"log:{place}: there is no such log or recording. Name a CSV file, or a folder.")
     if log is None:
@@ -208,7 +211,15 @@ def played_force(
     start, error = (float(log.time[0]), 5.0) if math.isnan(start) else (start, error)
     columns = ("fx_N", "fy_N") if log.push_s is None else ("fx_N", "fy_N", "push_s")
     return PlayedForce(
-        log, start, disturbances, columns=columns, error=error, own=own, seed=seed, name=f"the log {place}"
+        log,
+        start,
+        disturbances,
+        columns=columns,
+        error=error,
+        own=own,
+        seed=seed,
+        name=f"the log {place}",
+        files=files,
     )
 
 

@@ -19,7 +19,7 @@ from onebend.capture.follower import Follower
 from onebend.capture.guidance import tag_views
 from onebend.capture.logs import Logs
 from onebend.capture.pump import Pump
-from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Samples
+from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Samples, files_of
 from onebend.capture.stages import NO_FORCE, Stages, outcome_remarks, stage_advice
 from onebend.capture.state import CaptureOutcome, CaptureSettings, CaptureState, Stop
 
@@ -55,7 +55,7 @@ def record(
     """
     clock = clock or HostClock()
     columns = None if force is None else force.columns
-    places = places_for(folder, columns, overwrite=settings.overwrite)
+    places = places_for(folder, columns, overwrite=settings.overwrite, read=files_of(camera, force))
     sources: list[CameraSource | ForceSource] = [camera, *([] if force is None else [force])]
     with ExitStack() as opened:
         for source in sources:

@@ -7,6 +7,7 @@ buffer may cause: that is an `End` with its reason. `open` raises, with what to 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from onebend.capture.clocks import Clock, StampTiming
@@ -72,6 +73,11 @@ class ForceSource(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+def files_of(*sources: CameraSource | ForceSource | None) -> tuple[Path, ...]:
+    """The files that these sources read (their `files`, where they have any), which no recording may replace."""
+    return tuple(Path(path) for source in sources for path in getattr(source, "files", ()))
 
 
 @runtime_checkable

@@ -65,7 +65,7 @@ def force_of(spec: str) -> ForceSource:
     return FORCES[kind].make(place, options)
 
 
-def number(options: Options, key: str, default: float, *, least: float = -math.inf) -> float:
+def number(options: Options, key: str, default: float, *, least: float = -math.inf, most: float = math.inf) -> float:
     """A number of a spec's options.
 
     Raises:
@@ -77,10 +77,10 @@ def number(options: Options, key: str, default: float, *, least: float = -math.i
         value = float(options[key])
     except ValueError:
         value = math.nan
-    if not least <= value < math.inf:
-        raise RecordingError(
-            f"{key}={options[key]}: this must be a number{'' if least == -math.inf else f' from {least:g}'}."
-        )
+    if not (least <= value <= most and math.isfinite(value)):
+        low = "" if least == -math.inf else f" from {least:g}"
+        high = "" if most == math.inf else f" to {most:g}"
+        raise RecordingError(f"{key}={options[key]}: this must be a number{low}{high}.")
     return value
 
 
@@ -88,6 +88,8 @@ def _split(
     spec: str, kinds: Mapping[str, CameraKind] | Mapping[str, ForceKind], option: str
 ) -> tuple[str, str, dict[str, str]]:
     head, *more = spec.split(",")
+    if head.endswith(":"):
+        raise RecordingError(f"{option} {spec}: nothing stands behind the colon. Say where it is: {head}PLACE.")
     kind, colon, place = ("v4l2", ":", head) if head.startswith("/dev/video") else head.partition(":")
     if not colon or kind not in kinds:
         known = ", ".join(one.example for one in kinds.values())
@@ -103,7 +105,7 @@ def _split(
 
 
 def _disturbances(options: Options) -> Disturbances:
-    lost, late = number(options, "lost", 0.0, least=0.0), number(options, "late", 0.0, least=0.0)
+    lost, late = (number(options, key, 0.0, least=0.0, most=1.0) for key in ("lost", "late"))
     jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
     return Disturbances(
         frames_lost=lost,

@@ -122,7 +122,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
         table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
         table.add_row("place", _place(found, peak))
     if found.misfit is not None:
-        table.add_row("misfit", f"{found.misfit.ratio:.2f} times what band, mounting and noise let expect (squared)")
+        table.add_row("misfit", f"{found.misfit.ratio:.3g} times what band, mounting and noise let expect (squared)")
     difference = found.against_log
     if difference is not None:
         table.add_row("against the log", f"{significant(difference[0])} N RMS where the force is known best")

@@ -117,6 +117,8 @@ def test_another_beam_is_noticed_and_the_right_one_is_not() -> None:
     assert wrong.misfit.probability < 1e-4
     assert [one.about for one in wrong.remarks if one.level == "warning"] == ["sensed misfit"]
     assert not [one for one in right.remarks if one.level == "warning"]
+    assert right.sensor is not None
+    assert wrong.sensor is None
 
 
 def test_a_clamp_that_slipped_after_the_rest_is_noticed() -> None:

@@ -19,7 +19,7 @@ MOMENTS = {"Nm": 1.0, "N_m": 1.0, "mNm": 1e-3, "Nmm": 1e-3}
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 IGNORED, COUNTER = "_", "number"
 KNOWN = (
-    f"forces as fx_N, fy_mN, fz_kg ({', '.join(UNITS)}), moments as tz_Nm, a time as time_s or time_ms, "
+    f"Name forces as fx_N, fy_mN, fz_kg ({', '.join(UNITS)}), moments as tz_Nm, a time as time_s or time_ms, "
     f"{COUNTER} for a counter, {IGNORED} for what is left out"
 )
 SEPARATORS = re.compile(r"[,;\s]+")
@@ -79,7 +79,7 @@ def cells_of(names: Sequence[str], zero: Sequence[str] = (), *, where: str) -> C
         elif name == "push_s":
             columns.append((name, i, 1.0))
         elif name != IGNORED:
-            raise RecordingError(f"{where}: the column {name!r} has no meaning here. Name {KNOWN}.")
+            raise RecordingError(f"{where}: the column {name!r} has no meaning here. {KNOWN}.")
     columns += [(name, -1, 0.0) for name in zero]
     given = [name for name, _, _ in columns]
     if len(set(given)) < len(given):

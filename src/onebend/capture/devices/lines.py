@@ -147,7 +147,7 @@ class GrowingLog(_Lines):
         Raises:
             RecordingError: there is no such file, or its columns have no meaning.
         """
-        self._path = path
+        self._path, self.files = path, (path,)
         super().__init__(f"the log {path}", cells_of(names or self._header(), zero, where=f"csv:{path}"))
         self._stream: Any = None
         self._clock: Clock | None = None

@@ -157,7 +157,13 @@ def _sensed(searched: Searched, frames: IntArray, prior: float, settings: SenseS
         logged=_logged(o, frames),
         common=axes @ found.common,
     )
-    return replace(out, sensor=_judged(out, o, frames), remarks=_remarks(out, bench))
+    sensor = None if _unexplained(out) else _judged(out, o, frames)
+    return replace(out, sensor=sensor, remarks=_remarks(out, bench))
+
+
+def _unexplained(out: Sensed) -> bool:
+    """Whether no force explains the shapes."""
+    return out.misfit is not None and out.misfit.ratio > _TOO_FAR and out.misfit.probability < _UNLIKELY
 
 
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
@@ -184,7 +190,7 @@ def _contacts(touched: BoolArray, time: Array) -> tuple[Touch, ...]:
 
 def _remarks(sensed: Sensed, bench: Bench) -> tuple[Remark, ...]:
     out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
-    if fit is not None and fit.ratio > _TOO_FAR and fit.probability < _UNLIKELY:
+    if fit is not None and _unexplained(sensed):
         text = (
             f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
             "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "

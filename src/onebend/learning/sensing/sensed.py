@@ -58,7 +58,7 @@ class Sensed:
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
     # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
     common: Array
-    sensor: SensorCheck | None = None  # the log, judged by this; None where there is none, or too little of it
+    sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
     remarks: tuple[Remark, ...] = ()
 
     @property
