@@ -4,8 +4,6 @@ whatever happens next. Times are the camera's own, to a microsecond."""
 from __future__ import annotations
 
 import math
-import os
-from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ import av
 import numpy as np
 
 from onebend.errors import RecordingError
+from onebend.files.growing import GrowingFile
 from onebend.recording.video import Picture
 from onebend.workers import available_cores
 
@@ -31,9 +30,13 @@ class WholeFragments:
 
     def __init__(self, path: Path) -> None:
         """Raises `OSError` where the file is there, or cannot be made."""
-        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+        self._file = GrowingFile(path)
         self._waiting = bytearray()
-        self.size = 0  # bytes in the file
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._file.size
 
     def write(self, data: bytes) -> int:
         """Keep bytes until the fragment is whole."""
@@ -45,20 +48,12 @@ class WholeFragments:
         whole = whole_boxes(self._waiting)
         if not whole:
             return
-        left = memoryview(bytes(self._waiting[:whole]))
-        try:
-            while left:
-                left = left[os.write(self._handle, left) :]
-        except OSError:
-            with suppress(OSError):
-                os.ftruncate(self._handle, self.size)
-            raise
-        self.size += whole
+        self._file.append(bytes(self._waiting[:whole]))
         del self._waiting[:whole]
 
     def close(self) -> None:
         """Nothing more is written."""
-        os.close(self._handle)
+        self._file.close()
 
 
 def whole_boxes(data: bytes | bytearray) -> int:

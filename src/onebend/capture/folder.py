@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import shutil
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from onebend.errors import RecordingError, ResultsError
+from onebend.files.growing import GrowingFile
 from onebend.files.single_file import write_file
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 from onebend.recording.toml.entries import Recording
@@ -151,10 +150,14 @@ class GrowingTable:
     def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
         """Raises `OSError` where it is there, or cannot be made."""
         self.path, self.rows = path, 0
-        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+        self._file = GrowingFile(path)
         self._waiting: list[str] = [",".join(columns)]
-        self.size = 0
         self.flush()
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._file.size
 
     def add(self, rows: Array, formats: tuple[str, ...]) -> None:
         """Rows (n, c), each number as its format says; NaN is an empty cell."""
@@ -171,16 +174,7 @@ class GrowingTable:
         """
         if not self._waiting:
             return
-        left = memoryview(("\n".join(self._waiting) + "\n").encode())
-        count = len(left)
-        try:
-            while left:
-                left = left[os.write(self._handle, left) :]
-        except OSError:
-            with suppress(OSError):
-                os.ftruncate(self._handle, self.size)
-            raise
-        self.size += count
+        self._file.append(("\n".join(self._waiting) + "\n").encode())
         self._waiting.clear()
 
     def close(self) -> None:
@@ -188,7 +182,7 @@ class GrowingTable:
         try:
             self.flush()
         finally:
-            os.close(self._handle)
+            self._file.close()
 
 
 def retimed(path: Path, time: Array) -> None:
