@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from onebend.capture.devices.ati import PORT, WEB_PORT, AtiForce, AtiScale
 from onebend.capture.devices.cells import KNOWN, cells_of
@@ -22,24 +23,17 @@ from onebend.streaming.played import Disturbances
 Options = Mapping[str, str]
 
 
+Made = TypeVar("Made", CameraSource, ForceSource)
+
+
 @dataclass(frozen=True)
-class CameraKind:
-    """One way to name a camera."""
+class SourceKind(Generic[Made]):
+    """One way to name a camera, or a force sensor."""
 
     example: str
     says: str
     keys: tuple[str, ...]
-    make: Callable[[str, Options], CameraSource]
-
-
-@dataclass(frozen=True)
-class ForceKind:
-    """One way to name a force sensor."""
-
-    example: str
-    says: str
-    keys: tuple[str, ...]
-    make: Callable[[str, Options], ForceSource]
+    make: Callable[[str, Options], Made]
 
 
 _ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
@@ -84,9 +78,7 @@ def number(options: Options, key: str, default: float, *, least: float = -math.i
     return value
 
 
-def _split(
-    spec: str, kinds: Mapping[str, CameraKind] | Mapping[str, ForceKind], option: str
-) -> tuple[str, str, dict[str, str]]:
+def _split(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> tuple[str, str, dict[str, str]]:
     head, *more = spec.split(",")
     if head.endswith(":"):
         raise RecordingError(f"{option} {spec}: nothing stands behind the colon. Say where it is: {head}PLACE.")
@@ -188,57 +180,57 @@ def _av(place: str, options: Options) -> CameraSource:
     return AvCamera(place, options.get("format", ""), more)
 
 
-CAMERAS: dict[str, CameraKind] = {
-    "v4l2": CameraKind(
+CAMERAS: dict[str, SourceKind[CameraSource]] = {
+    "v4l2": SourceKind(
         "/dev/video0", "a camera of Linux, with the kernel's stamps", ("size", "fps", "packed", "exposure_ms"), _v4l2
     ),
-    "av": CameraKind(
+    "av": SourceKind(
         "av:PLACE,format=NAME",
         "what FFmpeg opens: a camera of another system, a stream",
         ("format", "framerate", "video_size", "pixel_format"),
         _av,
     ),
-    "film": CameraKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
+    "film": SourceKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
 }
-FORCES: dict[str, ForceKind] = {
-    "ati": ForceKind(
+FORCES: dict[str, SourceKind[ForceSource]] = {
+    "ati": SourceKind(
         "ati:192.168.1.1",
         "an ATI Net F/T or Axia box on the network",
         ("counts", "counts_torque", "rate", "port", "web_port"),
         _ati,
     ),
-    "serial": ForceKind(
+    "serial": SourceKind(
         "serial:/dev/ttyUSB0,columns=fx_N/fy_N",
         "a load cell that sends a line of numbers a sample",
         ("columns", "zero", "baud"),
         _serial,
     ),
-    "ur": ForceKind(
+    "ur": SourceKind(
         "ur:HOST",
         "a Universal Robot's wrench (pip install 'onebend[ur]')",
         ("rate",),
         lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0)),
     ),
-    "franka": ForceKind(
+    "franka": SourceKind(
         "franka:HOST",
         "a Franka arm's estimate (pip install 'onebend[franka]')",
         (),
         lambda place, _: FrankaForce(place),
     ),
-    "lsl": ForceKind(
+    "lsl": SourceKind(
         "lsl:NAME,columns=fx_N/fy_N",
         "a stream of the Lab Streaming Layer (pip install 'onebend[lsl]')",
         ("columns", "zero"),
         _lsl,
     ),
-    "bag": ForceKind(
+    "bag": SourceKind(
         "bag:PATH",
         "a ROS bag that is being written",
         ("topic", "field"),
         lambda place, options: GrowingBag(Path(place), options.get("topic", ""), options.get("field", "")),
     ),
-    "csv": ForceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
-    "log": ForceKind(
+    "csv": SourceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
+    "log": SourceKind(
         "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
     ),
 }
