@@ -21,11 +21,13 @@ from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
 from onebend.learning.swing.swing_frequencies import frequencies_of
 from onebend.pipeline import check_same_length
+from onebend.progress import Progress
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
+from onebend.records import Observations
 from onebend.report.figures.pictures import draw
 from onebend.results.detection_cache import detection_cache
-from onebend.results.model import model_file, model_text
+from onebend.results.model import StoredModel, model_file, model_text
 from onebend.results.provenance import inputs_of
 from onebend.results.recording_files import recording_files
 from onebend.results.sensing import SENSE_FORMAT, sense_summary, sense_writer
@@ -141,11 +143,8 @@ def damp(
         stored = read_trusted(model)
         if output is not None:
             check_name_free(output, overwrite=overwrite)
-        files = read_recording(recording)
-        check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
-            detect, settings = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
-            seen = observe(files, settings=settings, detect=detect, progress=progress)
+            seen = _observed(stored, recording, threads, progress)
             fit = learn_damping(
                 stored.beam,
                 seen,
@@ -183,11 +182,8 @@ def sense(
     """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
     with clean_errors():
         stored = read_trusted(model)
-        files = read_recording(recording)
-        check_same_length(stored.beam, files)
         with progress_of(quiet) as progress:
-            detect, reading = detection_cache(onebend.__version__).detect, ObserveSettings(threads=threads)
-            seen = observe(files, settings=reading, detect=detect, progress=progress)
+            seen = _observed(stored, recording, threads, progress)
         settings = SenseSettings(place, at, at_sd, force_prior, tags)
         found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
         summary = sense_summary(str(model), found, written_by=BY)
@@ -197,6 +193,14 @@ def sense(
         print_summary(summary, output)
     else:
         show_sensed(screen(), found, output)
+
+
+def _observed(stored: StoredModel, recording: Path, threads: int | None, progress: Progress) -> Observations:
+    """A recording of the learned beam."""
+    files = read_recording(recording)
+    check_same_length(stored.beam, files)
+    detect = detection_cache(onebend.__version__).detect
+    return observe(files, settings=ObserveSettings(threads=threads), detect=detect, progress=progress)
 
 
 def _write(
