@@ -104,9 +104,7 @@ def fit_data(
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
     mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
-    leaning = (
-        gravity_direction(o, problem, gravity, line, o.stated.masses) if "gravity direction" in allowances else None
-    )
+    leaning = gravity_direction(o, problem, gravity, line) if "gravity direction" in allowances else None
     return FitData(
         observations=o,
         number=number,

@@ -7,7 +7,6 @@ cone) `mu ~ k^(1/2)`. k(s) then carries the mass with it: `mu = (mass / L) k^p /
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +14,12 @@ import numpy as np
 from onebend.beam.grid import Grid
 from onebend.beam.profiles.stiffness import LogSpline, Profile, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.statics.nodal_beam import riding_beyond
 from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.sensitivity import of_mass
 from onebend.learning.allowances.allowance import Allowance
-from onebend.records import Array, Observations, PointMass
+from onebend.records import Array, Observations
 
 POWERS = {"even": 0.0, "width": 1.0 / 3.0, "thickness": 1.0, "both": 0.5}  # p of `mu ~ k^p`
 
@@ -80,17 +80,14 @@ def own_weight(o: Observations, grid: Grid, gravity: Array, even: Array, written
     return OwnWeight(gravity, modes, grid.weights, POWERS.get(o.stated.mass_along))
 
 
-def gravity_direction(
-    o: Observations, problem: Problem, gravity: Array, written: Profile, masses: Sequence[PointMass]
-) -> Allowance | None:
+def gravity_direction(o: Observations, problem: Problem, gravity: Array, written: Profile) -> Allowance | None:
     """Gravity (F, 2) turned by one angle [rad] in all frames, to first order; None where nothing weighs, of static
     poses, and where the direction is exact. `written`: kg/m."""
     if o.static or not o.stated.gravity_sd > 0.0 or not np.any(gravity):
         return None
     nodes = problem.grid.nodes
     beyond = _beyond(problem, np.asarray(written(nodes))[..., None], gravity)[..., 0]
-    for one in masses:
-        beyond = beyond + one.mass * gravity[:, None, :] * (nodes < one.s)[..., None]
+    beyond = beyond + riding_beyond(nodes, o.stated.masses)[..., None] * gravity[:, None, :]
     turned = np.stack([-beyond[..., 1], beyond[..., 0]], axis=-1)
     sd = np.array([o.stated.gravity_sd])
     return Allowance("gravity direction", "load", "rad", ("gravity's direction",), sd, turned[..., None])
