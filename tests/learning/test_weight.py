@@ -80,10 +80,10 @@ def test_its_derivative_is_the_change_of_the_tags_under_a_turned_gravity() -> No
 
 def test_a_weight_that_contradicts_what_is_written_is_a_doubt() -> None:
     mass = LearnedMass(value=MASS, sd=0.001, even=MASS, even_sd=0.001, written=MASS, identified=True)
-    assert weight_doubts(None, []) == []
-    assert weight_doubts(mass, [0.5, -3.5]) == []
-    assert weight_doubts(replace(mass, even=0.5 * MASS), []) == []  # a cone
-    assert weight_doubts(replace(mass, even=MASS / 9.81, written=np.nan), []) == []  # nothing was written
+    assert weight_doubts(None, []) == ()
+    assert weight_doubts(mass, [0.5, -3.5]) == ()
+    assert weight_doubts(replace(mass, even=0.5 * MASS), []) == ()  # a cone
+    assert weight_doubts(replace(mass, even=MASS / 9.81, written=np.nan), []) == ()  # nothing was written
     [kilograms] = weight_doubts(replace(mass, even=MASS / 9.81), [])
     assert "contradict" in kilograms
     [leaning] = weight_doubts(mass, [0.5, -4.5])

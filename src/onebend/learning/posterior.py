@@ -141,7 +141,7 @@ class Posterior:
             doubts.append("the push hardly acts where at_s says")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
-        doubts += weight_doubts(self.mass, leans(self.recordings, self.layout, self.mean))
+        doubts += self.weight_doubts
         for o in (recording.observations for recording in self.recordings):
             doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
         return tuple(doubts)
@@ -227,7 +227,12 @@ class Posterior:
             masses=riding_masses(self.recordings),
         )
 
-    @property
+    @cached_property
+    def weight_doubts(self) -> tuple[str, ...]:
+        """What contradicts the weight as written; empty as a rule."""
+        return weight_doubts(self.mass, leans(self.recordings, self.layout, self.mean))
+
+    @cached_property
     def mass(self) -> LearnedMass | None:
         """The beam's mass; None where nothing weighs or it was held as written."""
         bare = stiffness_of(self.problem, self.optimum, self.gain_sd)  # its doubts ask for the mass

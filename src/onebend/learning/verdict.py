@@ -10,7 +10,6 @@ from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.criticism.criticism import Finding
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
-from onebend.learning.learned_mass import leans, weight_doubts
 from onebend.learning.model.parameters import Priors, clamp_sd
 from onebend.learning.pose_equilibria import pose_names
 from onebend.learning.posterior import Posterior
@@ -107,12 +106,11 @@ def _elsewhere(posterior: Posterior) -> list[Remark]:
 
 def _weight(posterior: Posterior) -> list[Remark]:
     """A warning where the fit's weight is not the one that is written."""
-    said = weight_doubts(posterior.mass, leans(posterior.recordings, posterior.layout, posterior.mean))
-    if not said:
+    if not posterior.weight_doubts:
         return []
     text = (
-        f"{' and '.join(said)}: k(s) is NOT TO BE TRUSTED. Check base_angle_deg and direction_deg in [gravity], "
-        "mass_kg, and that the log is in newtons (not kg or g)"
+        f"{' and '.join(posterior.weight_doubts)}: k(s) is NOT TO BE TRUSTED. Check base_angle_deg and direction_deg "
+        "in [gravity], mass_kg, and that the log is in newtons (not kg or g)"
     )
     return [Remark("warning", text, about="mass")]
 
