@@ -20,10 +20,10 @@ from onebend.learning.sensing.sensed import Sensed, SenseSettings
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
 from onebend.learning.swing.swing_frequencies import frequencies_of
-from onebend.pipeline import check_same_length
 from onebend.progress import Progress
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
+from onebend.recording.toml.same_beam import check_same_length
 from onebend.records import Observations
 from onebend.report.figures.pictures import draw
 from onebend.results.detection_cache import detection_cache
@@ -198,7 +198,7 @@ def sense(
 def _observed(stored: StoredModel, recording: Path, threads: int | None, progress: Progress) -> Observations:
     """A recording of the learned beam."""
     files = read_recording(recording)
-    check_same_length(stored.beam, files)
+    check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect
     return observe(files, settings=ObserveSettings(threads=threads), detect=detect, progress=progress)
 
