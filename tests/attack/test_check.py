@@ -59,7 +59,7 @@ CASES = [
 ]  # fmt: skip
 # It ends nothing, and is warned of: the film shows where the tool is.
 ELSEWHERE = Case("the push said elsewhere", edit(TOML, "at_s = 1.0", "at_s = 0.8"), "shows the tool at s = (0.9|1.0)")
-QUICK = {"sound", "x of opposite sign", "two tags exchanged", "millinewtons"}
+QUICK = {"sound", "x of opposite sign", "millinewtons"}  # two ids exchanged: test_mistakes.py
 
 
 @pytest.mark.parametrize("case", params(CASES, QUICK))
