@@ -18,6 +18,7 @@ import onebend
 from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
 from onebend.learning.inference.stages import FitSettings
+from onebend.records import Observations
 from onebend.results import detection_cache
 
 ROOT = Path(__file__).parents[1]
@@ -130,8 +131,13 @@ def test_the_example_stands_in_the_readme_and_says_what_it_finds(
     """On what was observed above, by a fit of fewer functions."""
     text = SCRIPT.read_text(encoding="utf-8")
     assert text.split("\n", 2)[2].strip() in (ROOT / "README.md").read_text(encoding="utf-8")
-    seen, asked = load_observations(runs.out), []
-    monkeypatch.setattr(onebend, "observe", lambda folder: asked.append(folder) or seen)
+    seen, asked = load_observations(runs.out), list[Path]()
+
+    def observe(folder: Path) -> Observations:
+        asked.append(folder)
+        return seen
+
+    monkeypatch.setattr(onebend, "observe", observe)
     monkeypatch.setattr(onebend, "fit", partial(onebend.fit, settings=QUICK))
     runpy.run_path(str(SCRIPT))
     assert asked == [EXAMPLE / "train", EXAMPLE / "fast"]
