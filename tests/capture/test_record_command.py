@@ -21,6 +21,7 @@ from onebend.cli.common import percent, stopped_by_hand
 from onebend.errors import RecordingError
 from onebend.report.overview import overview
 from onebend.terminal.recordings import RecordingView, recording_screen
+from tests.attack.hostile_films import CASES
 from tests.recording.filmed import HEIGHT, WIDTH
 from tests.streaming.streamed import frames, log, toml
 
@@ -117,6 +118,14 @@ def test_a_start_that_failed_is_begun_again_with_the_same_words(original: Path, 
         assert "there is no such camera" in failed.stderr
     done = run(*words, f"film:{original}", "--fast", "--no-learning", "--now", "--longest-s", "1")
     assert done.exit_code == 0, done.stderr
+
+
+def test_a_film_that_ends_in_damage_ends_in_one_sentence(original: Path, tmp_path: Path) -> None:
+    shutil.copytree(original, tmp_path / "rec")
+    next(case for case in CASES if case.name == "every packet twice").harm(tmp_path / "rec")
+    done = run(tmp_path / "new", "--play", tmp_path / "rec", "--fast", "--no-learning", "--now", "--quiet")
+    assert done.exit_code == 2
+    assert "does not rise. Write it anew. Nothing was recorded." in done.stderr.replace("\n", " ")
 
 
 def test_another_description_is_not_replaced_by_like(original: Path, tmp_path: Path) -> None:

@@ -221,7 +221,7 @@ def record(
             outcome = capture.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:
             kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
-            raise RecordingError(f"{outcome.why}. {kept}")
+            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
     if as_json:
         print_json(capture.outcome_data(outcome))
         return

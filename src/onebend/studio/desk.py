@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from onebend.crash import words
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.clients import Client
 from onebend.studio.jobs import Jobs
@@ -80,7 +81,7 @@ class Desk:
             while True:
                 message = await socket.receive_json()
                 await self._handle(client, message)
-        except (WebSocketDisconnect, ValueError, KeyError, RuntimeError):
+        except (WebSocketDisconnect, ValueError, KeyError, RuntimeError, OverflowError):
             pass  # it is gone, or it is not our page
         finally:
             self.clients.discard(client)
@@ -161,8 +162,10 @@ class Desk:
                     continue
                 try:
                     answer = await self._in_thread(partial(bending.drag, goal))
-                except OnebendError as error:
-                    self.tell({"what": "error", "text": str(error)})
+                except Exception as error:  # whatever it is, the next drag is answered
+                    self.tell(
+                        {"what": "error", "text": str(error) if isinstance(error, OnebendError) else words(error)}
+                    )
                     continue
                 self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer})
                 self._moves[model] = self._moves.get(model, 0) + 1

@@ -27,7 +27,7 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
     """
     stored = read_model(folder)
     summary = _summary(folder)
-    fit = summary.get("fit") or {}
+    fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
     return {
         "name": name,
         "changed": [words for words in (stored.changed, stored.swapped) if words],
@@ -38,10 +38,10 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
         "training": summary.get("training", []),
         "validation": summary.get("validation", []),
         "fitted_rms_m": fit.get("fitted_rms_m"),
-        "allowances": [one for one in fit.get("allowances", []) if one.get("matters")],
-        "remarks": [one for one in summary.get("remarks", []) if one.get("level") == "warning"],
-        "command": (summary.get("provenance") or {}).get("command"),
-        "written": (summary.get("provenance") or {}).get("written"),
+        "allowances": [one for one in _objects(fit.get("allowances")) if one.get("matters")],
+        "remarks": [one for one in _objects(summary.get("remarks")) if one.get("level") == "warning"],
+        "command": origin.get("command"),
+        "written": origin.get("written"),
         "report": (folder / REPORT).is_file(),
     }
 
@@ -82,7 +82,7 @@ def film_data(folder: Path) -> dict[str, Any] | None:
         raise StudioError(f"{path.name} was changed. Learn again") from error
     if not isinstance(film, dict):
         return None
-    return film | {"tag_id": (data.get("curve") or {}).get("tag_id", [])}
+    return film | {"tag_id": _object(data.get("curve")).get("tag_id", [])}
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -93,4 +93,13 @@ def _summary(folder: Path) -> dict[str, Any]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    return data if isinstance(data, dict) else {}
+    return _object(data)
+
+
+def _object(value: Any) -> dict[str, Any]:
+    """What stands there as onebend writes it: an object; an empty one where another hand wrote something else."""
+    return value if isinstance(value, dict) else {}
+
+
+def _objects(value: Any) -> list[dict[str, Any]]:
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []

@@ -46,7 +46,7 @@ class StudioFolder:
         """
         parts = PurePosixPath(name).parts
         odd = not name or any(part in name for part in ("\0", "\\", ":")) or len(name) > 1000
-        if odd or PurePosixPath(name).is_absolute() or ".." in parts:
+        if odd or not _is_text(name) or PurePosixPath(name).is_absolute() or ".." in parts:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
         try:
             path = (self.root / name).resolve()
@@ -59,7 +59,7 @@ class StudioFolder:
     def recording(self, name: str) -> Path:
         """The folder of a recording. Raises `StudioError` where there is none."""
         path = self.path(name)
-        if not (path / RECORDING).is_file():
+        if not _is_file(path / RECORDING):
             raise StudioError(f"{name} holds no {RECORDING}")
         self.path(f"{name}/{RECORDING}")  # no link to elsewhere
         return path
@@ -67,20 +67,24 @@ class StudioFolder:
     def result(self, name: str) -> Path:
         """The folder of a learned beam. Raises `StudioError` where there is none."""
         path = self.path(name)
-        if not (path / MODEL).is_file():
+        if not _is_file(path / MODEL):
             raise StudioError(f"{name} holds no {MODEL}: learn a recording first")
         self.path(f"{name}/{MODEL}")
         return path
 
     def found(self) -> list[Found]:
-        """All recordings and results, by name; hidden folders and links are left out."""
+        """All recordings and results, by name; hidden folders, links and names that are no text are left out."""
         rows, waiting, seen = [], [(self.root, 0)], 0
         while waiting and seen < _MOST_FOLDERS:
             folder, depth = waiting.pop()
             seen += 1
             try:
                 with os.scandir(folder) as entries:
-                    inside = [one for one in entries if not one.name.startswith(".") and not one.is_symlink()]
+                    inside = [
+                        one
+                        for one in entries
+                        if not one.name.startswith(".") and _is_text(one.name) and not one.is_symlink()
+                    ]
                     files = {one.name for one in inside if one.is_file(follow_symlinks=False)}
                     below = [Path(one.path) for one in inside if one.is_dir(follow_symlinks=False)]
             except OSError:
@@ -93,6 +97,18 @@ class StudioFolder:
             if depth < _DEEPEST:
                 waiting += [(one, depth + 1) for one in below if one.name not in _LEFT_OUT]
         return sorted(rows, key=lambda one: (one.name, one.kind))
+
+
+def _is_text(name: str) -> bool:
+    """Whether a name has characters alone: one of other bytes cannot be said to a page, or by it."""
+    return not any("\ud800" <= one <= "\udfff" for one in name)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
 
 
 def _changed(path: Path) -> float:

@@ -13,13 +13,13 @@ from typing import Any
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from onebend.errors import OnebendError, StudioError
-from onebend.strict_json import plain
+from onebend.strict_json import to_json
 from onebend.studio.commands import learn_line
 from onebend.studio.desk import Desk
 from onebend.studio.guard import Guard
@@ -64,22 +64,22 @@ class Asked:
     async def places(self, _request: Request) -> Response:
         found = await run_in_threadpool(self.desk.places.found)
         rows = [{"name": one.name, "kind": one.kind, "changed": one.changed, **one.about} for one in found]
-        return JSONResponse(plain({"folder": str(self.desk.places.root), "found": rows}))
+        return _said({"folder": str(self.desk.places.root), "found": rows})
 
     async def result(self, request: Request) -> Response:
         from onebend.studio.learned import result_data  # here: not before the first picture
 
         name = _name(request)
-        return JSONResponse(plain(await run_in_threadpool(result_data, name, self.desk.places.result(name))))
+        return _said(await run_in_threadpool(result_data, name, self.desk.places.result(name)))
 
     async def film(self, request: Request) -> Response:
         from onebend.studio.learned import film_data
 
-        return JSONResponse(plain(await run_in_threadpool(film_data, self.desk.places.result(_name(request)))))
+        return _said(await run_in_threadpool(film_data, self.desk.places.result(_name(request))))
 
     async def job(self, _request: Request) -> Response:
         job = self.desk.jobs.job
-        return JSONResponse({"job": None if job is None else job.shown()})
+        return _said({"job": None if job is None else job.shown()})
 
     async def learn(self, request: Request) -> Response:
         asked = await _posted(request)
@@ -101,11 +101,11 @@ class Asked:
             "command": learn_line(recordings, validate, out, replace),
         }
         await self.desk.jobs.start(wanted)
-        return JSONResponse({"out": out})
+        return _said({"out": out})
 
     async def stop(self, _request: Request) -> Response:
         await self.desk.jobs.stop()
-        return JSONResponse({})
+        return _said({})
 
 
 def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
@@ -115,9 +115,14 @@ def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request],
         try:
             return await work(request)
         except OnebendError as error:
-            return JSONResponse({"error": str(error)}, 422)
+            return _said({"error": str(error)}, 422)
 
     return inside
+
+
+def _said(data: Any, status: int = 200) -> Response:
+    """JSON, whatever the names and texts in it."""
+    return Response(to_json(data, readable=False), status, media_type="application/json")
 
 
 def _name(request: Request) -> str:

@@ -27,6 +27,7 @@ _NOTHING = 1e-4  # of the prior's sd: a force that is none
 _RUN = 3  # frames in a row that show a force, before it is a contact
 _PLACE_KNOWN = 0.1  # sd of s beyond which the place of the contact is not told
 _TOO_FAR, _UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which it is a warning
+_PRIORS = (1e-9, 1e9)  # of the usual sd of a force: beyond, it is none of a beam
 _FROM_PRIOR = 0.25  # share of a component's variance left by the data from which it is said
 
 
@@ -59,13 +60,26 @@ def sense(
     if not frames.size:
         raise LearningError(f"{o.source.name}: no frame shows a tag of the beam, so no force can be told")
     place = places_of(o, frames, settings) if settings.place == "known" else None
-    return _sensed(search(bench, frames, place, prior), frames, prior, settings)
+    try:
+        return _sensed(search(bench, frames, place, prior), frames, prior, settings)
+    except np.linalg.LinAlgError as error:
+        raise LearningError(
+            f"{o.source.name}: the equations of the force cannot be solved ({error}). Check that the model is of this "
+            "beam and as `onebend learn` wrote it"
+        ) from error
 
 
 def prior_of(beam: Beam, settings: SenseSettings) -> float:
-    """N, one sd of each component of the force before any shape is seen."""
+    """N, one sd of each component of the force before any shape is seen.
+
+    Raises:
+        LearningError: what is asked for is beyond any force on this beam.
+    """
     mean_k = float(np.mean(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, 101)))))
-    return PRIOR_SHARE * mean_k / beam.length if settings.force_prior is None else settings.force_prior
+    usual, given = PRIOR_SHARE * mean_k / beam.length, settings.force_prior
+    if given is not None and not _PRIORS[0] < given / usual < _PRIORS[1]:
+        raise LearningError(f"a force prior of {given:g} N is beyond any force on this beam; usual is {usual:.3g} N")
+    return usual if given is None else given
 
 
 def bench_of(
@@ -107,6 +121,8 @@ def _check(beam: Beam, o: Observations, settings: SenseSettings) -> None:
     for what, value in (("the place's sd", settings.at_sd), ("the force's prior sd", settings.force_prior)):
         if value is not None and not (math.isfinite(value) and value >= 0.0):
             raise LearningError(f"{what} must be a finite number above zero, got {value}")
+    if settings.at_sd is not None and settings.at_sd > o.length:
+        raise LearningError("the place's sd is more than the beam's length: let the place be sought (--place unknown)")
     if settings.force_prior == 0.0:
         raise LearningError("a force prior of 0 N says that there is no force: give the size of forces to be expected")
 
