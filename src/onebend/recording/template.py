@@ -8,8 +8,9 @@ from typing import Literal
 
 from onebend.errors import RecordingError, ResultsError
 from onebend.files.single_file import write_file
-from onebend.recording.folder import FILE_NAME, FORMAT
+from onebend.recording.folder import FILE_NAME
 from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.description import FORMAT
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.toml.frequency_entry import FrequencyEntry
 from onebend.recording.toml.schema import keys_of
