@@ -12,11 +12,9 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
-from onebend.control.loop.controller import ControllerSettings, controller
-from onebend.control.loop.margins import Timing
-from onebend.control.loop.robustness import MOST_DRAWN, drawn_beams, simulate_trials, wrong_beams
+from onebend.control.loop.controller import controller
+from onebend.control.loop.robustness import MOST_DRAWN, drawn_beams, simulate_trials, trial_settings, wrong_beams
 from onebend.control.loop.simulation import LoopCamera
-from onebend.control.loop.tuning import RequiredMargins
 from onebend.control.reach.reach import Reach, ReachSettings
 from onebend.control.reach.reach import reach as solve_reach
 from onebend.control.reach.reachable import ReachableSet, reachable
@@ -159,12 +157,7 @@ def loop(
         stored = read_trusted(model)
         beam, delay = stored.beam, 1e-3 * delay_ms
         beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
-        settings = ControllerSettings(
-            timing=Timing(fps=fps, delay=delay),
-            longest_delay=max(0.1, delay),
-            wanted=RequiredMargins(k_error=k_error),
-            most_force=or_unlimited(max_force),
-        )
+        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )

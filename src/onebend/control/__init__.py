@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from onebend.control.loop.robustness import drawn_beams as drawn_beams
     from onebend.control.loop.robustness import simulate_range as simulate_range
     from onebend.control.loop.robustness import simulate_trials as simulate_trials
+    from onebend.control.loop.robustness import trial_settings as trial_settings
     from onebend.control.loop.robustness import wrong_beams as wrong_beams
     from onebend.control.loop.simulation import Actuator as Actuator
     from onebend.control.loop.simulation import LoopCamera as LoopCamera
@@ -74,7 +75,7 @@ else:
             "onebend.control.loop.margins": "Gains Margins Timing",
             "onebend.control.loop.plant": "Plant",
             "onebend.control.loop.robustness": "LoopTrial TrialBeam drawn_beams simulate_range simulate_trials "
-            "wrong_beams",
+            "trial_settings wrong_beams",
             "onebend.control.loop.simulation": "Actuator LoopCamera LoopSimulation TrueSystem simulate_loop",
             "onebend.control.loop.tuning": "RequiredMargins",
             "onebend.control.path.follow": "FollowedPath PathSettings",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -12,8 +13,10 @@ from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.rod import has_mass
 from onebend.blas import one_blas_thread
-from onebend.control.loop.controller import Controller
+from onebend.control.loop.controller import Controller, ControllerSettings
+from onebend.control.loop.margins import Timing
 from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
+from onebend.control.loop.tuning import RequiredMargins
 from onebend.errors import ControlError, MechanicsError
 
 SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
@@ -51,6 +54,16 @@ class LoopTrial:
     def settled(self, within: float) -> float:
         """s; infinite where it does not settle."""
         return float("inf") if self.run is None else self.run.settled(within)
+
+
+def trial_settings(fps: float, delay: float, k_error: float = 0.3, most_force: float = math.inf) -> ControllerSettings:
+    """A controller's settings for a camera that is `delay` s late, with margins for k(s) wrong by `k_error`."""
+    return ControllerSettings(
+        timing=Timing(fps=fps, delay=delay),
+        longest_delay=max(0.1, delay),
+        wanted=RequiredMargins(k_error=k_error),
+        most_force=most_force,
+    )
 
 
 def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
