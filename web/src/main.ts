@@ -4,8 +4,12 @@ import { h } from "./dom.js";
 import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
+import { recordings } from "./recordings.js";
+import { rehearse } from "./rehearse.js";
 
-const ROOMS = { bend: ["Bend", bend], learn: ["Learn", learn] } as const;
+const ROOMS = {
+  recordings: ["Recordings", recordings], learn: ["Learn", learn], bend: ["Bend", bend], rehearse: ["Rehearse", rehearse],
+} as const;
 type Room = keyof typeof ROOMS;
 
 const place = document.getElementById("room")!, nav = document.querySelector("nav")!;

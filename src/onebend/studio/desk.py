@@ -35,7 +35,9 @@ class Desk:
     def __init__(self, places: StudioFolder) -> None:
         self.places = places
         self.clients: set[Client] = set()
-        self.jobs = Jobs(self._job_changed)
+        self.jobs = Jobs("learner", self._job_changed)
+        rooms = {"check": "recordings", "rehearse": "rehearsing"}
+        self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
         self.beside = self._process()
@@ -63,7 +65,7 @@ class Desk:
 
     async def end(self) -> None:
         """Stop what runs."""
-        await self.jobs.stop()
+        await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()))
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
@@ -243,6 +245,10 @@ class Desk:
 
     def _job(self) -> dict[str, Any] | None:
         return None if self.jobs.job is None else self.jobs.job.shown()
+
+    def _work_changed(self, room: str) -> None:
+        job = self.works[room].job
+        self.tell({"what": "work", "room": room, "job": None if job is None else job.shown()})
 
     def _job_changed(self) -> None:
         shown = self._job()

@@ -9,6 +9,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from onebend.errors import StudioError
+from onebend.recording.toml.source_entries import FILM_ENDINGS
+from onebend.text_files import TABLES
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
 _DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search for recordings and results
@@ -18,10 +20,10 @@ _LARGEST_SUMMARY = 16 * 2**20  # bytes
 
 @dataclass(frozen=True)
 class Found:
-    """A recording or a result below the studio's folder."""
+    """A recording or a result below the studio's folder, or a film with a log that nothing describes yet."""
 
     name: str  # relative, with /; "." is the folder itself
-    kind: Literal["recording", "result"]
+    kind: Literal["recording", "result", "film"]
     changed: float  # s since 1970
     about: dict[str, Any]  # of a result: recordings, grade, known
 
@@ -56,6 +58,21 @@ class StudioFolder:
             raise StudioError(f"{name[:100]!r} leads out of {self.root}")
         return path
 
+    def beside(self, name: str, file: str) -> Path:
+        """A file that is named in the folder `name`, as it leads on from there.
+
+        Raises `StudioError` where it lies outside of the studio's folder, or names nothing.
+        """
+        if not file or "\0" in file or len(file) > 1000:
+            raise StudioError("no file is named")
+        try:
+            path = (self.path(name) / file).resolve()
+        except (OSError, RuntimeError) as error:
+            raise StudioError(f"{file[:100]!r} cannot be read") from error
+        if not path.is_relative_to(self.root):
+            raise StudioError(f"{file[:100]!r} leads out of {self.root}: the page does not look there. A check does")
+        return path
+
     def recording(self, name: str) -> Path:
         """The folder of a recording. Raises `StudioError` where there is none."""
         path = self.path(name)
@@ -88,11 +105,17 @@ class StudioFolder:
             name = folder.relative_to(self.root).as_posix()
             if RECORDING in files:
                 rows.append(Found(name, "recording", _changed(folder / RECORDING), {}))
+            elif MODEL not in files and _with_ending(files, FILM_ENDINGS) and _with_ending(files, TABLES):
+                rows.append(Found(name, "film", 0.0, {}))
             if {MODEL, RESULT_SUMMARY} <= files:
                 rows.append(Found(name, "result", _changed(folder / MODEL), _about(folder / RESULT_SUMMARY)))
             if depth < _DEEPEST:
                 waiting += [(one, depth + 1) for one in below if one.name not in _LEFT_OUT]
         return sorted(rows, key=lambda one: (one.name, one.kind))
+
+
+def _with_ending(names: set[str], endings: tuple[str, ...]) -> bool:
+    return any(name.lower().endswith(endings) for name in names)
 
 
 def _changed(path: Path) -> float:

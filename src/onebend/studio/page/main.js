@@ -3,7 +3,11 @@ import { h } from "./dom.js";
 import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
-const ROOMS = { bend: ["Bend", bend], learn: ["Learn", learn] };
+import { recordings } from "./recordings.js";
+import { rehearse } from "./rehearse.js";
+const ROOMS = {
+    recordings: ["Recordings", recordings], learn: ["Learn", learn], bend: ["Bend", bend], rehearse: ["Rehearse", rehearse],
+};
 const place = document.getElementById("room"), nav = document.querySelector("nav");
 let shown = null;
 function show() {
