@@ -1,5 +1,5 @@
 // The film's first frame, with the tags that were found in it and those that recording.toml names.
-import { h } from "./dom.js";
+import { digits, h } from "./dom.js";
 import { Canvas, Colours, Point, trace } from "./draw.js";
 import { post } from "./net.js";
 
@@ -83,7 +83,7 @@ export class FirstFrame {
     context.textAlign = "center";
     for (const { id, corners } of this.frame.tags) {
       const tag = this.tags.find((one) => one.id === id), points = corners.map(([x, y]): Point => [x * scale, y * scale]);
-      const colour = !tag ? "#b3558b" : tag.base ? "#0072b2" : "#007a5a", words = !tag ? `${id}?` : tag.base ? `${id} base` : tag.s === null ? `${id}` : `${id} s=${tag.s}`;
+      const colour = !tag ? "#b3558b" : tag.base ? "#0072b2" : "#007a5a", words = !tag ? `${id}?` : tag.base ? `${id} base` : tag.s === null ? `${id}` : `${id} s=${digits(tag.s, 2)}`;
       for (const [wide, line] of [[5, "#fff"], [2.5, colour]] as const) {
         context.lineWidth = wide;
         context.strokeStyle = line;

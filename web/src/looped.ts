@@ -1,12 +1,13 @@
 // The beams of a rehearsal in their plane, at one moment, on their way to the goal.
 import { arrow, Canvas, Colours, label, Point, ticks, trace } from "./draw.js";
+import { drawReach, ReachMap } from "./reach.js";
 
 export interface Trial {
   name: string; factor: number; drawn: boolean; steady_m: number | null; settled_s: number | null;
   time_s?: number[]; error_m?: number[]; force_N?: Point[]; axis_m?: Point[][]; point_m?: Point[];
 }
 export interface Beam { name: string; length_m: number; rest_m: Point[]; goal_m: Point; band: boolean; mass: boolean; doubts: string[] }
-export interface LoopScene { beam: Beam | null; goal: Point; trials: Trial[]; now: number; push: number; point: number; stale: boolean; focus: boolean }
+export interface LoopScene { beam: Beam | null; map: ReachMap | null; goal: Point; trials: Trial[]; now: number; push: number; point: number; stale: boolean; focus: boolean }
 
 const ARROW = 0.28;  // of the beam's length, at the largest force
 
@@ -38,9 +39,7 @@ export class LoopPlane {
 
   constructor(private readonly scene: LoopScene) {}
 
-  px([x, y]: Point): Point {
-    return [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y];
-  }
+  readonly px = ([x, y]: Point): Point => [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y];
 
   metres([x, y]: Point): Point {
     return [(x - this.origin[0]) / this.scale, (this.origin[1] - y) / this.scale];
@@ -60,11 +59,12 @@ export class LoopPlane {
     if (!beam) return;
     this.fit(canvas);
     this.grid(canvas, tint);
+    if (this.scene.map) drawReach(context, tint, this.px, this.scene.map);
     this.clamp(context, tint);
     this.line(context, beam.rest_m, tint.line, 4);
     const most = Math.max(...trials.flatMap((one) => (one.force_N ?? []).map(([x, y]) => Math.hypot(x, y))), 1e-12);
     context.globalAlpha = stale ? 0.35 : 1;
-    for (const trial of [...trials].reverse()) this.trial(context, tint, trial, most);
+    trials.map((trial, i): [Trial, number] => [trial, i]).reverse().forEach(([trial, i]) => this.trial(context, tint, trial, most, i));
     context.globalAlpha = 1;
     this.goal(context, tint);
     if (this.scene.focus) {
@@ -74,7 +74,7 @@ export class LoopPlane {
     }
   };
 
-  private trial(context: CanvasRenderingContext2D, tint: Colours, trial: Trial, most: number): void {
+  private trial(context: CanvasRenderingContext2D, tint: Colours, trial: Trial, most: number, order: number): void {
     if (!trial.time_s) return;
     const [i, part] = momentOf(trial.time_s, this.scene.now), next = Math.min(i + 1, trial.time_s.length - 1), colour = tint[tintOfTrial(trial)];
     const line = trial.axis_m![i]!.map((one, k) => between(one, trial.axis_m![next]![k]!, part));
@@ -82,24 +82,24 @@ export class LoopPlane {
     context.lineWidth = 1;
     const before = context.globalAlpha;
     context.globalAlpha = 0.5 * before;
-    trace(context, [...trial.point_m!.slice(0, i + 1), between(trial.point_m![i]!, trial.point_m![next]!, part)].map((one) => this.px(one)));
+    trace(context, [...trial.point_m!.slice(0, i + 1), between(trial.point_m![i]!, trial.point_m![next]!, part)].map(this.px));
     context.stroke();
     context.globalAlpha = before;
-    this.line(context, line, colour, trial.drawn ? 1.8 : 3);
+    this.line(context, line, colour, trial.drawn ? 1.8 : 3 + 3 * order);  // those that lie over one another stay seen
     const force = between(trial.force_N![i]!, trial.force_N![next]!, part), size = ARROW * this.scene.beam!.length_m / most;
-    const tip = along(line, this.scene.push), tail: Point = [tip[0] - size * force[0], tip[1] - size * force[1]];
-    arrow(context, this.px(tail), this.px(tip), colour, trial.drawn ? 1.5 : 2.2);
+    const from = along(line, this.scene.push), to: Point = [from[0] + size * force[0], from[1] + size * force[1]];
+    arrow(context, this.px(from), this.px(to), colour, trial.drawn ? 1.5 : 2.2);
     const [x, y] = this.px(between(trial.point_m![i]!, trial.point_m![next]!, part));
     context.fillStyle = colour;
     context.beginPath();
-    context.arc(x, y, trial.drawn ? 3 : 4.5, 0, 2 * Math.PI);
+    context.arc(x, y, trial.drawn ? 3 : 4 + 1.5 * order, 0, 2 * Math.PI);
     context.fill();
   }
 
   private line(context: CanvasRenderingContext2D, points: Point[], colour: string, wide: number): void {
     context.strokeStyle = colour;
     context.lineWidth = wide;
-    trace(context, points.map((one) => this.px(one)));
+    trace(context, points.map(this.px));
     context.stroke();
   }
 

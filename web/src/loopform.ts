@@ -36,7 +36,7 @@ export class SettingsForm {
     if (at.has("most")) this.most.value = at.get("most")!;
     this.element = h("section", { class: "settings" }, h("h2", {}, "Goal"), row("x", field("x", "goal, x in mm", "any"), "mm"), row("y", field("y", "goal, y in mm", "any"), "mm"),
       row("point s", field("point", "point that is led, s", 0.01), ""), row("force at s", field("push", "place of the force, s", 0.01), ""),
-      h("h2", {}, "The true k(s) is"), h("label", { class: "either" }, this.wrongly, h("span", {}, "lower, higher by"), field("wrong", "k is wrong by, in percent", "any"), h("span", { class: "unit" }, "%")), this.band,
+      h("h2", {}, "The true k(s) is"), h("label", { class: "either" }, this.wrongly, h("span", {}, "lower and higher by"), field("wrong", "k is wrong by, in percent", "any"), h("span", { class: "unit" }, "%")), this.band,
       h("h2", {}, "The camera"), row("comes late by", field("delay", "delay in ms", "any"), "ms"), row("frames", field("fps", "frames a second", "any"), "1/s"), row("noise", field("noise", "noise in mm, one standard deviation", "any"), "mm"),
       h("h2", {}, "The robot"), row("largest force", this.most, "N"), row("it lasts", field("last", "duration in s", "any"), "s"));
   }

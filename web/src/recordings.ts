@@ -1,5 +1,5 @@
 // The room Recordings: recording.toml beside the first frame of the film, checked as it is typed, saved whole.
-import { commandLine, h } from "./dom.js";
+import { coded, commandLine, h } from "./dom.js";
 import { Editor, Mistake } from "./editor.js";
 import { FirstFrame, Tag } from "./firstframe.js";
 import { ask, listen, Message, onReturn, post, say } from "./net.js";
@@ -145,8 +145,8 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     editor.mark(found.mistakes);
     told.replaceChildren(
       ...(found.mistakes.length ? [h("ol", { class: "mistakes" }, ...found.mistakes.map((one) => h("li", {},
-        h("button", { type: "button", class: "quiet", click: () => editor.go(one.line) }, `line ${one.line}`), h("span", {}, one.text))))] : []),
-      ...(found.remarks.length ? [h("ul", { class: "remarks" }, ...found.remarks.map((one) => h("li", { class: one.level === "warning" ? "warning" : "quiet" }, one.text)))] : []));
+        h("button", { type: "button", class: "quiet", click: () => editor.go(one.line) }, `line ${one.line}`), h("span", {}, ...coded(one.text)))))] : []),
+      ...(found.remarks.length ? [h("ul", { class: "remarks" }, ...found.remarks.map((one) => h("li", { class: one.level === "warning" ? "warning" : "quiet" }, ...coded(one.text))))] : []));
     frame.expect(found.tags);
     const wanted = JSON.stringify([name, found.file, found.topic, found.family]);
     if (found.file && wanted !== film) {

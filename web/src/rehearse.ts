@@ -5,6 +5,7 @@ import { Settings, SettingsForm } from "./loopform.js";
 import { Beam, LoopPlane, LoopScene, tintOfTrial, Trial } from "./looped.js";
 import { ask, listen, Message, onReturn, post, say } from "./net.js";
 import { atEnd, remember } from "./place.js";
+import { ReachMap } from "./reach.js";
 import { TimeChart } from "./timechart.js";
 import { isBusy, Job, progressOf } from "./work.js";
 
@@ -13,7 +14,7 @@ interface Control { force_N: Point; rise_s: number; gain: number | null; phase_r
 type LoopJob = Job & Settings;
 
 export function rehearse(place: HTMLElement, at: URLSearchParams): void {
-  const scene: LoopScene = { beam: null, goal: [0, 0], trials: [], now: 0, push: 1, point: 1, stale: false, focus: false };
+  const scene: LoopScene = { beam: null, map: null, goal: [0, 0], trials: [], now: 0, push: 1, point: 1, stale: false, focus: false };
   const plane = new LoopPlane(scene), element = h("canvas", { tabindex: 0, role: "application",
     "aria-label": "The beam and its goal. Arrow keys move the goal, with Shift further, with Alt less; the space bar plays." });
   const canvas = new Canvas(element, plane.paint), command = commandLine(), form = new SettingsForm(at, changed);
@@ -23,11 +24,12 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   const slider = h("input", { type: "range", min: 0, max: 8, step: 0.01, value: 0, "aria-label": "time" }), clock = h("output", { class: "clock" });
   const error = new TimeChart("from the goal [mm]", true, seek), force = new TimeChart("force on the beam [N]", false, seek);
   const results = h("div", { class: "scroll" }), margins = h("dl", {}), status = h("p", { class: "status", role: "status" });
-  let model = at.get("model") ?? "", job: LoopJob | null = null, control: Control | null = null, timer = 0, last = 0, got = "";
+  let model = at.get("model") ?? "", job: LoopJob | null = null, control: Control | null = null, timer = 0, last = 0, got = "", mapped = "", soon = 0;
 
   place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), progress, element,
-    h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element), command.element),
-  h("aside", { class: "panel" }, form.element, h("section", { class: "outcome" }, h("h2", {}, "How it went"), results, margins),
+    h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element),
+    h("section", { class: "outcome" }, results, margins), command.element),
+  h("aside", { class: "panel" }, form.element,
     h("p", { class: "quiet keys" }, "drag the goal, or ", h("kbd", {}, "←↑→↓"), " move it, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "space"), " play")));
   command.set("");
 
@@ -43,6 +45,20 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
     command.set(model ? lineOf(settings) : "");
     start.disabled = !model || isBusy(job);
     tell();
+    clearTimeout(soon);
+    soon = window.setTimeout(() => { void reach(); }, 250);
+    canvas.redraw();
+  }
+
+  // What a force can hold at all, so that a goal may be chosen from it.
+  async function reach(): Promise<void> {
+    if (!scene.beam || scene.beam.name !== model) return;
+    const { push_s, point_s, max_force_N } = form.values, asked = { model, push_s, point_s, max_force_N }, key = JSON.stringify(asked);
+    if (key === mapped) return;
+    mapped = key;
+    scene.map = null;
+    const found = await post<ReachMap>("/api/reach", asked);
+    if (key === mapped) scene.map = found;
     canvas.redraw();
   }
 
@@ -68,7 +84,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
     model = name;
     const beam = await ask<Beam>("/api/beam", { name });
     if (model !== name) return;
-    scene.beam = beam;
+    [scene.beam, scene.map, mapped] = [beam, null, ""];
     choice.value = name;
     form.of(beam, goal);
     if (job?.model !== name) take(job, []);
@@ -117,10 +133,10 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   }
 
   function table(): void {
-    results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", {}, "in the last second"), h("th", {}, "within 1 mm")),
+    results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", {}, "within 1 mm from")),
       ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name),
         h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m!, 2)} mm` : "snapped away"),
-        h("td", { class: "number" }, one.settled_s === null ? "never" : `from ${fixed(one.settled_s, 1)} s on`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
+        h("td", { class: "number" }, one.settled_s === null ? "never" : `${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
     const rows: [string, string][] = control ? [["force of the model", `${digits(Math.hypot(...control.force_N))} N in ${fixed(control.rise_s, 2)} s`],
       ["gain margin", control.gain === null ? "any" : `${fixed(control.gain, 2)} times`], ["phase margin", control.phase_rad === null ? "any" : `${fixed(180 * control.phase_rad / Math.PI, 0)}°`],
       ["further delay", control.delay_s === null ? "no limit found" : `${fixed(1000 * control.delay_s, 0)} ms`],
@@ -208,5 +224,5 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   element.addEventListener("focus", () => { scene.focus = element.matches(":focus-visible"); canvas.redraw(); });
   element.addEventListener("blur", () => { scene.focus = false; canvas.redraw(); });
 
-  atEnd(listen((message) => { void hear(message); }), onReturn(() => { void fill(); }), () => { run(false); canvas.end(); error.end(); force.end(); });
+  atEnd(listen((message) => { void hear(message); }), onReturn(() => { void fill(); }), () => { run(false); clearTimeout(soon); canvas.end(); error.end(); force.end(); });
 }

@@ -1,5 +1,5 @@
 // Work that runs in a process of its own: its stages, its time, and how to stop it.
-import { h } from "./dom.js";
+import { coded, h } from "./dom.js";
 import { post } from "./net.js";
 
 export interface Stage { stage: string; done: number; total: number | null }
@@ -14,7 +14,7 @@ export function progressOf(job: Job, title: string, room: string): HTMLElement {
     busy && h("ol", {}, ...stages.map((one, i) => h("li", { class: i === stages.length - 1 ? "busy" : "" }, h("span", {}, one.stage),
       h("span", { class: "quiet" }, one.total ? `${one.done} of ${one.total}` : ""),
       h("progress", one.total ? { value: one.done, max: one.total, "aria-label": one.stage } : { "aria-label": one.stage })))),
-    job.state === "failed" && h("p", { class: "warning error" }, job.error),
+    job.state === "failed" && h("p", { class: "warning error" }, ...coded(job.error)),
     busy && h("button", { type: "button", disabled: job.state === "stopping", click: () => { void post(`/api/work/${room}/stop`, {}); } },
       job.state === "stopping" ? "stopping …" : "Stop"));
 }

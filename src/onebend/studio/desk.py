@@ -181,8 +181,14 @@ class Desk:
             self.beside = self._process()
             raise StudioError("the process that makes maps ended. Try again") from None
 
+    async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
+        """The outline of what forces up to `most` N can hold, of a beam as JSON."""
+        from onebend.studio import bending, mapping  # here and below: loaded beside the page's first picture
+
+        return bending.outline_of(await self._aside(mapping.make_map, beam, push_s, point_s, most))
+
     async def _map(self, model: str) -> None:
-        from onebend.studio import mapping  # here and below: loaded beside the page's first picture
+        from onebend.studio import mapping
 
         bending, version = self.beams[model], self.beams[model].version
         work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)

@@ -44,16 +44,19 @@ _saving = threading.Lock()  # of this studio's tabs; other programs are met by `
 def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
     """What the page asks of this room. Raises an `OnebendError` where it cannot be had."""
     name = str(asked.get("name", ""))
-    if what == "read":
-        return read(places, name)
-    if what == "check":
-        return checked(places.recording(name), _text(asked))
-    if what == "save":
-        return save(places.recording(name), _text(asked), str(asked.get("version", "")))
-    if what == "new":
-        return begun(places, name)
-    if what == "frame":
-        return first_frame(places, name, *(str(asked.get(key, "")) for key in ("file", "topic", "family")))
+    try:
+        if what == "read":
+            return read(places, name)
+        if what == "check":
+            return checked(places.recording(name), _text(asked))
+        if what == "save":
+            return save(places.recording(name), _text(asked), str(asked.get("version", "")))
+        if what == "new":
+            return begun(places, name)
+        if what == "frame":
+            return first_frame(places, name, *(str(asked.get(key, "")) for key in ("file", "topic", "family")))
+    except OSError as error:
+        raise StudioError(f"{error.filename or name}: {error.strerror or error}") from error
     raise StudioError(f"a recording is read, checked, saved and begun; there is no {what[:100]!r}")
 
 

@@ -6,6 +6,7 @@ done.
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.model import Beam
 from onebend.beam.statics.rod import has_mass
 from onebend.control.loop.controller import Controller, controller
 from onebend.control.loop.robustness import (
@@ -35,6 +37,8 @@ from onebend.terminal.looping import trial_name
 MOST_MOMENTS = 600  # of one beam that are shown
 MOST_DRAWN = 8  # beams on one picture
 _BEGIN_TURN = 0.35  # rad, about, by which the tip is turned at the first goal
+_LARGEST_TIMES = 2.0  # times `bending_force`: what is shown of the reachable set where the force has no bound
+FORCES = (1e-6, 1e6)  # N
 NUMBERS = {  # what may be asked for: least, most, and what is taken where nothing is said
     "push_s": (0.05, 1.0, 1.0),
     "point_s": (0.05, 1.0, 1.0),
@@ -52,18 +56,35 @@ def beam_data(name: str, folder: Path) -> dict[str, Any]:
     Raises `ResultsError` where the model cannot be read.
     """
     stored = read_model(folder)
-    beam, s = stored.beam, np.linspace(0.0, 1.0, 201)
-    yields = float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s))))
-    force = _BEGIN_TURN / (yields * beam.length)
+    beam = stored.beam
+    force = _BEGIN_TURN * bending_force(beam)
     return {
         "name": name,
         "length_m": beam.length,
         "rest_m": np.round(beam.equilibrium((0.0, 0.0)).xy(AXIS_PLACES), 6).tolist(),
-        "goal_m": np.round(beam.equilibrium((0.0, 2.0 * force)).xy(1.0), 4).tolist(),
+        "goal_m": np.round(beam.equilibrium((force, 2.0 * force)).xy(1.0), 4).tolist(),
         "band": stored.uncertain is not None,
         "mass": has_mass(beam),
         "doubts": [] if stored.uncertain is None else list(stored.uncertain.doubts),
     }
+
+
+def bending_force(beam: Beam) -> float:
+    """N, across the tip: would turn it by about a radian if the turn grew in proportion."""
+    s = np.linspace(0.0, 1.0, 201)
+    return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
+
+
+def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, float, float, float]:
+    """Of what the map of the reachable set is made: the beam as JSON, the two places, the largest force [N].
+
+    Raises `StudioError` where the page asked for what has no meaning.
+    """
+    beam = read_model(places.result(str(asked.get("model", "")))).beam
+    push_s, point_s = (_number(asked, key, *NUMBERS[key]) for key in ("push_s", "point_s"))
+    most = asked.get("max_force_N")
+    bound = _LARGEST_TIMES * bending_force(beam) if most is None else _number(asked, "max_force_N", *FORCES, 1.0)
+    return json.dumps(beam.as_dict(), sort_keys=True), push_s, point_s, bound
 
 
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,7 +102,7 @@ def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any
         "model": model,
         "goal_m": [_number({"goal": one}, "goal", -1e3, 1e3, 0.0) for one in goal],
         "draws": draws,
-        "max_force_N": None if most is None else _number(asked, "max_force_N", 1e-6, 1e6, 1.0),
+        "max_force_N": None if most is None else _number(asked, "max_force_N", *FORCES, 1.0),
     }
     return {**wanted, "command": loop_line(wanted)}
 

@@ -52,6 +52,7 @@ def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
         Route("/api/recordings/{what:str}", clean(asked.recordings), methods=["POST"]),
         Route("/api/check.png", clean(asked.check_picture)),
         Route("/api/beam", clean(asked.beam)),
+        Route("/api/reach", clean(asked.reach), methods=["POST"]),
         Route("/api/work/{room:str}", clean(asked.work)),
         Route("/api/work/{room:str}/{what:str}", clean(asked.begin_work), methods=["POST"]),
         Route("/api/learn", clean(asked.learn), methods=["POST"]),
@@ -98,15 +99,18 @@ class Asked:
         return JSONResponse(plain(found))
 
     async def check_picture(self, request: Request) -> Response:
-        picture = await run_in_threadpool(
-            of_room, "recordings", "check_picture_of", self.desk.places, _name(request)
-        )
+        picture = await run_in_threadpool(of_room, "recordings", "check_picture_of", self.desk.places, _name(request))
         return Response(picture, media_type="image/png")
 
     async def beam(self, request: Request) -> Response:
         name = _name(request)
         found = await run_in_threadpool(of_room, "rehearsing", "beam_data", name, self.desk.places.result(name))
         return JSONResponse(plain(found))
+
+    async def reach(self, request: Request) -> Response:
+        asked = await _posted(request)
+        wanted = await run_in_threadpool(of_room, "rehearsing", "reach_asked", self.desk.places, asked)
+        return JSONResponse(plain(await self.desk.reach(*wanted)))
 
     async def work(self, request: Request) -> Response:
         job = self._work(request).job

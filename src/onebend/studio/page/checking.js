@@ -1,4 +1,4 @@
-import { h } from "./dom.js";
+import { coded, h } from "./dom.js";
 import { ask, post } from "./net.js";
 import { progressOf } from "./work.js";
 export class Checking {
@@ -36,7 +36,7 @@ export class Checking {
         const busy = job?.state === "running" || job?.state === "stopping", mine = job?.name === this.name;
         this.start.disabled = busy;
         this.progress.replaceChildren(...(job && (busy || mine) && job.state !== "done" ? [progressOf(job, `Checking ${job.name}`, "check")] : []));
-        if (busy && mine)
+        if (busy && mine && !job.found)
             this.found.replaceChildren();
     }
     async begin() {
@@ -47,7 +47,7 @@ export class Checking {
         if (this.shown === String(job.began))
             return;
         this.shown = String(job.began);
-        this.found.replaceChildren(...(found.faults.length ? [h("ul", { class: "remarks faults" }, ...found.faults.map((one) => h("li", { class: "warning" }, one)))]
-            : [h("p", { class: "good" }, "Nothing was found that would stop it from being learned.")]), h("dl", { class: "words" }, ...Object.entries(found.understood).flatMap(([what, words]) => [h("dt", {}, what), h("dd", {}, words)])), ...(found.remarks.length ? [h("ul", { class: "remarks" }, ...found.remarks.map((one) => h("li", { class: one.level === "warning" ? "warning" : "quiet" }, one.text)))] : []), ...(found.unwritten ? [h("p", { class: "warning" }, `The picture could not be kept: ${found.unwritten}`)] : []), ...(found.picture ? [h("img", { class: "paper", alt: `the picture of the check of ${found.name}`, src: `/api/check.png?${new URLSearchParams({ name: found.name, at: String(job.began) })}` })] : []), h("p", {}, h("a", { href: `#learn?from=${encodeURIComponent(found.name)}` }, "Learn it")));
+        this.found.replaceChildren(...(found.faults.length ? [h("ul", { class: "remarks faults" }, ...found.faults.map((one) => h("li", { class: "warning" }, ...coded(one))))]
+            : [h("p", { class: "good" }, "Nothing was found that would stop it from being learned.")]), h("dl", { class: "words" }, ...Object.entries(found.understood).flatMap(([what, words]) => [h("dt", {}, what), h("dd", {}, words)])), ...(found.remarks.length ? [h("ul", { class: "remarks" }, ...found.remarks.map((one) => h("li", { class: one.level === "warning" ? "warning" : "quiet" }, ...coded(one.text))))] : []), ...(found.unwritten ? [h("p", { class: "warning" }, `The picture could not be kept: ${found.unwritten}`)] : []), ...(found.picture ? [h("img", { class: "paper", alt: `the picture of the check of ${found.name}`, src: `/api/check.png?${new URLSearchParams({ name: found.name, at: String(job.began) })}` })] : []), h("p", {}, h("a", { href: `#learn?from=${encodeURIComponent(found.name)}` }, "Learn it")));
     }
 }

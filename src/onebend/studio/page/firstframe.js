@@ -1,4 +1,4 @@
-import { h } from "./dom.js";
+import { digits, h } from "./dom.js";
 import { Canvas, trace } from "./draw.js";
 import { post } from "./net.js";
 export class FirstFrame {
@@ -78,7 +78,7 @@ export class FirstFrame {
         context.textAlign = "center";
         for (const { id, corners } of this.frame.tags) {
             const tag = this.tags.find((one) => one.id === id), points = corners.map(([x, y]) => [x * scale, y * scale]);
-            const colour = !tag ? "#b3558b" : tag.base ? "#0072b2" : "#007a5a", words = !tag ? `${id}?` : tag.base ? `${id} base` : tag.s === null ? `${id}` : `${id} s=${tag.s}`;
+            const colour = !tag ? "#b3558b" : tag.base ? "#0072b2" : "#007a5a", words = !tag ? `${id}?` : tag.base ? `${id} base` : tag.s === null ? `${id}` : `${id} s=${digits(tag.s, 2)}`;
             for (const [wide, line] of [[5, "#fff"], [2.5, colour]]) {
                 context.lineWidth = wide;
                 context.strokeStyle = line;

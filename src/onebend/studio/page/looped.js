@@ -1,4 +1,5 @@
 import { arrow, label, ticks, trace } from "./draw.js";
+import { drawReach } from "./reach.js";
 const ARROW = 0.28;
 export function tintOfTrial(trial) {
     return trial.drawn ? "orange" : trial.factor < 1 ? "orange" : trial.factor > 1 ? "green" : "blue";
@@ -26,9 +27,7 @@ export class LoopPlane {
     constructor(scene) {
         this.scene = scene;
     }
-    px([x, y]) {
-        return [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y];
-    }
+    px = ([x, y]) => [this.origin[0] + this.scale * x, this.origin[1] - this.scale * y];
     metres([x, y]) {
         return [(x - this.origin[0]) / this.scale, (this.origin[1] - y) / this.scale];
     }
@@ -46,12 +45,13 @@ export class LoopPlane {
             return;
         this.fit(canvas);
         this.grid(canvas, tint);
+        if (this.scene.map)
+            drawReach(context, tint, this.px, this.scene.map);
         this.clamp(context, tint);
         this.line(context, beam.rest_m, tint.line, 4);
         const most = Math.max(...trials.flatMap((one) => (one.force_N ?? []).map(([x, y]) => Math.hypot(x, y))), 1e-12);
         context.globalAlpha = stale ? 0.35 : 1;
-        for (const trial of [...trials].reverse())
-            this.trial(context, tint, trial, most);
+        trials.map((trial, i) => [trial, i]).reverse().forEach(([trial, i]) => this.trial(context, tint, trial, most, i));
         context.globalAlpha = 1;
         this.goal(context, tint);
         if (this.scene.focus) {
@@ -60,7 +60,7 @@ export class LoopPlane {
             context.strokeRect(2, 2, canvas.width - 4, canvas.height - 4);
         }
     };
-    trial(context, tint, trial, most) {
+    trial(context, tint, trial, most, order) {
         if (!trial.time_s)
             return;
         const [i, part] = momentOf(trial.time_s, this.scene.now), next = Math.min(i + 1, trial.time_s.length - 1), colour = tint[tintOfTrial(trial)];
@@ -69,23 +69,23 @@ export class LoopPlane {
         context.lineWidth = 1;
         const before = context.globalAlpha;
         context.globalAlpha = 0.5 * before;
-        trace(context, [...trial.point_m.slice(0, i + 1), between(trial.point_m[i], trial.point_m[next], part)].map((one) => this.px(one)));
+        trace(context, [...trial.point_m.slice(0, i + 1), between(trial.point_m[i], trial.point_m[next], part)].map(this.px));
         context.stroke();
         context.globalAlpha = before;
-        this.line(context, line, colour, trial.drawn ? 1.8 : 3);
+        this.line(context, line, colour, trial.drawn ? 1.8 : 3 + 3 * order);
         const force = between(trial.force_N[i], trial.force_N[next], part), size = ARROW * this.scene.beam.length_m / most;
-        const tip = along(line, this.scene.push), tail = [tip[0] - size * force[0], tip[1] - size * force[1]];
-        arrow(context, this.px(tail), this.px(tip), colour, trial.drawn ? 1.5 : 2.2);
+        const from = along(line, this.scene.push), to = [from[0] + size * force[0], from[1] + size * force[1]];
+        arrow(context, this.px(from), this.px(to), colour, trial.drawn ? 1.5 : 2.2);
         const [x, y] = this.px(between(trial.point_m[i], trial.point_m[next], part));
         context.fillStyle = colour;
         context.beginPath();
-        context.arc(x, y, trial.drawn ? 3 : 4.5, 0, 2 * Math.PI);
+        context.arc(x, y, trial.drawn ? 3 : 4 + 1.5 * order, 0, 2 * Math.PI);
         context.fill();
     }
     line(context, points, colour, wide) {
         context.strokeStyle = colour;
         context.lineWidth = wide;
-        trace(context, points.map((one) => this.px(one)));
+        trace(context, points.map(this.px));
         context.stroke();
     }
     clamp(context, tint) {

@@ -1,4 +1,4 @@
-import { commandLine, h } from "./dom.js";
+import { coded, commandLine, h } from "./dom.js";
 import { Editor } from "./editor.js";
 import { FirstFrame } from "./firstframe.js";
 import { ask, listen, onReturn, post, say } from "./net.js";
@@ -126,7 +126,7 @@ export function recordings(place, at) {
         mistakes = found.mistakes.length;
         count();
         editor.mark(found.mistakes);
-        told.replaceChildren(...(found.mistakes.length ? [h("ol", { class: "mistakes" }, ...found.mistakes.map((one) => h("li", {}, h("button", { type: "button", class: "quiet", click: () => editor.go(one.line) }, `line ${one.line}`), h("span", {}, one.text))))] : []), ...(found.remarks.length ? [h("ul", { class: "remarks" }, ...found.remarks.map((one) => h("li", { class: one.level === "warning" ? "warning" : "quiet" }, one.text)))] : []));
+        told.replaceChildren(...(found.mistakes.length ? [h("ol", { class: "mistakes" }, ...found.mistakes.map((one) => h("li", {}, h("button", { type: "button", class: "quiet", click: () => editor.go(one.line) }, `line ${one.line}`), h("span", {}, ...coded(one.text)))))] : []), ...(found.remarks.length ? [h("ul", { class: "remarks" }, ...found.remarks.map((one) => h("li", { class: one.level === "warning" ? "warning" : "quiet" }, ...coded(one.text))))] : []));
         frame.expect(found.tags);
         const wanted = JSON.stringify([name, found.file, found.topic, found.family]);
         if (found.file && wanted !== film) {

@@ -7,7 +7,7 @@ import { atEnd, remember } from "./place.js";
 import { TimeChart } from "./timechart.js";
 import { isBusy, progressOf } from "./work.js";
 export function rehearse(place, at) {
-    const scene = { beam: null, goal: [0, 0], trials: [], now: 0, push: 1, point: 1, stale: false, focus: false };
+    const scene = { beam: null, map: null, goal: [0, 0], trials: [], now: 0, push: 1, point: 1, stale: false, focus: false };
     const plane = new LoopPlane(scene), element = h("canvas", { tabindex: 0, role: "application",
         "aria-label": "The beam and its goal. Arrow keys move the goal, with Shift further, with Alt less; the space bar plays." });
     const canvas = new Canvas(element, plane.paint), command = commandLine(), form = new SettingsForm(at, changed);
@@ -17,8 +17,8 @@ export function rehearse(place, at) {
     const slider = h("input", { type: "range", min: 0, max: 8, step: 0.01, value: 0, "aria-label": "time" }), clock = h("output", { class: "clock" });
     const error = new TimeChart("from the goal [mm]", true, seek), force = new TimeChart("force on the beam [N]", false, seek);
     const results = h("div", { class: "scroll" }), margins = h("dl", {}), status = h("p", { class: "status", role: "status" });
-    let model = at.get("model") ?? "", job = null, control = null, timer = 0, last = 0, got = "";
-    place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), progress, element, h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element), command.element), h("aside", { class: "panel" }, form.element, h("section", { class: "outcome" }, h("h2", {}, "How it went"), results, margins), h("p", { class: "quiet keys" }, "drag the goal, or ", h("kbd", {}, "←↑→↓"), " move it, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "space"), " play")));
+    let model = at.get("model") ?? "", job = null, control = null, timer = 0, last = 0, got = "", mapped = "", soon = 0;
+    place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), progress, element, h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element), h("section", { class: "outcome" }, results, margins), command.element), h("aside", { class: "panel" }, form.element, h("p", { class: "quiet keys" }, "drag the goal, or ", h("kbd", {}, "←↑→↓"), " move it, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "space"), " play")));
     command.set("");
     function wanted() {
         return { model, ...form.values };
@@ -31,6 +31,21 @@ export function rehearse(place, at) {
         command.set(model ? lineOf(settings) : "");
         start.disabled = !model || isBusy(job);
         tell();
+        clearTimeout(soon);
+        soon = window.setTimeout(() => { void reach(); }, 250);
+        canvas.redraw();
+    }
+    async function reach() {
+        if (!scene.beam || scene.beam.name !== model)
+            return;
+        const { push_s, point_s, max_force_N } = form.values, asked = { model, push_s, point_s, max_force_N }, key = JSON.stringify(asked);
+        if (key === mapped)
+            return;
+        mapped = key;
+        scene.map = null;
+        const found = await post("/api/reach", asked);
+        if (key === mapped)
+            scene.map = found;
         canvas.redraw();
     }
     function same(settings, other) {
@@ -53,7 +68,7 @@ export function rehearse(place, at) {
         const beam = await ask("/api/beam", { name });
         if (model !== name)
             return;
-        scene.beam = beam;
+        [scene.beam, scene.map, mapped] = [beam, null, ""];
         choice.value = name;
         form.of(beam, goal);
         if (job?.model !== name)
@@ -102,7 +117,7 @@ export function rehearse(place, at) {
         changed();
     }
     function table() {
-        results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", {}, "in the last second"), h("th", {}, "within 1 mm")), ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name), h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m, 2)} mm` : "snapped away"), h("td", { class: "number" }, one.settled_s === null ? "never" : `from ${fixed(one.settled_s, 1)} s on`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
+        results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", {}, "within 1 mm from")), ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name), h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m, 2)} mm` : "snapped away"), h("td", { class: "number" }, one.settled_s === null ? "never" : `${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
         const rows = control ? [["force of the model", `${digits(Math.hypot(...control.force_N))} N in ${fixed(control.rise_s, 2)} s`],
             ["gain margin", control.gain === null ? "any" : `${fixed(control.gain, 2)} times`], ["phase margin", control.phase_rad === null ? "any" : `${fixed(180 * control.phase_rad / Math.PI, 0)}°`],
             ["further delay", control.delay_s === null ? "no limit found" : `${fixed(1000 * control.delay_s, 0)} ms`],
@@ -201,5 +216,5 @@ export function rehearse(place, at) {
     });
     element.addEventListener("focus", () => { scene.focus = element.matches(":focus-visible"); canvas.redraw(); });
     element.addEventListener("blur", () => { scene.focus = false; canvas.redraw(); });
-    atEnd(listen((message) => { void hear(message); }), onReturn(() => { void fill(); }), () => { run(false); canvas.end(); error.end(); force.end(); });
+    atEnd(listen((message) => { void hear(message); }), onReturn(() => { void fill(); }), () => { run(false); clearTimeout(soon); canvas.end(); error.end(); force.end(); });
 }

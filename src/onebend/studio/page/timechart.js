@@ -64,14 +64,12 @@ export class TimeChart {
             context.stroke();
             context.fillText(`${digits(time, 3).replace(/\.0+$/, "")} s`, Math.min(x(time), right - 10), bottom + 16);
         }
-        context.textAlign = "left";
-        for (const { value, words } of this.levels) {
+        for (const { value } of this.levels) {
             context.setLineDash([3, 4]);
             context.strokeStyle = tint.muted;
             trace(context, [[LEFT, y(value)], [right, y(value)]]);
             context.stroke();
             context.setLineDash([]);
-            label(context, words, LEFT + 6, y(value) - 4, tint.muted, tint.paper);
         }
         for (const { time, values, tint: colour, thin } of this.lines) {
             context.strokeStyle = tint[colour];
@@ -79,6 +77,9 @@ export class TimeChart {
             trace(context, time.map((one, i) => [x(one), y(values[i])]));
             context.stroke();
         }
+        context.textAlign = "left";
+        for (const { value, words } of this.levels)
+            label(context, words, LEFT + 6, y(value) - 4, tint.muted, tint.paper);
         context.textAlign = "right";
         label(context, this.words, right - 6, TOP + 12, tint.muted, tint.paper);
         if (!this.lines.length)
