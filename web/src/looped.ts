@@ -47,7 +47,7 @@ export class LoopPlane {
 
   private fit({ width, height }: Canvas): void {
     const { beam, goal, trials } = this.scene, room = beam!.length_m;
-    const points: Point[] = [...beam!.rest_m, goal, [0, -0.3 * room], [0, 0.3 * room], ...trials.flatMap((one) => one.point_m ?? [])];
+    const points: Point[] = [...beam!.rest_m, goal, [0, -0.45 * room], [0, 0.68 * room], ...trials.flatMap((one) => one.point_m ?? [])];
     const [xs, ys] = [points.map((one) => one[0]), points.map((one) => one[1])];
     const [left, right, low, high] = [Math.min(...xs) - 0.06 * room, Math.max(...xs) + 0.12 * room, Math.min(...ys) - 0.1 * room, Math.max(...ys) + 0.1 * room];
     this.scale = Math.min(width / (right - left), (height - 20) / (high - low));

@@ -133,10 +133,10 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   }
 
   function table(): void {
-    results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", {}, "within 1 mm from")),
+    results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", { title: "from when on it stays within 1 mm" }, "settled")),
       ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name),
         h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m!, 2)} mm` : "snapped away"),
-        h("td", { class: "number" }, one.settled_s === null ? "never" : `${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
+        h("td", { class: "number" }, one.settled_s === null ? "never" : `at ${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
     const rows: [string, string][] = control ? [["force of the model", `${digits(Math.hypot(...control.force_N))} N in ${fixed(control.rise_s, 2)} s`],
       ["gain margin", control.gain === null ? "any" : `${fixed(control.gain, 2)} times`], ["phase margin", control.phase_rad === null ? "any" : `${fixed(180 * control.phase_rad / Math.PI, 0)}°`],
       ["further delay", control.delay_s === null ? "no limit found" : `${fixed(1000 * control.delay_s, 0)} ms`],

@@ -47,7 +47,7 @@ export class TimeChart {
     const every = [...this.lines.flatMap((one) => one.values), ...this.levels.map((one) => one.value)].filter(Number.isFinite);
     if (!every.length) return this.log ? [0.01, 10] : [0, 1];
     const most = Math.max(...every, 1e-9);
-    return this.log ? [Math.max(Math.min(...every.filter((one) => one > 0), 0.5 * most), 1e-4 * most, 0.005), 1.5 * most] : [0, 1.08 * most];
+    return this.log ? [Math.max(Math.min(...every.filter((one) => one > 0), 0.5 * most), 1e-4 * most, 0.005), 1.5 * most] : [0, 1.25 * most];
   }
 
   private readonly paint = ({ context, width, height }: Canvas, tint: Colours): void => {
@@ -84,7 +84,7 @@ export class TimeChart {
       context.stroke();
     }
     context.textAlign = "left";
-    for (const { value, words } of this.levels) label(context, words, LEFT + 6, y(value) - 4, tint.muted, tint.paper);
+    for (const { value, words } of this.levels) label(context, words, LEFT + 6, y(value) + 13, tint.muted, tint.paper);
     context.textAlign = "right";
     label(context, this.words, right - 6, TOP + 12, tint.muted, tint.paper);
     if (!this.lines.length) return;

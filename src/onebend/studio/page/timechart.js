@@ -42,7 +42,7 @@ export class TimeChart {
         if (!every.length)
             return this.log ? [0.01, 10] : [0, 1];
         const most = Math.max(...every, 1e-9);
-        return this.log ? [Math.max(Math.min(...every.filter((one) => one > 0), 0.5 * most), 1e-4 * most, 0.005), 1.5 * most] : [0, 1.08 * most];
+        return this.log ? [Math.max(Math.min(...every.filter((one) => one > 0), 0.5 * most), 1e-4 * most, 0.005), 1.5 * most] : [0, 1.25 * most];
     }
     paint = ({ context, width, height }, tint) => {
         const [low, high] = this.range(), [right, bottom] = [width - RIGHT, height - BOTTOM], scale = (one) => this.log ? Math.log(Math.max(one, low)) : one;
@@ -79,7 +79,7 @@ export class TimeChart {
         }
         context.textAlign = "left";
         for (const { value, words } of this.levels)
-            label(context, words, LEFT + 6, y(value) - 4, tint.muted, tint.paper);
+            label(context, words, LEFT + 6, y(value) + 13, tint.muted, tint.paper);
         context.textAlign = "right";
         label(context, this.words, right - 6, TOP + 12, tint.muted, tint.paper);
         if (!this.lines.length)
