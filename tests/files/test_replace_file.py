@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.files import single_file
+from onebend.files.renames import exchange
 from onebend.files.single_file import replace_file
 
 
@@ -26,17 +26,16 @@ def test_it_is_replaced_where_it_is_as_known_and_keeps_its_permissions(tmp_path:
 def test_what_was_written_in_that_very_moment_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(b"old")
-    swap = single_file.exchange
-    seen = []
+    seen: list[Path] = []
 
     def late(one: Path, other: Path) -> bool:
         if not seen:  # an editor saves after the file was compared, and before it is replaced
             other.write_bytes(b"theirs")
         seen.append(other)
-        return swap(one, other)
+        return exchange(one, other)
 
-    monkeypatch.setattr(single_file, "exchange", late)
-    if not swap(path, path):
+    monkeypatch.setattr("onebend.files.single_file.exchange", late)
+    if not exchange(path, path):
         pytest.skip("this file system cannot swap two names")
     assert replace_file(path, b"new", b"old") == b"theirs"
     assert path.read_bytes() == b"theirs"

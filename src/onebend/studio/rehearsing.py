@@ -94,7 +94,7 @@ def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any
     goal = asked.get("goal_m")
     if not isinstance(goal, list) or len(goal) != 2:
         raise StudioError("a goal is (x, y) in m")
-    wanted = {key: _number(asked, key, *bounds) for key, bounds in NUMBERS.items()}
+    wanted: dict[str, Any] = {key: _number(asked, key, *bounds) for key, bounds in NUMBERS.items()}
     draws = int(_number(asked, "draws", 0, MOST_DRAWN, 0))
     most = asked.get("max_force_N")
     wanted |= {
