@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
+from onebend.endings import FILMS, TABLES
 from onebend.errors import RecordingError, ResultsError
 from onebend.files.single_file import write_file
 from onebend.recording.folder import FILE_NAME
@@ -15,7 +16,6 @@ from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, 
 from onebend.recording.toml.frequency_entry import FrequencyEntry
 from onebend.recording.toml.schema import keys_of
 from onebend.recording.toml.source_entries import (
-    FILM_ENDINGS,
     CameraEntry,
     MarkersEntry,
     PhotosEntry,
@@ -23,7 +23,6 @@ from onebend.recording.toml.source_entries import (
     VideoEntry,
 )
 from onebend.strict_json import to_json
-from onebend.text_files import TABLES
 
 Kind = Literal["video", "ros", "photos", "weights", "mocap"]
 INTRODUCTION = f"""\
@@ -75,7 +74,7 @@ def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[s
 def files_beside(folder: Path) -> dict[str, dict[str, str]]:
     """What the files in a folder tell of [video] and [force]; nothing where there are several that it may be."""
     found: dict[str, dict[str, str]] = {}
-    for table, endings in (("video", FILM_ENDINGS), ("force", TABLES)):
+    for table, endings in (("video", FILMS), ("force", TABLES)):
         names = [one.name for one in folder.glob("[!.]*") if one.suffix.lower() in endings and one.is_file()]
         if len(names) == 1 and names[0].isprintable():
             found[table] = {"file": to_json(names[0])}

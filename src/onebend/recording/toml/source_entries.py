@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from onebend.recording.toml.schema import flag, key, number, one_of, several, text, whole
 
-FILM_ENDINGS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ts", ".wmv")
 LONGEST_DOUBT = 1e5  # s: whose start is known to a day is not known
 Axes = Literal["beam", "room"]
 Damaged = Literal["refuse", "keep"]
