@@ -11,7 +11,8 @@ from starlette.websockets import WebSocketDisconnect
 from onebend.studio.guard import LARGEST_BODY
 from tests.studio.conftest import HOME, PORT, TOKEN, own
 
-PATHS = ("/", "/main.js", "/page.css", "/api/places", "/api/result?name=beam", "/api/film?name=beam", "/api/job")
+PATHS = ("/", "/main.js", "/page.css", "/api/places", "/api/result?name=beam", "/api/film?name=beam", "/api/job",
+         "/api/beam?name=beam", "/api/check.png?name=beam", "/api/work/check", "/api/work/rehearse")  # fmt: skip
 EVERYWHERE = [*PATHS, "/nowhere", "/?token=", "/?token=another", f"/?token={TOKEN}&token=x", f"/main.js?token={TOKEN}"]
 
 

@@ -12,11 +12,9 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
-from onebend.control.loop.controller import ControllerSettings, controller
-from onebend.control.loop.margins import Timing
-from onebend.control.loop.robustness import simulate_range
+from onebend.control.loop.controller import controller
+from onebend.control.loop.robustness import MOST_DRAWN, drawn_beams, simulate_trials, trial_settings, wrong_beams
 from onebend.control.loop.simulation import LoopCamera
-from onebend.control.loop.tuning import RequiredMargins
 from onebend.control.reach.reach import Reach, ReachSettings
 from onebend.control.reach.reach import reach as solve_reach
 from onebend.control.reach.reachable import ReachableSet, reachable
@@ -54,6 +52,16 @@ KError = Annotated[
     typer.Option(
         "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
     ),
+]
+Draws = Annotated[
+    int | None,
+    typer.Option(
+        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band instead."
+    ),
+]
+Noise = Annotated[
+    float,
+    typer.Option("--noise-mm", min=0.0, max=1e3, metavar="MM", help="Of each coordinate the camera sees, one sd."),
 ]
 Delay = Annotated[
     float,
@@ -133,8 +141,10 @@ def loop(
     push_at: PushAt = 1.0,
     point: Point = 1.0,
     k_error: KError = 0.3,
+    draws: Draws = None,
     delay_ms: Delay = 50.0,
     fps: Rate = 30.0,
+    noise_mm: Noise = 0.05,
     max_force: LoopMaxForce = None,
     gravity: Gravity = (0.0, 0.0),
     duration: Duration = 8.0,
@@ -144,18 +154,15 @@ def loop(
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
     with clean_errors():
-        beam = read_trusted(model).beam
-        delay = 1e-3 * delay_ms
-        settings = ControllerSettings(
-            timing=Timing(fps=fps, delay=delay),
-            longest_delay=max(0.1, delay),
-            wanted=RequiredMargins(k_error=k_error),
-            most_force=or_unlimited(max_force),
-        )
+        stored = read_trusted(model)
+        beam, delay = stored.beam, 1e-3 * delay_ms
+        beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
+        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
-        trials = simulate_range(control, k_error=k_error, eye=LoopCamera(fps=fps, delay=delay), duration=duration)
+        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm)
+        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration))
         known = control.margins()
         summary = loop_summary(str(model), control, known, trials, written_by=BY)
         if output is not None:

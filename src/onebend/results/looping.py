@@ -45,6 +45,7 @@ def loop_summary(
         "rehearsals": [
             {
                 "k_factor": trial.factor,
+                "drawn": trial.beam.drawn,
                 "stands": trial.run is not None,
                 "steady_m": _finite(trial.steady),
                 "settled_s": _finite(trial.settled(SETTLED)),

@@ -36,7 +36,9 @@ class Desk:
     def __init__(self, places: StudioFolder) -> None:
         self.places = places
         self.clients: set[Client] = set()
-        self.jobs = Jobs(self._job_changed)
+        self.jobs = Jobs("learner", self._job_changed)
+        rooms = {"check": "recordings", "rehearse": "rehearsing"}
+        self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
         self.beside = self._process()
@@ -64,7 +66,7 @@ class Desk:
 
     async def end(self) -> None:
         """Stop what runs."""
-        await self.jobs.stop()
+        await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()))
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
@@ -182,8 +184,14 @@ class Desk:
             self.beside = self._process()
             raise StudioError("the process that makes maps ended. Try again") from None
 
+    async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
+        """The outline of what forces up to `most` N can hold, of a beam as JSON."""
+        from onebend.studio import bending, mapping  # here and below: loaded beside the page's first picture
+
+        return bending.outline_of(await self._aside(mapping.make_map, beam, push_s, point_s, most))
+
     async def _map(self, model: str) -> None:
-        from onebend.studio import mapping  # here and below: loaded beside the page's first picture
+        from onebend.studio import mapping
 
         bending, version = self.beams[model], self.beams[model].version
         work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)
@@ -246,6 +254,10 @@ class Desk:
 
     def _job(self) -> dict[str, Any] | None:
         return None if self.jobs.job is None else self.jobs.job.shown()
+
+    def _work_changed(self, room: str) -> None:
+        job = self.works[room].job
+        self.tell({"what": "work", "room": room, "job": None if job is None else job.shown()})
 
     def _job_changed(self) -> None:
         shown = self._job()

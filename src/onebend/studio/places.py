@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
+from onebend.endings import FILMS, TABLES
 from onebend.errors import StudioError
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
@@ -18,10 +19,10 @@ _LARGEST_SUMMARY = 16 * 2**20  # bytes
 
 @dataclass(frozen=True)
 class Found:
-    """A recording or a result below the studio's folder."""
+    """A recording or a result below the studio's folder, or a film with a log that nothing describes yet."""
 
     name: str  # relative, with /; "." is the folder itself
-    kind: Literal["recording", "result"]
+    kind: Literal["recording", "result", "film"]
     changed: float  # s since 1970
     about: dict[str, Any]  # of a result: recordings, grade, known
 
@@ -54,6 +55,21 @@ class StudioFolder:
             raise StudioError(f"{name[:100]!r} cannot be read") from error
         if not path.is_relative_to(self.root):
             raise StudioError(f"{name[:100]!r} leads out of {self.root}")
+        return path
+
+    def beside(self, name: str, file: str) -> Path:
+        """A file that is named in the folder `name`, as it leads on from there.
+
+        Raises `StudioError` where it lies outside of the studio's folder, or names nothing.
+        """
+        if not file or "\0" in file or len(file) > 1000:
+            raise StudioError("no file is named")
+        try:
+            path = (self.path(name) / file).resolve()
+        except (OSError, RuntimeError) as error:
+            raise StudioError(f"{file[:100]!r} cannot be read") from error
+        if not path.is_relative_to(self.root):
+            raise StudioError(f"{file[:100]!r} leads out of {self.root}: the page does not look there. A check does")
         return path
 
     def recording(self, name: str) -> Path:
@@ -92,6 +108,8 @@ class StudioFolder:
             name = folder.relative_to(self.root).as_posix()
             if RECORDING in files:
                 rows.append(Found(name, "recording", _changed(folder / RECORDING), {}))
+            elif MODEL not in files and _with_ending(files, FILMS) and _with_ending(files, TABLES):
+                rows.append(Found(name, "film", 0.0, {}))
             if {MODEL, RESULT_SUMMARY} <= files:
                 rows.append(Found(name, "result", _changed(folder / MODEL), _about(folder / RESULT_SUMMARY)))
             if depth < _DEEPEST:
@@ -109,6 +127,10 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:  # a name that is too long
         return False
+
+
+def _with_ending(names: set[str], endings: tuple[str, ...]) -> bool:
+    return any(name.lower().endswith(endings) for name in names)
 
 
 def _changed(path: Path) -> float:

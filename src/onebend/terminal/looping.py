@@ -41,6 +41,8 @@ def show_loop(
 
 def trial_name(trial: LoopTrial) -> str:
     """Which beam a rehearsal was made on."""
-    if trial.factor == 1.0:
-        return "as the model"
-    return f"{100 * abs(trial.factor - 1.0):.0f} % {'lower' if trial.factor < 1.0 else 'higher'}"
+    share = 100.0 * abs(trial.factor - 1.0)
+    way = "lower" if trial.factor < 1.0 else "higher"
+    if trial.beam.drawn:
+        return f"drawn, {significant(share)} % {way} on average"
+    return "as the model" if trial.factor == 1.0 else f"{share:.0f} % {way}"

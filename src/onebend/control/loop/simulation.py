@@ -21,6 +21,7 @@ from onebend.control.loop.controller import Controller
 from onebend.records import Array
 
 TICK = 1.0 / 120.0  # s, between two forces
+AXIS_PLACES = np.linspace(0.0, 1.0, 41)  # s, of the beam's axis in `LoopSimulation`
 _METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as the strong damping up there does
 
 
@@ -68,6 +69,7 @@ class LoopSimulation:
     xy: Array  # (T, 2) m, where the point was
     asked: Array  # (T, 2) N, the force that the controller asked for
     force: Array  # (T, 2) N, the force on the beam
+    axis: Array  # (T, P, 2) m, the beam's axis at `AXIS_PLACES`
 
     @property
     def error(self) -> Array:
@@ -100,8 +102,10 @@ def simulate_loop(
     moving = _MovingBeam(truth, tick)
     state = control.begin(0.0)
     rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
+    axis = np.zeros((len(rows), len(AXIS_PLACES), 2))
     for i, row in enumerate(rows):
-        row[0], row[1:3], row[5:] = i * tick, moving.point, moving.force
+        row[1:3], axis[i] = moving.point_and_axis()
+        row[0], row[5:] = i * tick, moving.force
         state, row[3:5] = control.step(state, None, row[0])
         while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
@@ -109,7 +113,7 @@ def simulate_loop(
             position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
             state, row[3:5] = control.step(state, position, row[0])
         moving.advance(row[3:5], row[0])
-    return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
+    return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:], axis)
 
 
 class _MovingBeam:
@@ -119,19 +123,20 @@ class _MovingBeam:
         self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
         self._numbers = tableau(_METHOD)
         self._stepper = Stepper(self.body, self._numbers, tick, tolerance=1e-8)
-        places = self.body.length * self.body.grid.integral_to(np.array([truth.push_s, truth.point_s]))
-        self._lever, self._point = places
+        places = np.array([truth.push_s, truth.point_s, *AXIS_PLACES])
+        levers = self.body.length * self.body.grid.integral_to(places)
+        self._lever, self._places = levers[0], levers[1:]
         weighed = Actions(gravity=truth.gravity)
         self._weight = acting(self.body, weighed, tick * self._numbers.c)
         start = settle(self.body, weighed)
         self._theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
         self._guess = np.zeros((self.body.n, len(self._numbers.c)))
 
-    @property
-    def point(self) -> Array:
-        """(2,) m, where the point is."""
+    def point_and_axis(self) -> tuple[Array, Array]:
+        """(2,) m, where the point is; (P, 2) m, the beam's axis."""
         alpha = self.body.rest_angle + self.body.to_angle @ self._theta
-        return np.array([self._point @ np.cos(alpha), self._point @ np.sin(alpha)])
+        found = self._places @ np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
+        return found[0], found[1:]
 
     def advance(self, asked: Array, now: float) -> None:
         """One tick with the force going to what is asked for, by the actuator's lag."""
