@@ -4,8 +4,9 @@ import { h } from "./dom.js";
 import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
+import { record } from "./record.js";
 
-const ROOMS = { bend: ["Bend", bend], learn: ["Learn", learn] } as const;
+const ROOMS = { record: ["Record", record], learn: ["Learn", learn], bend: ["Bend", bend] } as const;
 type Room = keyof typeof ROOMS;
 
 const place = document.getElementById("room")!, nav = document.querySelector("nav")!;

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 
 def line(*words: str) -> str:
@@ -35,3 +36,14 @@ def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, rep
     """What learns the same."""
     checks = [word for one in validate for word in ("--validate", one)]
     return line("learn", *recordings, "--output", out, *checks, *(["--force"] if replace else []))
+
+
+def record_line(wanted: Mapping[str, Any]) -> str:
+    """What records the same; `wanted` as from `filming.wanted_recording`."""
+    given = [(f"--{key}", wanted[key]) for key in ("camera", "force", "like") if wanted[key]]
+    if wanted["until_percent"] is not None:
+        given.append(("--until", f"{number(wanted['until_percent'])}%"))
+    given += [] if wanted["longest_s"] == 600.0 else [("--longest-s", number(wanted["longest_s"]))]
+    given += [] if wanted["crf"] == 18 else [("--crf", str(wanted["crf"]))]
+    flags = [f"--{key.replace('_', '-')}" for key in ("now", "no_learning", "fast", "overwrite") if wanted[key]]
+    return line("record", wanted["out"], *(word for pair in given for word in pair), *flags)

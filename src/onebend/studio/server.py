@@ -22,6 +22,7 @@ from onebend.errors import OnebendError, StudioError
 from onebend.strict_json import plain
 from onebend.studio.commands import learn_line
 from onebend.studio.desk import Desk
+from onebend.studio.filming import sources_data, wanted_recording
 from onebend.studio.guard import Guard
 from onebend.studio.places import StudioFolder
 
@@ -47,6 +48,10 @@ def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
         Route("/api/result", clean(asked.result)),
         Route("/api/film", clean(asked.film)),
         Route("/api/job", clean(asked.job)),
+        Route("/api/record", clean(asked.recording)),
+        Route("/api/record/sources", clean(asked.sources)),
+        Route("/api/record/picture", clean(asked.picture)),
+        Route("/api/record/{what:str}", clean(asked.record), methods=["POST"]),
         Route("/api/learn", clean(asked.learn), methods=["POST"]),
         Route("/api/stop", clean(asked.stop), methods=["POST"]),
         WebSocketRoute("/socket", desk.serve),
@@ -80,6 +85,29 @@ class Asked:
     async def job(self, _request: Request) -> Response:
         job = self.desk.jobs.job
         return JSONResponse({"job": None if job is None else job.shown()})
+
+    async def recording(self, _request: Request) -> Response:
+        return JSONResponse({"recording": self.desk.filming.shown()})
+
+    async def sources(self, _request: Request) -> Response:
+        await self.desk.load("onebend.capture.specs")
+        return JSONResponse(await run_in_threadpool(sources_data, self.desk.places))
+
+    async def picture(self, request: Request) -> Response:
+        number = request.query_params.get("n", "")
+        picture = self.desk.filming.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
+        return Response(picture, media_type="image/jpeg")
+
+    async def record(self, request: Request) -> Response:
+        what, filming = request.path_params["what"], self.desk.filming
+        if what == "start":
+            wanted = wanted_recording(self.desk.places, await _posted(request))
+            await filming.start(wanted)
+            return JSONResponse({"out": wanted["out"]})
+        if what not in ("begin", "stop"):
+            raise StudioError(f"a recording is started, begun and stopped; there is no {what[:100]}")
+        (filming.begin if what == "begin" else filming.stop)()
+        return JSONResponse({})
 
     async def learn(self, request: Request) -> Response:
         asked = await _posted(request)

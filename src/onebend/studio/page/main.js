@@ -3,7 +3,8 @@ import { h } from "./dom.js";
 import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
-const ROOMS = { bend: ["Bend", bend], learn: ["Learn", learn] };
+import { record } from "./record.js";
+const ROOMS = { record: ["Record", record], learn: ["Learn", learn], bend: ["Bend", bend] };
 const place = document.getElementById("room"), nav = document.querySelector("nav");
 let shown = null;
 function show() {
