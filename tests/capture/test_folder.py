@@ -68,6 +68,17 @@ def test_an_earlier_recording_is_kept_unless_told_otherwise(tmp_path: Path) -> N
     assert film.exists()  # until a new film begins
 
 
+@pytest.mark.parametrize("name", ["../video.mp4", "/tmp/video.mp4", "link/video.mp4"])
+def test_nothing_is_written_out_of_the_recordings_folder(tmp_path: Path, name: str) -> None:
+    place = tmp_path / "push"
+    place.mkdir()
+    (place / "link").symlink_to(tmp_path)
+    (tmp_path / "video.mp4").write_bytes(b"mine")
+    folder(place, toml().replace('"video.mp4"', f'"{name}"'))
+    with pytest.raises(RecordingError, match="out of the recording's folder"):
+        places_for(place, COLUMNS, overwrite=True)
+
+
 @pytest.mark.parametrize("spec", ["bag:{}/push.mcap", "bag:{}"])
 def test_a_bag_that_is_read_is_not_replaced(tmp_path: Path, spec: str) -> None:
     place = folder(tmp_path, toml().replace('"force.csv"', '"push.mcap"'))

@@ -20,7 +20,7 @@ from onebend.capture.film_writer import FilmWriter
 from onebend.capture.state import CaptureState
 from onebend.cli.recordings import record
 from onebend.errors import StudioError
-from onebend.studio.filming import Filmed, Filming, check_source, sources_data, wanted_recording
+from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
 from onebend.studio.places import StudioFolder
 from onebend.studio.recorder import WIDEST, Talk, check_data, settings_of, small_jpeg, state_data, work
 from tests.recording.filmed import HEIGHT, WIDTH
@@ -184,14 +184,14 @@ def test_a_large_picture_is_made_small() -> None:
     assert state_data(CaptureState("exposure"))["size_px"] is None
 
 
-def told() -> tuple[Filming, list[tuple[dict[str, Any], bool]]]:
+def told() -> tuple[RecorderProcess, list[tuple[dict[str, Any], bool]]]:
     messages: list[tuple[dict[str, Any], bool]] = []
-    return Filming(lambda message, passing: messages.append((message, passing))), messages
+    return RecorderProcess(lambda message, passing: messages.append((message, passing))), messages
 
 
 def test_the_newest_pictures_are_kept_and_slow_tabs_miss_states_alone() -> None:
     filming, messages = told()
-    filmed = filming.filmed = Filmed({"out": "new", "command": ""})
+    filmed = filming.made = MadeRecording({"out": "new", "command": ""})
     with pytest.raises(StudioError, match="no picture"):
         filming.picture(1)
     for i in range(20):

@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.clients import Client
-from onebend.studio.filming import Filming
+from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
 from onebend.workers import end_with_parent
@@ -38,7 +38,7 @@ class Desk:
         self.places = places
         self.clients: set[Client] = set()
         self.jobs = Jobs(self._job_changed)
-        self.filming = Filming(lambda message, passing: self.tell(message, passing=passing))
+        self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
         self.beside = self._process()
@@ -70,7 +70,7 @@ class Desk:
 
     async def end(self) -> None:
         """Stop what runs."""
-        await asyncio.gather(self.jobs.stop(), self.filming.end())
+        await asyncio.gather(self.jobs.stop(), self.recorder.end())
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
@@ -82,7 +82,7 @@ class Desk:
         client = Client(socket)
         self.clients.add(client)
         writer = asyncio.create_task(client.write())
-        about = {"folder": str(self.places.root), "job": self._job(), "recording": self.filming.shown()}
+        about = {"folder": str(self.places.root), "job": self._job(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:
             while True:

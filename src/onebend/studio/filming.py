@@ -30,7 +30,7 @@ _DEVICES = ("video*", "serial/by-id/*", "ttyUSB*", "ttyACM*")
 
 
 @dataclass
-class Filmed:
+class MadeRecording:
     """One recording that is being made, or was."""
 
     wanted: dict[str, Any]
@@ -63,13 +63,13 @@ class Filmed:
         }
 
 
-class Filming:
+class RecorderProcess:
     """At most one recording at a time. All methods run in the server's loop."""
 
     def __init__(self, tell: Callable[[dict[str, Any], bool], None]) -> None:
         """`tell`: a message to all tabs, and whether a slow one may do without it."""
         self._tell = tell
-        self.filmed: Filmed | None = None
+        self.made: MadeRecording | None = None
         self._pictures: dict[int, bytes] = {}
         self._count = 0
         self._process: asyncio.subprocess.Process | None = None
@@ -77,7 +77,7 @@ class Filming:
 
     def shown(self) -> dict[str, Any] | None:
         """For the page; None before the first recording."""
-        return None if self.filmed is None else self.filmed.shown()
+        return None if self.made is None else self.made.shown()
 
     def picture(self, number: int) -> bytes:
         """A picture as JPEG; where that is no more, the newest. Raises `StudioError` before the first."""
@@ -87,9 +87,9 @@ class Filming:
 
     async def start(self, wanted: dict[str, Any]) -> None:
         """Begin. Raises `StudioError` while another recording goes on."""
-        if self.filmed is not None and self.filmed.goes_on:
-            raise StudioError(f"{self.filmed.wanted['out']} is being recorded. Stop it, or wait")
-        self.filmed = filmed = Filmed(wanted)
+        if self.made is not None and self.made.goes_on:
+            raise StudioError(f"{self.made.wanted['out']} is being recorded. Stop it, or wait")
+        self.made = made = MadeRecording(wanted)
         self._pictures.clear()
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = await asyncio.create_subprocess_exec(
@@ -103,18 +103,18 @@ class Filming:
             env=environment,
         )
         self._write(json.dumps(wanted))
-        self._task = asyncio.create_task(self._follow(filmed, self._process))
+        self._task = asyncio.create_task(self._follow(made, self._process))
         self._changed()
 
     def begin(self) -> None:
         """Begin the film in spite of what is wrong with the picture."""
-        if self.filmed is not None and self.filmed.goes_on:
+        if self.made is not None and self.made.goes_on:
             self._write("begin")
 
     def stop(self) -> None:
         """End the film; what there is stays."""
-        if self.filmed is not None and self.filmed.phase in ("starting", "recording"):
-            self.filmed.phase = "stopping"
+        if self.made is not None and self.made.phase in ("starting", "recording"):
+            self.made.phase = "stopping"
             self._write("stop")
             self._changed()
 
@@ -137,38 +137,38 @@ class Filming:
         with contextlib.suppress(OSError, RuntimeError):  # it ended by itself
             self._process.stdin.write(f"{line}\n".encode())
 
-    async def _follow(self, filmed: Filmed, process: asyncio.subprocess.Process) -> None:
+    async def _follow(self, made: MadeRecording, process: asyncio.subprocess.Process) -> None:
         assert process.stdout is not None
         async for line in process.stdout:
             with contextlib.suppress(ValueError):
-                self._hear(filmed, json.loads(line))
+                self._hear(made, json.loads(line))
         code = await process.wait()
-        if filmed.phase in _GOING:
-            failed = filmed.outcome is None or bool(filmed.outcome["fault"]) or not filmed.outcome["begun"]
-            filmed.phase = "failed" if failed else "done"
-        if filmed.outcome is None and not filmed.error:
-            kept = f"What it wrote by then is in {filmed.wanted['out']}" if filmed.state.get("frames") else "Try again"
-            filmed.error = f"the recorder ended with {code}. {kept}"
+        if made.phase in _GOING:
+            failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
+            made.phase = "failed" if failed else "done"
+        if made.outcome is None and not made.error:
+            kept = f"What it wrote by then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
+            made.error = f"the recorder ended with {code}. {kept}"
         self._changed()
         self._tell({"what": "places"}, False)
 
-    def _hear(self, filmed: Filmed, said: dict[str, Any]) -> None:
+    def _hear(self, made: MadeRecording, said: dict[str, Any]) -> None:
         """One line of the process."""
         if "picture" in said:
             self._count += 1
-            filmed.picture, self._pictures[self._count] = self._count, base64.b64decode(said["picture"])
+            made.picture, self._pictures[self._count] = self._count, base64.b64decode(said["picture"])
             for number in sorted(self._pictures)[:-_KEPT]:
                 del self._pictures[number]
         if "state" in said:
-            filmed.state, filmed.curve = said["state"], said.get("curve", filmed.curve)
-            if filmed.phase == "starting":
-                filmed.phase = "recording"
-        filmed.length = said.get("length_m", filmed.length)
+            made.state, made.curve = said["state"], said.get("curve", made.curve)
+            if made.phase == "starting":
+                made.phase = "recording"
+        made.length = said.get("length_m", made.length)
         if "outcome" in said:
-            filmed.outcome = said["outcome"]
-            filmed.phase = "checking" if filmed.outcome["begun"] else filmed.phase
-        filmed.check = said.get("check", filmed.check)
-        filmed.error = said.get("error", filmed.error)
+            made.outcome = said["outcome"]
+            made.phase = "checking" if made.outcome["begun"] else made.phase
+        made.check = said.get("check", made.check)
+        made.error = said.get("error", made.error)
         self._changed(passing="state" in said)
 
     def _changed(self, *, passing: bool = False) -> None:

@@ -87,7 +87,7 @@ class Asked:
         return JSONResponse({"job": None if job is None else job.shown()})
 
     async def recording(self, _request: Request) -> Response:
-        return JSONResponse({"recording": self.desk.filming.shown()})
+        return JSONResponse({"recording": self.desk.recorder.shown()})
 
     async def sources(self, _request: Request) -> Response:
         await self.desk.load("onebend.capture.specs")
@@ -95,18 +95,18 @@ class Asked:
 
     async def picture(self, request: Request) -> Response:
         number = request.query_params.get("n", "")
-        picture = self.desk.filming.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
+        picture = self.desk.recorder.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
         return Response(picture, media_type="image/jpeg")
 
     async def record(self, request: Request) -> Response:
-        what, filming = request.path_params["what"], self.desk.filming
+        what, recorder = request.path_params["what"], self.desk.recorder
         if what == "start":
             wanted = wanted_recording(self.desk.places, await _posted(request))
-            await filming.start(wanted)
+            await recorder.start(wanted)
             return JSONResponse({"out": wanted["out"]})
         if what not in ("begin", "stop"):
             raise StudioError(f"a recording is started, begun and stopped; there is no {what[:100]}")
-        (filming.begin if what == "begin" else filming.stop)()
+        (recorder.begin if what == "begin" else recorder.stop)()
         return JSONResponse({})
 
     async def learn(self, request: Request) -> Response:
