@@ -6,6 +6,8 @@ import base64
 import io
 import json
 import shlex
+import subprocess
+import sys
 import threading
 import time
 from typing import Any
@@ -215,3 +217,14 @@ def test_the_routes_say_what_there_is(client: TestClient) -> None:
     refused = client.post("/api/record/start", json={"out": "../x", "camera": "film:x"}, headers=own())
     assert refused.status_code == 422
     assert "no name in this folder" in refused.json()["error"]
+
+
+def test_the_first_picture_does_without_the_recorder() -> None:
+    """Cameras, films and mechanics are loaded when the page is there."""
+    call = "import sys, onebend.studio.server; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True)
+    found = {name for name in done.stdout.split() if name.partition(".")[0] in ("onebend", "av", "scipy", "PIL")}
+    assert {name.split(".")[1] for name in found if name.startswith("onebend.")} <= {
+        "errors", "lazy", "strict_json", "studio", "workers",
+    }  # fmt: skip
+    assert not found & {"av", "scipy", "PIL"}

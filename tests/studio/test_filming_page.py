@@ -43,7 +43,7 @@ def page(address: str) -> Iterator[Page]:
 
 def filled(page: Page, out: str, film: str) -> None:
     """The room Record with what is to be played."""
-    page.locator("nav a", has_text="Record").click()
+    page.locator("nav a[data-room=record]").click()
     page.locator(f"option[value='{film}']").first.wait_for(state="attached")
     page.get_by_label("folder to record into").fill(out)
     page.get_by_label("the beam is that of").select_option(film)
@@ -88,7 +88,7 @@ def test_record_learn_drag_read_reload_and_go_on(page: Page, lab: Path) -> None:
     page.keyboard.press("ArrowDown")
     page.wait_for_timeout(300)
     assert page.locator(".bend .command code").inner_text() != bent
-    page.locator("nav a", has_text="Record").click()
+    page.locator("nav a[data-room=record]").click()
     page.locator("h1", has_text="Recorded push").wait_for()
     page.locator("button", has_text="Another push of this beam").click()
     assert page.get_by_label("folder to record into").input_value() == "push-2"
@@ -108,7 +108,7 @@ def test_a_recording_goes_on_whoever_looks_and_ends_by_the_keyboard(page: Page, 
     filled(page, "slowly", "train")
     page.locator("summary", has_text="more").click()
     page.get_by_label("learn no k(s) meanwhile").check()
-    page.locator("button", has_text="Record").press("Enter")
+    page.locator(".record button[type=submit]").press("Enter")
     page.locator(".stages .now", has_text="push").wait_for(timeout=30_000)
     picture = painted(page)
     assert float(page.locator(".numbers .big b").inner_text()) >= 0.0

@@ -11,7 +11,7 @@ export function record(place, at) {
     const film = h("button", { type: "button", click: () => { void ordered("begin"); } }, "Film as it is");
     const stop = h("button", { type: "button", class: "main", click: () => { void ordered("stop"); } });
     const orders = h("p", { class: "links" }, film, stop);
-    const hint = h("div", { class: "empty quiet" }, h("p", {}, "Name a camera and a force sensor, and the beam. Then do what the page says: from rest, to push, to rest."), h("p", {}, "Without a camera: play a recording, ", h("code", {}, "film:REC"), " and ", h("code", {}, "log:REC"), ", as fast as it can be read if you like."));
+    const hint = h("div", { class: "empty quiet" }, h("p", {}, "Name the beam, a camera and a force sensor. Then do what the page says: from rest, to push, to rest."), h("p", {}, "The beam is described by a recording.toml: that of another push, or one that ", h("code", {}, "onebend new"), " begins and you fill in."), h("p", {}, "Without a camera: play a recording, ", h("code", {}, "film:REC"), " and ", h("code", {}, "log:REC"), ", as fast as it can be read if you like."));
     let recording = null, told = "";
     place.append(h("aside", { class: "side" }, form.element, live.numbers), h("section", { class: "filming" }, doing.element, hint, title, live.stages, live.advice, orders, live.picture, live.curve.element, ended));
     function changed(choice, command) {

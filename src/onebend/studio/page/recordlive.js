@@ -2,8 +2,8 @@ import { CurveView } from "./curve.js";
 import { digits, fixed, h } from "./dom.js";
 import { Canvas, label, trace } from "./draw.js";
 const SMALL = 20;
-const ROWS = ["components", "tare", "tip", "k", "tags", "film", "log", "disk"];
-const WORDS = { components: "components", tare: "less the tare", tip: "tip / length", k: "k(s)", tags: "tags", film: "film", log: "log", disk: "disk" };
+const ROWS = ["components", "tare", "tip", "tags", "film", "log", "clocks", "disk", "k"];
+const WORDS = { components: "components", tare: "less the tare", tip: "tip / length", k: "k(s)", tags: "tags", film: "film", log: "log", clocks: "clocks agree to", disk: "disk" };
 export class Live {
     stages = h("ol", { class: "stages", "aria-label": "stages" });
     advice = h("div", { class: "advice" });
@@ -90,7 +90,8 @@ export class Live {
         put("k", state.half_width === null ? "" : `± ${digits(100 * state.half_width, 2)} %${state.until === null ? "" : `, wanted ± ${digits(100 * state.until, 2)} %`}`);
         put("tags", tagWords(state.tags));
         put("film", state.frames ? `${state.seconds.toFixed(1)} s, ${state.frames} frames${missing(state.drops)}, ${(state.bytes / 1e6).toFixed(1)} MB` : "not begun");
-        put("log", state.samples ? `${state.samples} samples${missing(state.lost_samples)}${state.clock_sd_s === null ? "" : `, clocks to ${(1000 * state.clock_sd_s).toFixed(1)} ms`}` : "");
+        put("log", state.samples ? `${state.samples} samples${missing(state.lost_samples)}` : "");
+        put("clocks", state.samples && state.clock_sd_s !== null ? `${Math.max(1000 * state.clock_sd_s, 0.1).toFixed(1)} ms` : "");
         put("disk", state.disk_left === null ? "" : `${(state.disk_left / 1e9).toFixed(1)} GB left`);
         this.bar.parentElement.hidden = state.half_width === null;
         this.bar.style.width = `${100 * Math.min(state.half_width ?? 1, 1)}%`;
