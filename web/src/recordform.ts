@@ -90,10 +90,11 @@ export class Form {
     this.changed(this.choice(), this.command());
   }
 
+  // A name that is new, or that of a start that failed.
   private free(like: string): string {
-    const begin = like.replace(/-\d+$/, "");
+    const begin = like.replace(/-\d+$/, ""), taken = (name: string): boolean => this.names.has(name) && !this.sources!.begun.includes(name);
     let n = 2;
-    while (this.names.has(`${begin}-${n}`)) n++;
+    while (taken(`${begin}-${n}`)) n++;
     return `${like === "." ? "push" : begin}-${n}`;
   }
 

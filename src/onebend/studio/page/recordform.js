@@ -77,9 +77,9 @@ export class Form {
         this.changed(this.choice(), this.command());
     }
     free(like) {
-        const begin = like.replace(/-\d+$/, "");
+        const begin = like.replace(/-\d+$/, ""), taken = (name) => this.names.has(name) && !this.sources.begun.includes(name);
         let n = 2;
-        while (this.names.has(`${begin}-${n}`))
+        while (taken(`${begin}-${n}`))
             n++;
         return `${like === "." ? "push" : begin}-${n}`;
     }
