@@ -7,6 +7,7 @@ import { leave, params, roomName } from "./place.js";
 
 // What the first picture does not need is loaded with its room.
 const ROOMS = {
+  record: ["Record", async () => (await import("./record.js")).record],
   recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
   learn: ["Learn", async () => learn],
   bend: ["Bend", async () => bend],

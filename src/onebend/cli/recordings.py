@@ -16,7 +16,7 @@ from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_replaceable, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
-from onebend.recording.folder import FILE_NAME
+from onebend.recording.folder import FILE_NAME, folder_of
 from onebend.recording.template import Kind, write_template
 from onebend.strict_json import to_json
 from onebend.terminal.recordings import show_bag, show_overview
@@ -187,6 +187,11 @@ def record(
             overwrite=overwrite,
         )
         if play is not None:
+            if not (folder_of(play) / FILE_NAME).is_file():
+                raise RecordingError(
+                    f"--play {play}: this is no recording, it holds no {FILE_NAME}. A film alone is played by --camera "
+                    "film:FILE, a log by --force log:FILE."
+                )
             camera, force = camera or f"film:{play}", force or f"log:{play}"
             like = like if (folder / FILE_NAME).exists() else like or play
         if camera is None:
@@ -201,6 +206,8 @@ def record(
             outcome = capture.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:
             kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
+            if outcome.film is None and not outcome.fault:
+                kept += " To film whatever is wrong with the picture, add --now."
             raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
     if as_json:
         print_json(capture.outcome_data(outcome))

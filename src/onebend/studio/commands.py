@@ -58,3 +58,14 @@ def loop_line(wanted: Mapping[str, Any]) -> str:
 def _word(name: str) -> str:
     """A name that is no option."""
     return f"./{name}" if name.startswith("-") else name
+
+
+def record_line(wanted: Mapping[str, Any]) -> str:
+    """What records the same; `wanted` as from `filming.wanted_recording`."""
+    given = [(f"--{key}", wanted[key]) for key in ("camera", "force", "like") if wanted[key]]
+    if wanted["until_percent"] is not None:
+        given.append(("--until", f"{number(wanted['until_percent'])}%"))
+    given += [] if wanted["longest_s"] == 600.0 else [("--longest-s", number(wanted["longest_s"]))]
+    given += [] if wanted["crf"] == 18 else [("--crf", str(wanted["crf"]))]
+    flags = [f"--{key.replace('_', '-')}" for key in ("now", "no_learning", "fast", "overwrite") if wanted[key]]
+    return line("record", wanted["out"], *(word for pair in given for word in pair), *flags)

@@ -12,6 +12,7 @@ import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -19,6 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from onebend.crash import words
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.clients import Client
+from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
 from onebend.workers import end_with_parent
@@ -39,6 +41,7 @@ class Desk:
         self.jobs = Jobs("learner", self._job_changed)
         rooms = {"check": "recordings", "rehearse": "rehearsing"}
         self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
+        self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
         self.beside = self._process()
@@ -64,9 +67,13 @@ class Desk:
         with contextlib.suppress(RuntimeError):  # it was ended meanwhile
             self.beside.submit(_load)
 
+    async def load(self, module: str) -> None:
+        """Load a module that the first picture did without, after the mechanics: no two threads load at once."""
+        await self._in_thread(lambda: import_module(module))
+
     async def end(self) -> None:
         """Stop what runs."""
-        await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()))
+        await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()), self.recorder.end())
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
@@ -78,7 +85,8 @@ class Desk:
         client = Client(socket)
         self.clients.add(client)
         writer = asyncio.create_task(client.write())
-        client.put({"what": "hello", "you": client.number, "folder": str(self.places.root), "job": self._job()})
+        about = {"folder": str(self.places.root), "job": self._job(), "recording": self.recorder.shown()}
+        client.put({"what": "hello", "you": client.number, **about})
         try:
             while True:
                 message = await socket.receive_json()
@@ -169,7 +177,7 @@ class Desk:
                         {"what": "error", "text": str(error) if isinstance(error, OnebendError) else words(error)}
                     )
                     continue
-                self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer})
+                self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer}, passing=True)
                 self._moves[model] = self._moves.get(model, 0) + 1
                 if bending.hand is None:
                     self._spawn(self._ellipse(model, self._moves[model]))
@@ -247,10 +255,10 @@ class Desk:
             if found is not None and self._moves.get(model) == moves:
                 self.tell({"what": "ellipse", "model": model, "ellipse": found})
 
-    def tell(self, message: dict[str, Any]) -> None:
-        """To all tabs."""
+    def tell(self, message: dict[str, Any], *, passing: bool = False) -> None:
+        """To all tabs; a slow one does without what is `passing`."""
         for client in tuple(self.clients):
-            client.put(message)
+            client.put(message, passing=passing)
 
     def _job(self) -> dict[str, Any] | None:
         return None if self.jobs.job is None else self.jobs.job.shown()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import StudioError
 from onebend.files.manifest import LARGEST, SUMMARY
 from onebend.results.model import StoredModel, read_model
@@ -48,10 +49,13 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
 
 def curve(stored: StoredModel) -> dict[str, Any]:
     """k(s) in N m at 101 places, with its bands."""
-    known = stored.uncertain
-    found: dict[str, Any] = {"s": _S.tolist(), "k_N_m": np.asarray(stored.beam.stiffness(_S)).tolist(), "bands": []}
-    if known is None:
-        return found
+    known = {} if stored.uncertain is None else known_curve(stored.uncertain)
+    return {"bands": [], **known, "s": _S.tolist(), "k_N_m": np.asarray(stored.beam.stiffness(_S)).tolist()}
+
+
+def known_curve(known: UncertainStiffness) -> dict[str, Any]:
+    """The same of k(s) as it is known without a model of it."""
+    found: dict[str, Any] = {"s": _S.tolist(), "k_N_m": np.asarray(known.profile(_S)).tolist(), "bands": []}
     for level in _LEVELS:
         band = known.band(_S, level)
         found["bands"].append({"level": level, "low_N_m": band.low.tolist(), "high_N_m": band.high.tolist()})

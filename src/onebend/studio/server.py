@@ -23,6 +23,7 @@ from onebend.errors import OnebendError, StudioError
 from onebend.strict_json import to_json
 from onebend.studio.commands import learn_line
 from onebend.studio.desk import Desk
+from onebend.studio.filming import sources_data, wanted_recording
 from onebend.studio.guard import Guard
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -55,6 +56,10 @@ def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
         Route("/api/reach", clean(asked.reach), methods=["POST"]),
         Route("/api/work/{room:str}", clean(asked.work)),
         Route("/api/work/{room:str}/{what:str}", clean(asked.begin_work), methods=["POST"]),
+        Route("/api/record", clean(asked.recording)),
+        Route("/api/record/sources", clean(asked.sources)),
+        Route("/api/record/picture", clean(asked.picture)),
+        Route("/api/record/{what:str}", clean(asked.record), methods=["POST"]),
         Route("/api/learn", clean(asked.learn), methods=["POST"]),
         Route("/api/stop", clean(asked.stop), methods=["POST"]),
         WebSocketRoute("/socket", desk.serve),
@@ -131,6 +136,29 @@ class Asked:
         if room not in self.desk.works:
             raise StudioError(f"there is no work of the kind {room[:100]!r}")
         return self.desk.works[room]
+
+    async def recording(self, _request: Request) -> Response:
+        return _said({"recording": self.desk.recorder.shown()})
+
+    async def sources(self, _request: Request) -> Response:
+        await self.desk.load("onebend.capture.specs")
+        return _said(await run_in_threadpool(sources_data, self.desk.places))
+
+    async def picture(self, request: Request) -> Response:
+        number = request.query_params.get("n", "")
+        picture = self.desk.recorder.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
+        return Response(picture, media_type="image/jpeg")
+
+    async def record(self, request: Request) -> Response:
+        what, recorder = request.path_params["what"], self.desk.recorder
+        if what == "start":
+            wanted = wanted_recording(self.desk.places, await _posted(request))
+            await recorder.start(wanted)
+            return _said({"out": wanted["out"]})
+        if what not in ("begin", "stop"):
+            raise StudioError(f"a recording is started, begun and stopped; there is no {what[:100]}")
+        (recorder.begin if what == "begin" else recorder.stop)()
+        return _said({})
 
     async def learn(self, request: Request) -> Response:
         asked = await _posted(request)

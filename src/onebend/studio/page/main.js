@@ -4,6 +4,7 @@ import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
 const ROOMS = {
+    record: ["Record", async () => (await import("./record.js")).record],
     recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
     learn: ["Learn", async () => learn],
     bend: ["Bend", async () => bend],
