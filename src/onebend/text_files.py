@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from onebend.endings import TABLES
 from onebend.errors import OnebendError
 
 MOST_TEXT = 2**26  # bytes of a text that is read as a whole
@@ -26,6 +25,7 @@ MOST_COLUMNS = 1000
 MOST_DOTS = 20  # of one key: tables within tables
 QUOTED = 60  # characters that a message quotes of one cell or value
 NAMES = 20  # columns that a message lists
+TABLES = (".csv", ".txt", ".tsv", ".dat", ".log", ".parquet", ".pq")  # of no other file a message quotes the content
 STRINGS = re.compile(r"\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'")
 BETWEEN_KEYS = re.compile(r"[,=\[\]{}#]")
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
-from onebend.endings import FILMS, TABLES
 from onebend.errors import RecordingError, ResultsError
+from onebend.files.endings import FILMS, LOGS
 from onebend.files.single_file import write_file
 from onebend.recording.folder import FILE_NAME
 from onebend.recording.toml.beam_entry import BeamEntry
@@ -51,7 +51,7 @@ FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for
 def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[str, str]) -> Path:
     """Write a `recording.toml` to fill in into `folder` (made if need be) and return its path.
 
-    Where the folder holds one film or one table, it is named.
+    Where the folder holds one film, or one table that may be a log, it is named.
 
     Args:
         filled: by table, what is known already: keys with their values as TOML.
@@ -74,7 +74,7 @@ def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[s
 def files_beside(folder: Path) -> dict[str, dict[str, str]]:
     """What the files in a folder tell of [video] and [force]; nothing where there are several that it may be."""
     found: dict[str, dict[str, str]] = {}
-    for table, endings in (("video", FILMS), ("force", TABLES)):
+    for table, endings in (("video", FILMS), ("force", LOGS)):
         names = [one.name for one in folder.glob("[!.]*") if one.suffix.lower() in endings and one.is_file()]
         if len(names) == 1 and names[0].isprintable():
             found[table] = {"file": to_json(names[0])}

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from onebend.endings import FILMS, TABLES
 from onebend.errors import StudioError
+from onebend.files.endings import FILMS, LOGS
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
 _DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search for recordings and results
@@ -108,7 +108,7 @@ class StudioFolder:
             name = folder.relative_to(self.root).as_posix()
             if RECORDING in files:
                 rows.append(Found(name, "recording", _changed(folder / RECORDING), {}))
-            elif MODEL not in files and _with_ending(files, FILMS) and _with_ending(files, TABLES):
+            elif MODEL not in files and _with_ending(files, FILMS) and _with_ending(files, LOGS):
                 rows.append(Found(name, "film", 0.0, {}))
             if {MODEL, RESULT_SUMMARY} <= files:
                 rows.append(Found(name, "result", _changed(folder / MODEL), _about(folder / RESULT_SUMMARY)))
