@@ -3,7 +3,8 @@
 The model gives forces that lead from the beam's present state to the goal (feedforward), and the positions that belong
 to them (the reference). In every frame the measured position is compared with the reference at the time of exposure.
 The error is filtered, multiplied by the inverse compliance of the model at that working point, and integrated
-(integral action in task space). Where k(s) is wrong, the integral converges to the force that was missing.
+(integral action in task space). Where k(s) is wrong, the integral converges to the force that was missing. Where the
+force on the beam is felt as well, the robot is asked for more or less until it is the wanted one (`felt.py`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
+from onebend.control.loop.felt import Felt, Offset, felt_in
 from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
 from onebend.control.loop.tuning import RequiredMargins, tuned
@@ -46,7 +48,8 @@ class ControllerSettings:
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest that keep the margins
     weak: float = 0.01  # a direction whose compliance is below this share of the largest is corrected slowly
-    most_force: float = inf  # N, the robot's bound on the force's size
+    most_force: float = inf  # N, the bound on the force's size: on the beam where it is felt, else as asked for
+    force_sd: float = 0.2  # N, of how far the robot's force is off; counts where the force is felt
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
     feedback: bool = True
@@ -57,6 +60,8 @@ class ControllerSettings:
                 "a loop needs a bound on the force and a share `weak` above zero, and a damping ratio between 0 and 1, "
                 f"got {self.most_force} N, {self.weak} and {self.damping_ratio}"
             )
+        if not (isfinite(self.force_sd) and self.force_sd > 0.0):
+            raise ControlError(f"a robot's force is off by a finite sd above zero, got {self.force_sd} N")
         if not isfinite(self.longest_delay) or self.longest_delay < 0.0:
             raise ControlError(f"the longest delay must be finite and not negative, got {self.longest_delay} s")
         if self.rise is not None and not (isfinite(self.rise) and self.rise > 0.0):
@@ -100,6 +105,7 @@ class ControllerState:
     correction: Array  # (2,) N: the integral
     filtered: Array  # (2, 2) m: the error behind the first filter, and behind both
     frame_at: float  # s: when the last frame that counted arrived
+    offset: Offset = field(default_factory=Offset)  # what the felt force adds to what is asked for
 
 
 @dataclass(frozen=True)
@@ -118,16 +124,23 @@ class Controller:
     settings: ControllerSettings
 
     @one_blas_thread
-    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
-        """The state in which the way to the goal starts at `time` s."""
-        return ControllerState(time, np.asarray(correction, dtype=float), np.zeros((2, 2)), time)
+    def begin(
+        self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)
+    ) -> ControllerState:
+        """The state in which the way to the goal starts at `time` s; `offset` (2,) N: of the state before."""
+        carried = np.asarray(correction, dtype=float)
+        begun = Offset(np.asarray(offset, dtype=float), carried, frame_at=time)
+        return ControllerState(time, carried, np.zeros((2, 2)), time, begun)
 
     @one_blas_thread
-    def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
-        """The force (2,) N to apply from `time` s on, and the state after it.
+    def step(
+        self, state: ControllerState, seen: ArrayLike | None, time: float, *, felt: Felt | None = None
+    ) -> tuple[ControllerState, Array]:
+        """The force (2,) N to ask for from `time` s on, and the state after it.
 
         `seen`: the point's position (2,) m in a frame that has just arrived; None where none has, NaN where the point
-        was hidden in it. Both leave the integral as it is. Call it as often as the force can be set.
+        was hidden in it. Both leave the integral as it is. `felt`: the force on the beam in a frame that has just
+        arrived, as a sensor or the beam's shape tells it. Call it as often as the force can be set.
         """
         wished = self._wished(state, time)
         if seen is not None and self.settings.feedback:
@@ -137,7 +150,14 @@ class Controller:
             if isfinite(position[0]) and isfinite(position[1]):
                 state = self._corrected(state, position, time)
                 wished = self._wished(state, time)
-        return state, wished
+        if felt is not None:
+            timing, late = self.settings.timing, self.settings.timing.delay + self.settings.timing.lag
+            put_right = felt_in(
+                state.offset, felt, self._feedforward(time - state.began - late), state.correction,
+                time=time, fps=timing.fps, late=late, gains=self.gains, sd=self.settings.force_sd,
+            )  # fmt: skip
+            state = replace(state, offset=put_right)
+        return state, wished + state.offset.force
 
     @one_blas_thread
     def margins(self) -> Margins:

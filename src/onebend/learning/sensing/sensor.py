@@ -18,16 +18,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from scipy.signal import savgol_filter
 
 from onebend.learning.inference.hyperparameters import SPREAD
 from onebend.learning.model.force_error import ForceError
 from onebend.records import Array, CleanForce, IntArray
 
-_ROUNDS = 8
+_ROUNDS, _CHOICES = 6, 2
 _MOST = 240  # frames: the log behind its low-pass has no more to say
 _FEWEST = 12  # frames
-_WINDOW = 9  # frames, for the slope of the force in time
+_MEMORIES = (0.1, 0.2, 0.4, 0.8, 1.6)  # s, of the force in time
 _DIRECTION_SD = 0.05  # rad, of the log's axes before the film: by hand and eye
 _LEAST = 1e-2  # of the largest force: the shape's errors, taken as linear, tell no frame's force more exactly
 _TOLD = 1e-3  # of the prior's information: what a frame tells less of in a direction, it does not tell
@@ -94,8 +93,11 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
     some = np.linspace(0, len(good) - 1, min(_MOST, len(good))).astype(int)
     rows = good[some]
     check = _Check(told.take(rows), logged[rows], error, error.weights[rows])
-    sizes = check.chosen(START)
-    x, spread = check.settled(START, sizes)
+    x, sizes = START, np.zeros(len(check.spread))
+    for _ in range(_CHOICES):
+        x, _ = check.settled(x, sizes)
+        sizes = check.chosen(x, sizes)
+    x, spread = check.settled(x, sizes)
     sd = np.sqrt(np.diag(spread))
     zero, slope = (np.zeros(2), np.zeros(2)) if clean is None else (clean.tare, np.nan_to_num(clean.drift))
     return SensorCheck(
@@ -112,8 +114,8 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
 class _Check:
     """Generalised least squares of T frames; `sizes` of the log's error: sds of their logs from what is expected.
 
-    The slopes are those at the force as told and log together have it, were the log right: where the shape tells
-    nothing of the force in a direction, what it tells there is noise, and noise in a slope counts as information.
+    The slopes are those at a force that is smooth in time: where the shape tells nothing of the force in a direction,
+    what it tells there is noise, and noise in a slope counts as information.
     """
 
     def __init__(self, told: ToldForces, logged: Array, error: ForceError, weights: Array) -> None:
@@ -125,24 +127,21 @@ class _Check:
         self.error, self.weights = error, weights
         self.spread = SPREAD if weights.size else np.zeros(0)
         self.frame = max(_FRAME * error.size, _LEAST * float(np.max(np.abs(logged))))
-        self.seen, self.rate = data.force, np.zeros_like(logged)
-        self.seen = self.force + self._off(START, np.zeros(len(self.spread)))
-        step = float(np.median(np.diff(told.time)))
-        self.rate = savgol_filter(self.seen, _WINDOW, 2, deriv=1, delta=step, axis=0)
+        smoothed = _smooth(told.time, self.force, self.common, self.own + self.frame**2 * np.eye(2))
+        self.seen, self.rate, self.common = smoothed
 
-    def chosen(self, x: Array) -> Array:
+    def chosen(self, x: Array, sizes: Array) -> Array:
         """The sizes of greatest evidence of the model that is linear about `x` (7,), which is integrated out."""
-        sizes = np.zeros(len(self.spread))
         if not len(sizes):
             return sizes
-        slopes = self._slopes(x).reshape(-1, len(x))
+        slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
+        before = _LOOSE * (x - START)
 
         def cost(z: Array) -> float:
-            factor, away = cho_factor(self._covariance(x, z), lower=True), self._away(x)
-            weighed = cho_solve(factor, np.column_stack([slopes, away.ravel()]))
-            normal = slopes.T @ weighed[:, :-1] + np.diag(_LOOSE)
-            right = slopes.T @ weighed[:, -1] - _LOOSE * (x - START)
-            misfit = float(away.ravel() @ weighed[:, -1] - right @ np.linalg.solve(normal, right))
+            factor = cho_factor(self._covariance(x, z), lower=True)
+            weighed = cho_solve(factor, np.column_stack([slopes, away]))
+            normal, right = slopes.T @ weighed[:, :-1] + np.diag(_LOOSE), slopes.T @ weighed[:, -1] - before
+            misfit = float(away @ weighed[:, -1] - right @ np.linalg.solve(normal, right))
             told = 2.0 * float(np.sum(np.log(np.diag(factor[0])))) + float(np.linalg.slogdet(normal)[1])
             return 0.5 * (float(z @ z) + misfit + told)
 
@@ -151,12 +150,11 @@ class _Check:
         return np.asarray(minimize(cost, sizes, method="L-BFGS-B", bounds=bounds, options=options).x)
 
     def settled(self, x: Array, sizes: Array) -> tuple[Array, Array]:
-        """The seven numbers (7,) after Gauss-Newton, and their covariance (7, 7)."""
-        loose = np.diag(_LOOSE)
+        """The seven numbers (7,) after Gauss-Newton from `x`, and their covariance (7, 7)."""
         for _ in range(_ROUNDS):
             slopes = self._slopes(x).reshape(-1, len(x))
             weighed = cho_solve(cho_factor(self._covariance(x, sizes), lower=True), slopes)
-            normal = slopes.T @ weighed + loose
+            normal = slopes.T @ weighed + np.diag(_LOOSE)
             x = x + np.linalg.solve(normal, weighed.T @ self._away(x).ravel() - _LOOSE * (x - START))
         return x, np.linalg.inv(normal)
 
@@ -167,8 +165,7 @@ class _Check:
 
     def _off(self, x: Array, sizes: Array) -> Array:
         """(T, 2) N, what is to be added to the force that is told, as likely as all errors are."""
-        pull = np.linalg.solve(self._covariance(x, sizes), self._away(x).ravel()).reshape(-1, 2)
-        pull = x[0] * pull @ _turn(x[1])
+        pull = np.linalg.solve(self._covariance(x, sizes), self._away(x).ravel()).reshape(-1, 2) @ _turn(x[1])
         shared = np.einsum("tcr,tc->r", self.common, pull)
         return np.asarray((self.own @ pull[..., None])[..., 0] + self.common @ shared)
 
@@ -178,12 +175,12 @@ class _Check:
         return np.asarray(self.logged - (x[0] * moved @ _turn(x[1]).T + x[3:5] + self.later[:, None] * x[5:7]))
 
     def _covariance(self, x: Array, sizes: Array) -> Array:
-        """(2 T, 2 T) N^2 of all errors in that."""
+        """(2 T, 2 T) N^2 of all errors in that, in the log's axes; as large as in a log whose gain is right."""
         turn, count = _turn(x[1]), len(self.force)
-        common = (x[0] * turn @ self.common).reshape(2 * count, -1)
+        common = (turn @ self.common).reshape(2 * count, -1)
         whole = common @ common.T
         blocks, every = whole.reshape(count, 2, count, 2), np.arange(count)
-        blocks[every, :, every, :] += x[0] ** 2 * turn @ self.own @ turn.T + self.frame**2 * np.eye(2)
+        blocks[every, :, every, :] += turn @ self.own @ turn.T + self.frame**2 * np.eye(2)
         if self.weights.size:
             factors = np.exp(self.spread * np.clip(sizes, -_FARTHEST, _FARTHEST))
             root = self.weights @ self.error.root(*factors)
@@ -202,6 +199,28 @@ class _Check:
         slopes[:, [0, 1], [3, 4]] = 1.0
         slopes[:, [0, 1], [5, 6]] = self.later[:, None]
         return slopes
+
+
+def _smooth(time: Array, force: Array, common: Array, covariance: Array) -> tuple[Array, Array, Array]:
+    """(T, 2) N and N/s: a Gaussian process through forces (T, 2) of `covariance` (T, 2, 2), of the memory that fits;
+    and (T, 2, r) N, what it makes of `common`, which stands at each frame's own force and is as scattered."""
+    apart, every, count = time[:, None] - time, np.arange(len(time)), len(time)
+    size = float(np.quantile(np.linalg.norm(force, axis=1), 0.9))
+    columns = np.concatenate([force[..., None], common], axis=-1).reshape(2 * count, -1)
+    best = (np.inf, 0.0, columns)
+    for memory in _MEMORIES:
+        whole = np.kron(size**2 * np.exp(-0.5 * (apart / memory) ** 2), np.eye(2))
+        whole.reshape(count, 2, count, 2)[every, :, every, :] += covariance
+        factor = cho_factor(whole, lower=True)
+        pull = cho_solve(factor, columns)
+        cost = 0.5 * float(columns[:, 0] @ pull[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
+        if cost < best[0]:
+            best = (cost, memory, pull)
+    _, memory, pull = best
+    alike, pulled = size**2 * np.exp(-0.5 * (apart / memory) ** 2), pull.reshape(count, -1)
+    smooth = (alike @ pulled).reshape(count, 2, -1)
+    rate = ((-apart / memory**2 * alike) @ pulled).reshape(count, 2, -1)
+    return smooth[..., 0], rate[..., 0], smooth[..., 1:]
 
 
 def _turn(angle: float) -> Array:

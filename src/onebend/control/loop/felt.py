@@ -1,0 +1,115 @@
+"""The force on the beam, felt while the loop runs: what is asked of the robot is put right by it.
+
+A robot that is asked for a force gives another one: its own estimate of the force is off, and its hand has friction.
+The force felt in a frame is compared with the force that was wanted at the moment it shows. With C its covariance and
+`sd^2 I` that of how far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed, and the offset that
+is added to what is asked for goes to `K (asked - felt)` at the rate of the integral, behind the same two filters.
+
+A force that was told by the model from the beam's shape is the force under which the model has this shape. Where all of
+k(s) is wrong by a factor it is wrong by that factor, and so is the force that the model wants for a goal: the beam
+still comes to the goal, which with the true force it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from onebend.control.loop.margins import Gains
+from onebend.records import Array
+
+_MOST_OFF = 3.0  # sds: a robot is not farther off than this; what is felt beyond is not the robot
+
+
+class Felt(Protocol):
+    """A force and how exactly it is known, as `learning.sensing.online.LiveForce` has them."""
+
+    @property
+    def force(self) -> Array:
+        """(2,) N on the beam, in its frame; NaN where nothing is known."""
+
+    @property
+    def covariance(self) -> Array:
+        """(2, 2) N^2."""
+
+
+@dataclass(frozen=True)
+class FeltForce:
+    """A force and how exactly it is known."""
+
+    force: Array  # (2,) N
+    covariance: Array  # (2, 2) N^2
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What is added to the force that is asked for, and what it goes on from."""
+
+    force: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N
+    correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at the moment of exposure
+    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) N, behind the first filter and both
+    frame_at: float = 0.0  # s: when the last frame that told a force arrived
+
+
+def felt_in(
+    offset: Offset, felt: Felt, wanted: Array, correction: Array, *, time: float, fps: float, late: float, gains: Gains,
+    sd: float,
+) -> Offset:  # fmt: skip
+    """After a frame that arrived at `time` s.
+
+    Args:
+        wanted: (2,) N on the beam at the moment of exposure, by the feedforward.
+        correction: (2,) N, the integral of the position now.
+        late: s, from exposure to now.
+        sd: N, of how far the robot's force is off.
+    """
+    told = np.asarray(felt.force, dtype=float)
+    passed = min(time - offset.frame_at, 1.0 / fps)
+    if not (passed > 0.0 and np.isfinite(told).all()):
+        return offset
+    then = correction + np.exp(-passed / max(late, 1e-9)) * (offset.correction - correction)
+    keep = np.exp(-gains.corner * passed)
+    once = keep * offset.filtered[0] + (1.0 - keep) * (wanted + then - told)
+    twice = keep * offset.filtered[1] + (1.0 - keep) * once
+    believed = believed_share(np.asarray(felt.covariance, dtype=float), sd)
+    more = believed @ twice - (np.eye(2) - believed) @ offset.force
+    force = offset.force + gains.rate * passed * more
+    size = float(np.linalg.norm(force))
+    return Offset(force * min(1.0, _MOST_OFF * sd / max(size, 1e-300)), then, np.stack([once, twice]), time)
+
+
+def believed_share(covariance: Array, sd: float) -> Array:
+    """(2, 2) of a difference that is believed: `sd^2 (sd^2 I + C)^-1`."""
+    return np.asarray(sd**2 * np.linalg.inv(sd**2 * np.eye(2) + covariance))
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What there is to be seen in a frame of a simulated loop."""
+
+    time: float  # s
+    force: Array  # (2,) N on the beam
+    pose: Callable[[Array], Array]  # of places (m,): (m, 3) m, m, rad, the beam there
+
+
+class ForceSense(Protocol):
+    """What tells a simulated loop the force in a frame."""
+
+    def __call__(self, seen: Exposure) -> Felt | None:
+        """None: nothing."""
+
+
+class LoggedForce:
+    """A force sensor: off by `bias` (2,) N, with noise of sd `noise` N; `sd` N is how exactly it is said to be."""
+
+    def __init__(self, bias: Array, *, noise: float = 0.0, sd: float = 0.0, seed: int = 0) -> None:
+        self._bias, self._noise, self._rng = np.asarray(bias, dtype=float), noise, np.random.default_rng(seed)
+        self._covariance = sd**2 * np.eye(2)
+
+    def __call__(self, seen: Exposure) -> FeltForce:
+        """The force of this frame."""
+        told = seen.force + self._bias + self._noise * self._rng.standard_normal(2)
+        return FeltForce(told, self._covariance)
