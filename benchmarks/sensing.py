@@ -177,7 +177,7 @@ def judged_table(rows: list[dict[str, Any]]) -> str:
     """What the beam says of the logs."""
     good = [one for one in rows if "failure" not in one]
     beams = np.array([one["beam"] for one in good])
-    lines = ["| judged | logs (not judged) | error, RMS | sd, RMS / median | error over sd, RMS | truth inside 95 % [%] |"]
+    lines = ["| of a log | logs (not judged) | error, RMS | sd, RMS / median | error over sd | inside 95 % [%] |"]
     lines.append("| --- " * 6 + "|")
     for name, unit in JUDGEMENTS.items():
         value, sd, truth = np.array([one[name] for one in good]).T

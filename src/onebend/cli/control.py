@@ -70,7 +70,7 @@ Feeling = Annotated[
     Literal["nothing", "log", "shape"],
     typer.Option(
         "--felt",
-        help="What tells the loop the force on the beam. log: a force sensor. shape: the tags, as `onebend sense` does.",
+        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
     ),
 ]
 ForceOff = Annotated[

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -36,7 +36,7 @@ class SensedTags:
 
     tags: tuple[VirtualTag, ...]
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: the base tag's pose in the clamp's frame
-    noise: TagNoise = TagNoise()
+    noise: TagNoise = field(default_factory=TagNoise)
     placement_sd: float = 5e-4  # m, as stated
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
 
@@ -121,7 +121,7 @@ class SensedForce:
 
     def __call__(self, seen: Exposure) -> LiveForce:
         """The force of this frame."""
-        shown = turned(self._markers(np.array([seen.time]), seen.pose(self._places)[None]), self._turn)
+        shown = turned(self._markers(np.full(1, seen.time), seen.pose(self._places)[None]), self._turn)
         return self._live.add(seen.time, shown.xy[0], shown.angle[0], shown.covariance[0])
 
     @property

@@ -124,9 +124,7 @@ class Controller:
     settings: ControllerSettings
 
     @one_blas_thread
-    def begin(
-        self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)
-    ) -> ControllerState:
+    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)) -> ControllerState:
         """The state in which the way to the goal starts at `time` s; `offset` (2,) N: of the state before."""
         carried = np.asarray(correction, dtype=float)
         begun = Offset(np.asarray(offset, dtype=float), carried, frame_at=time)

@@ -95,8 +95,10 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
     check = _Check(told.take(rows), logged[rows], error, error.weights[rows])
     x, sizes = START, np.zeros(len(check.spread))
     for _ in range(_CHOICES):
+        check.see(x, sizes)
         x, _ = check.settled(x, sizes)
         sizes = check.chosen(x, sizes)
+    check.see(x, sizes)
     x, spread = check.settled(x, sizes)
     sd = np.sqrt(np.diag(spread))
     zero, slope = (np.zeros(2), np.zeros(2)) if clean is None else (clean.tare, np.nan_to_num(clean.drift))
@@ -114,8 +116,8 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
 class _Check:
     """Generalised least squares of T frames; `sizes` of the log's error: sds of their logs from what is expected.
 
-    The slopes are those at a force that is smooth in time: where the shape tells nothing of the force in a direction,
-    what it tells there is noise, and noise in a slope counts as information.
+    The slopes are those at a force that is smooth in time, and told by the log where the shape tells little: what the
+    shape tells there is noise, and noise in a slope counts as information.
     """
 
     def __init__(self, told: ToldForces, logged: Array, error: ForceError, weights: Array) -> None:
@@ -127,8 +129,19 @@ class _Check:
         self.error, self.weights = error, weights
         self.spread = SPREAD if weights.size else np.zeros(0)
         self.frame = max(_FRAME * error.size, _LEAST * float(np.max(np.abs(logged))))
-        smoothed = _smooth(told.time, self.force, self.common, self.own + self.frame**2 * np.eye(2))
-        self.seen, self.rate, self.common = smoothed
+        self.smooth = _smooth(told.time, self.force, self.common, self.own + self.frame**2 * np.eye(2))
+        self.seen, self.common = self.smooth.force, self.smooth.common
+        self.rate = self.smooth.rate
+
+    def see(self, x: Array, sizes: Array) -> None:
+        """Take the slopes at the force as it is most likely by the shape and, where that tells little, by the log."""
+        common = self.common.reshape(2 * len(self.force), -1)
+        before = self.smooth.covariance + common @ common.T
+        whole = before.copy()
+        self._add_log(whole, sizes)
+        put_right = (self.logged - x[3:5] - self.later[:, None] * x[5:7]) @ _turn(x[1]) / x[0]
+        pull = np.linalg.solve(whole, (put_right - self.smooth.force).ravel())
+        self.seen = self.smooth.force + (before @ pull).reshape(-1, 2)
 
     def chosen(self, x: Array, sizes: Array) -> Array:
         """The sizes of greatest evidence of the model that is linear about `x` (7,), which is integrated out."""
@@ -180,14 +193,19 @@ class _Check:
         common = (turn @ self.common).reshape(2 * count, -1)
         whole = common @ common.T
         blocks, every = whole.reshape(count, 2, count, 2), np.arange(count)
-        blocks[every, :, every, :] += turn @ self.own @ turn.T + self.frame**2 * np.eye(2)
+        blocks[every, :, every, :] += turn @ self.own @ turn.T
+        self._add_log(whole, sizes)
+        return whole
+
+    def _add_log(self, whole: Array, sizes: Array) -> None:
+        """To a covariance (2 T, 2 T) N^2 that of the log's own error and of what no frame's force is told better."""
+        slow = self.frame**2 * np.eye(len(self.force))
         if self.weights.size:
             factors = np.exp(self.spread * np.clip(sizes, -_FARTHEST, _FARTHEST))
             root = self.weights @ self.error.root(*factors)
-            slow = root @ root.T
-            whole[::2, ::2] += slow
-            whole[1::2, 1::2] += slow
-        return whole
+            slow += root @ root.T
+        whole[::2, ::2] += slow
+        whole[1::2, 1::2] += slow
 
     def _slopes(self, x: Array) -> Array:
         """(T, 2, 7) of the log with the seven numbers."""
@@ -201,26 +219,36 @@ class _Check:
         return slopes
 
 
-def _smooth(time: Array, force: Array, common: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """(T, 2) N and N/s: a Gaussian process through forces (T, 2) of `covariance` (T, 2, 2), of the memory that fits;
-    and (T, 2, r) N, what it makes of `common`, which stands at each frame's own force and is as scattered."""
+@dataclass(frozen=True)
+class _Smooth:
+    """Forces as a Gaussian process in time has them."""
+
+    force: Array  # (T, 2) N
+    rate: Array  # (T, 2) N/s
+    covariance: Array  # (2 T, 2 T) N^2
+    common: Array  # (T, 2, r) N, of what the frames have in common, which stands at each frame's own force
+
+
+def _smooth(time: Array, force: Array, common: Array, covariance: Array) -> _Smooth:
+    """Through forces (T, 2) of `covariance` (T, 2, 2), of the memory that fits them best."""
     apart, every, count = time[:, None] - time, np.arange(len(time)), len(time)
     size = float(np.quantile(np.linalg.norm(force, axis=1), 0.9))
     columns = np.concatenate([force[..., None], common], axis=-1).reshape(2 * count, -1)
-    best = (np.inf, 0.0, columns)
+    best = np.inf
     for memory in _MEMORIES:
-        whole = np.kron(size**2 * np.exp(-0.5 * (apart / memory) ** 2), np.eye(2))
+        one = size**2 * np.exp(-0.5 * (apart / memory) ** 2)
+        whole = np.kron(one, np.eye(2))
+        before = whole.copy()
         whole.reshape(count, 2, count, 2)[every, :, every, :] += covariance
         factor = cho_factor(whole, lower=True)
         pull = cho_solve(factor, columns)
         cost = 0.5 * float(columns[:, 0] @ pull[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
-        if cost < best[0]:
-            best = (cost, memory, pull)
-    _, memory, pull = best
-    alike, pulled = size**2 * np.exp(-0.5 * (apart / memory) ** 2), pull.reshape(count, -1)
-    smooth = (alike @ pulled).reshape(count, 2, -1)
-    rate = ((-apart / memory**2 * alike) @ pulled).reshape(count, 2, -1)
-    return smooth[..., 0], rate[..., 0], smooth[..., 1:]
+        if cost < best:
+            best = cost
+            rate = np.kron(-apart / memory**2 * one, np.eye(2)) @ pull[:, 0]
+            smooth = (before @ pull).reshape(count, 2, -1)
+            left = before - before @ cho_solve(factor, before)
+    return _Smooth(smooth[..., 0], rate.reshape(count, 2), left, smooth[..., 1:])
 
 
 def _turn(angle: float) -> Array:
