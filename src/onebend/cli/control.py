@@ -202,4 +202,4 @@ def loop(
     if as_json:
         print_summary(summary, output)
     else:
-        show_loop(screen(), control, known, trials, output)
+        show_loop(screen(), control, known, trials, output, rehearsed)

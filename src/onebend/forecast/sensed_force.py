@@ -112,7 +112,7 @@ class SensedForce:
         rest = truth.equilibrium((0.0, 0.0))
         s = self._places
         still = np.repeat(np.column_stack([rest.xy(s), rest.angle(s)])[None], _REST, axis=0)
-        shown = self._markers(_STEP * np.arange(_REST), still)
+        shown = self._markers(np.arange(_REST, dtype=np.float64) * _STEP, still)
         nothing = np.ones(_REST, dtype=bool)
         self._turn = beam_turn(rest_shape(shown, nothing), seen.placement_sd)
         at_rest = _at_rest(shown, model.length, seen, push_s)
@@ -121,7 +121,9 @@ class SensedForce:
 
     def __call__(self, seen: Exposure) -> LiveForce:
         """The force of this frame."""
-        shown = turned(self._markers(np.full(1, seen.time), seen.pose(self._places)[None]), self._turn)
+        shown = turned(
+            self._markers(np.full(1, seen.time, dtype=np.float64), seen.pose(self._places)[None]), self._turn
+        )
         return self._live.add(seen.time, shown.xy[0], shown.angle[0], shown.covariance[0])
 
     @property

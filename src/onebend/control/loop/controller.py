@@ -21,7 +21,7 @@ from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
-from onebend.control.loop.felt import Felt, Offset, felt_in
+from onebend.control.loop.felt import Felt, FeltFrame, Offset, felt_in
 from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
 from onebend.control.loop.tuning import RequiredMargins, tuned
@@ -140,22 +140,22 @@ class Controller:
         was hidden in it. Both leave the integral as it is. `felt`: the force on the beam in a frame that has just
         arrived, as a sensor or the beam's shape tells it. Call it as often as the force can be set.
         """
-        wished = self._wished(state, time)
+        shown = False
         if seen is not None and self.settings.feedback:
             position = np.asarray(seen, dtype=float)
             if position.shape != (2,):
                 raise ControlError(f"the loop sees one position (2,) [m], got shape {position.shape}")
-            if isfinite(position[0]) and isfinite(position[1]):
+            shown = isfinite(position[0]) and isfinite(position[1])
+            if shown:
                 state = self._corrected(state, position, time)
-                wished = self._wished(state, time)
         if felt is not None:
-            timing, late = self.settings.timing, self.settings.timing.delay + self.settings.timing.lag
-            put_right = felt_in(
-                state.offset, felt, self._feedforward(time - state.began - late), state.correction,
-                time=time, fps=timing.fps, late=late, gains=self.gains, sd=self.settings.force_sd,
-            )  # fmt: skip
+            timing = self.settings.timing
+            late = timing.delay + timing.lag
+            wanted = self._feedforward(time - state.began - late)
+            frame = FeltFrame(felt, wanted, state.correction, shown, time, late)
+            put_right = felt_in(state.offset, frame, self.gains, fps=timing.fps, sd=self.settings.force_sd)
             state = replace(state, offset=put_right)
-        return state, wished + state.offset.force
+        return state, self._wished(state, time)
 
     @one_blas_thread
     def margins(self) -> Margins:
@@ -176,7 +176,8 @@ class Controller:
         feedforward = self._feedforward(since)
         inverse = self.inverse_at(feedforward + state.correction, since)
         correction = state.correction + self.gains.rate * passed * inverse @ twice
-        within = bounded(feedforward + correction, self.settings.most_force) - feedforward
+        beside = feedforward + state.offset.more
+        within = bounded(beside + correction, self.settings.most_force) - beside
         return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
 
     def inverse_at(self, force: Array, since: float) -> Array:
@@ -200,7 +201,9 @@ class Controller:
         return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
-        return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
+        offset = state.offset
+        on_beam = self._feedforward(time - state.began) + state.correction + offset.more
+        return bounded(on_beam, self.settings.most_force) - offset.more + offset.force
 
     def _feedforward(self, since: float) -> Array:
         return self.reference.force(since) if self.settings.feedforward else self.reference.begins

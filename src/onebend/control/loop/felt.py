@@ -1,9 +1,11 @@
 """The force on the beam, felt while the loop runs: what is asked of the robot is put right by it.
 
 A robot that is asked for a force gives another one: its own estimate of the force is off, and its hand has friction.
-The force felt in a frame is compared with the force that was wanted at the moment it shows. With C its covariance and
-`sd^2 I` that of how far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed, and the offset that
-is added to what is asked for goes to `K (asked - felt)` at the rate of the integral, behind the same two filters.
+The force felt in a frame is compared with the force that was wanted at the moment it shows, behind the same two filters
+as the position. Where the camera sees the point, its position corrects the force, and how much more is felt than wanted
+is remembered: the bound holds for what is felt. Where it does not, an offset is added to what is asked for, so that no
+more than that is felt, or, where the point never was seen, no more than is wanted. With C the covariance of what is
+felt and `sd^2 I` that of how far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
 
 A force that was told by the model from the beam's shape is the force under which the model has this shape. Where all of
 k(s) is wrong by a factor it is wrong by that factor, and so is the force that the model wants for a goal: the beam
@@ -49,36 +51,42 @@ class Offset:
     """What is added to the force that is asked for, and what it goes on from."""
 
     force: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N
+    more: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N felt than wanted, when the point was seen last
     correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at the moment of exposure
-    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) N, behind the first filter and both
+    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) N more, behind the first filter and both
     frame_at: float = 0.0  # s: when the last frame that told a force arrived
 
 
-def felt_in(
-    offset: Offset, felt: Felt, wanted: Array, correction: Array, *, time: float, fps: float, late: float, gains: Gains,
-    sd: float,
-) -> Offset:  # fmt: skip
-    """After a frame that arrived at `time` s.
+@dataclass(frozen=True)
+class FeltFrame:
+    """A frame that told a force."""
 
-    Args:
-        wanted: (2,) N on the beam at the moment of exposure, by the feedforward.
-        correction: (2,) N, the integral of the position now.
-        late: s, from exposure to now.
-        sd: N, of how far the robot's force is off.
-    """
-    told = np.asarray(felt.force, dtype=float)
-    passed = min(time - offset.frame_at, 1.0 / fps)
+    felt: Felt
+    wanted: Array  # (2,) N on the beam at the moment of exposure, by the feedforward
+    correction: Array  # (2,) N, the integral of the position now
+    seen: bool  # whether it showed the point as well
+    time: float  # s, when it arrived
+    late: float  # s, from exposure to then
+
+
+def felt_in(offset: Offset, frame: FeltFrame, gains: Gains, *, fps: float, sd: float) -> Offset:
+    """After a frame; `sd` N of how far the robot's force is off."""
+    told = np.asarray(frame.felt.force, dtype=float)
+    passed = min(frame.time - offset.frame_at, 1.0 / fps)
     if not (passed > 0.0 and np.isfinite(told).all()):
         return offset
-    then = correction + np.exp(-passed / max(late, 1e-9)) * (offset.correction - correction)
+    then = frame.correction + np.exp(-passed / max(frame.late, 1e-9)) * (offset.correction - frame.correction)
     keep = np.exp(-gains.corner * passed)
-    once = keep * offset.filtered[0] + (1.0 - keep) * (wanted + then - told)
+    once = keep * offset.filtered[0] + (1.0 - keep) * (told - frame.wanted - then)
     twice = keep * offset.filtered[1] + (1.0 - keep) * once
-    believed = believed_share(np.asarray(felt.covariance, dtype=float), sd)
-    more = believed @ twice - (np.eye(2) - believed) @ offset.force
-    force = offset.force + gains.rate * passed * more
+    filtered = np.stack([once, twice])
+    if frame.seen:
+        return Offset(offset.force, twice, then, filtered, frame.time)
+    believed = believed_share(np.asarray(frame.felt.covariance, dtype=float), sd)
+    step = believed @ (offset.more - twice) - (np.eye(2) - believed) @ offset.force
+    force = offset.force + gains.rate * passed * step
     size = float(np.linalg.norm(force))
-    return Offset(force * min(1.0, _MOST_OFF * sd / max(size, 1e-300)), then, np.stack([once, twice]), time)
+    return Offset(force * min(1.0, _MOST_OFF * sd / max(size, 1e-300)), offset.more, then, filtered, frame.time)
 
 
 def believed_share(covariance: Array, sd: float) -> Array:
