@@ -48,7 +48,7 @@ class ControllerSettings:
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest that keep the margins
     weak: float = 0.01  # a direction whose compliance is below this share of the largest is corrected slowly
-    most_force: float = inf  # N, the bound on the force's size: on the beam where it is felt, else as asked for
+    most_force: float = inf  # N, the bound on the wanted force; `felt` adds to it what the robot lacks
     force_sd: float = 0.2  # N, of how far the robot's force is off; counts where the force is felt
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
@@ -176,8 +176,7 @@ class Controller:
         feedforward = self._feedforward(since)
         inverse = self.inverse_at(feedforward + state.correction, since)
         correction = state.correction + self.gains.rate * passed * inverse @ twice
-        beside = feedforward + state.offset.more
-        within = bounded(beside + correction, self.settings.most_force) - beside
+        within = bounded(feedforward + correction, self.settings.most_force) - feedforward
         return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
 
     def inverse_at(self, force: Array, since: float) -> Array:
@@ -201,9 +200,8 @@ class Controller:
         return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
-        offset = state.offset
-        on_beam = self._feedforward(time - state.began) + state.correction + offset.more
-        return bounded(on_beam, self.settings.most_force) - offset.more + offset.force
+        wanted = self._feedforward(time - state.began) + state.correction
+        return bounded(wanted, self.settings.most_force) + state.offset.force
 
     def _feedforward(self, since: float) -> Array:
         return self.reference.force(since) if self.settings.feedforward else self.reference.begins

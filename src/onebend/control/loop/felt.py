@@ -2,10 +2,10 @@
 
 A robot that is asked for a force gives another one: its own estimate of the force is off, and its hand has friction.
 The force felt in a frame is compared with the force that was wanted at the moment it shows, behind the same two filters
-as the position. Where the camera sees the point, its position corrects the force, and how much more is felt than wanted
-is remembered: the bound holds for what is felt. Where it does not, an offset is added to what is asked for, so that no
-more than that is felt, or, where the point never was seen, no more than is wanted. With C the covariance of what is
-felt and `sd^2 I` that of how far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
+as the position. Where the camera sees the point, its position alone corrects the force, and how much more is felt than
+wanted is remembered. Where it does not, an offset is added to what is asked for, so that as much is felt as then or,
+where the point never was seen, as is wanted. With C the covariance of what is felt and `sd^2 I` that of how far the
+robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
 
 A force that was told by the model from the beam's shape is the force under which the model has this shape. Where all of
 k(s) is wrong by a factor it is wrong by that factor, and so is the force that the model wants for a goal: the beam

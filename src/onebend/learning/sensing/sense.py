@@ -20,7 +20,7 @@ from onebend.learning.sensing.joint import rested
 from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.search import Searched, search, touches
 from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch
-from onebend.learning.sensing.sensor import SensorCheck, ToldForces, check_sensor
+from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -169,6 +169,8 @@ def _unexplained(out: Sensed) -> bool:
 
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
     """The log by the force; where nothing touches the beam, that is none, in every direction."""
+    if np.sum(np.isfinite(out.logged).all(axis=1)) < FEWEST:
+        return None
     bare = ~(o.loaded[frames] | out.touched) & np.isfinite(out.force).all(axis=1)
     force, covariance = np.where(bare[:, None], 0.0, out.force), out.covariance.copy()
     covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)

@@ -25,7 +25,7 @@ from onebend.records import Array, CleanForce, IntArray
 
 _ROUNDS, _CHOICES = 6, 2
 _MOST = 240  # frames: the log behind its low-pass has no more to say
-_FEWEST = 12  # frames
+FEWEST = 12  # frames
 _MEMORIES = (0.1, 0.2, 0.4, 0.8, 1.6)  # s, of the force in time
 _DIRECTION_SD = 0.05  # rad, of the log's axes before the film: by hand and eye
 _LEAST = 1e-2  # of the largest force: the shape's errors, taken as linear, tell no frame's force more exactly
@@ -88,7 +88,7 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
     """Of the log (T, 2) [N] at the frames of `told`, with the `error` that is expected of it at these T frames; None
     where too few frames have both."""
     good = np.flatnonzero(np.isfinite(told.force).all(axis=1) & np.isfinite(logged).all(axis=1)).astype(np.int64)
-    if len(good) < _FEWEST:
+    if len(good) < FEWEST:
         return None
     some = np.linspace(0, len(good) - 1, min(_MOST, len(good))).astype(int)
     rows = good[some]
