@@ -1,11 +1,11 @@
 """The force on the beam, felt while the loop runs: what is asked of the robot is put right by it.
 
 A robot that is asked for a force gives another one: its own estimate of the force is off, and its hand has friction.
-The force felt in a frame is compared with the force that was wanted at the moment it shows, behind the same two filters
-as the position. Where the camera sees the point, its position alone corrects the force, and how much more is felt than
-wanted is remembered. Where it does not, an offset is added to what is asked for, so that as much is felt as then or,
-where the point never was seen, as is wanted. With C the covariance of what is felt and `sd^2 I` that of how far the
-robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
+The force felt in a frame is compared with the force that was wanted at the moment it shows, behind two filters as the
+position is, at half its rate. Where the camera sees the point, its position alone corrects the force, and how much more
+is felt than wanted is remembered. Where it does not, an offset is added to what is asked for, so that as much is felt
+as then or, where the point never was seen, as is wanted. With C the covariance of what is felt and `sd^2 I` that of how
+far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
 
 A force that was told by the model from the beam's shape is the force under which the model has this shape. Where all of
 k(s) is wrong by a factor it is wrong by that factor, and so is the force that the model wants for a goal: the beam
@@ -23,6 +23,8 @@ import numpy as np
 from onebend.control.loop.margins import Gains
 from onebend.records import Array
 
+# Of the position's rate and corner: inertia counts as force, in the direction in which little force bends the beam too.
+_SLOWER = 0.5
 _MOST_OFF = 3.0  # sds: a robot is not farther off than this; what is felt beyond is not the robot
 
 
@@ -76,7 +78,7 @@ def felt_in(offset: Offset, frame: FeltFrame, gains: Gains, *, fps: float, sd: f
     if not (passed > 0.0 and np.isfinite(told).all()):
         return offset
     then = frame.correction + np.exp(-passed / max(frame.late, 1e-9)) * (offset.correction - frame.correction)
-    keep = np.exp(-gains.corner * passed)
+    keep = np.exp(-_SLOWER * gains.corner * passed)
     once = keep * offset.filtered[0] + (1.0 - keep) * (told - frame.wanted - then)
     twice = keep * offset.filtered[1] + (1.0 - keep) * once
     filtered = np.stack([once, twice])
@@ -84,7 +86,7 @@ def felt_in(offset: Offset, frame: FeltFrame, gains: Gains, *, fps: float, sd: f
         return Offset(offset.force, twice, then, filtered, frame.time)
     believed = believed_share(np.asarray(frame.felt.covariance, dtype=float), sd)
     step = believed @ (offset.more - twice) - (np.eye(2) - believed) @ offset.force
-    force = offset.force + gains.rate * passed * step
+    force = offset.force + _SLOWER * gains.rate * passed * step
     size = float(np.linalg.norm(force))
     return Offset(force * min(1.0, _MOST_OFF * sd / max(size, 1e-300)), offset.more, then, filtered, frame.time)
 
