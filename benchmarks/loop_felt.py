@@ -129,7 +129,7 @@ def table(rows: list[dict[str, object]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--beams", type=int, default=26, help="random beams, of which those that are stiff enough count"
+        "--beams", type=int, default=40, help="random beams, of which those that are stiff enough count"
     )
     print(table(study(parser.parse_args().beams)))
 
