@@ -100,3 +100,17 @@ def test_too_few_frames_judge_nothing() -> None:
     told = told_of(push(TIME), np.tile(OWN**2 * np.eye(2), (len(TIME), 1, 1)), np.random.default_rng(0))
     o = recorded(push(TIME))
     assert check_sensor(told, np.full((len(TIME), 2), np.nan), force_error(o, TIME), None) is None
+
+
+def test_the_prior_is_divided_out_of_what_is_told() -> None:
+    """What is left is the measurement, its covariance, and what the errors in common do to it."""
+    rng = np.random.default_rng(4)
+    covariance = np.tile(np.array([[0.3, 0.1], [0.1, 0.2]]), (len(TIME), 1, 1))  # as large as the prior's
+    before, data = PRIOR**-2 * np.eye(2), np.linalg.inv(covariance)
+    seen, common = rng.normal(size=(len(TIME), 2)), rng.normal(size=(len(TIME), 2, 3))
+    after = np.linalg.inv(data + before)
+    told = ToldForces(TIME, (after @ data @ seen[..., None])[..., 0], after, after @ data @ common, PRIOR)
+    left = told.without_prior()
+    np.testing.assert_allclose(left.force, seen, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(left.covariance, covariance, rtol=1e-9)
+    np.testing.assert_allclose(left.common, common, rtol=1e-9, atol=1e-12)
