@@ -108,7 +108,7 @@ def test_the_prior_is_divided_out_of_what_is_told() -> None:
     covariance = np.tile(np.array([[0.3, 0.1], [0.1, 0.2]]), (len(TIME), 1, 1))  # as large as the prior's
     before, data = PRIOR**-2 * np.eye(2), np.linalg.inv(covariance)
     seen, common = rng.normal(size=(len(TIME), 2)), rng.normal(size=(len(TIME), 2, 3))
-    after = np.linalg.inv(data + before)
+    after: Array = np.asarray(np.linalg.inv(data + before), dtype=float)
     told = ToldForces(TIME, (after @ data @ seen[..., None])[..., 0], after, after @ data @ common, PRIOR)
     left = told.without_prior()
     np.testing.assert_allclose(left.force, seen, rtol=1e-9, atol=1e-12)
