@@ -238,7 +238,7 @@ def test_validate_shows_and_writes_tables(tmp_path: Path, pipeline: list[dict[st
 
 def test_a_validation_does_not_replace_what_was_learned(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
     assert run("learn", "REC", "-o", tmp_path / "out").exit_code == 0
-    refused(run("validate", tmp_path / "out", "A", "-o", tmp_path / "out", "--force"), "--force does not")
+    refused(run("validate", tmp_path / "out", "A", "-o", tmp_path / "out", "--force"), "not replaced")
     assert load_model(tmp_path / "out") == made_up.posterior().beam
     assert len(pipeline) == 1
 

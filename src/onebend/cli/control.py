@@ -74,6 +74,24 @@ Duration = Annotated[
     float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
 ]
 LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
+Feeling = Annotated[
+    Literal["nothing", "log", "shape"],
+    typer.Option(
+        "--felt",
+        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+    ),
+]
+ForceOff = Annotated[
+    float,
+    typer.Option(
+        "--force-off-N",
+        min=0.0,
+        max=1000.0,
+        metavar="N",
+        help="By so much the robot's force is off, across it, and the log of --felt log, along it.",
+    ),
+]
+Hidden = Annotated[bool, typer.Option("--hidden", help="The camera never sees the point, nor a tag on it.")]
 Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
@@ -147,12 +165,17 @@ def loop(
     noise_mm: Noise = 0.05,
     max_force: LoopMaxForce = None,
     gravity: Gravity = (0.0, 0.0),
+    felt: Feeling = "nothing",
+    force_off: ForceOff = 0.0,
+    hidden: Hidden = False,
     duration: Duration = 8.0,
     output: Output = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
+    from onebend.forecast.sensed_force import felt_by  # here: learning and lab, which `reach` does without
+
     with clean_errors():
         stored = read_trusted(model)
         beam, delay = stored.beam, 1e-3 * delay_ms
@@ -161,10 +184,19 @@ def loop(
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
-        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm)
-        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration))
+        feel = felt_by(
+            felt,
+            control,
+            stiffness=stored.uncertain,
+            instruments=stored.bench,
+            force_off=force_off,
+            hidden=hidden,
+        )
+        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm, hidden=((0.0, math.inf),) if hidden else ())
+        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration, force_off=force_off, feel=feel))
         known = control.margins()
-        summary = loop_summary(str(model), control, known, trials, written_by=BY)
+        rehearsed: dict[str, object] = {"felt": felt, "force_off_N": force_off, "hidden": hidden}
+        summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
         if output is not None:
             from onebend.report.figures.looping import looping  # here: Matplotlib is for pictures alone
 
@@ -175,4 +207,4 @@ def loop(
     if as_json:
         print_summary(summary, output)
     else:
-        show_loop(screen(), control, known, trials, output)
+        show_loop(screen(), control, known, trials, output, rehearsed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +14,9 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, print_summary, progress_of, put_in_place, screen, workplace
 from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
-from onebend.files.publish import amend
+from onebend.errors import ResultsError
+from onebend.export.force_bag import force_bag
+from onebend.files.publish import OutputFolder, amend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import sense as sense_force
 from onebend.learning.sensing.sensed import Sensed, SenseSettings
@@ -79,6 +82,7 @@ ForcePrior = Annotated[
         help="One sd of each component of the force before any shape is seen; default: three times k/L.",
     ),
 ]
+Bag = Annotated[bool, typer.Option("--bag", help="Write force.mcap too: the force and its covariance as a ROS 2 bag.")]
 
 
 Swinging = Annotated[
@@ -173,6 +177,7 @@ def sense(
     at_sd: ContactSd = None,
     force_prior: ForcePrior = None,
     tags: TagsNow = "learned",
+    bag: Bag = False,
     output: Output = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -181,18 +186,26 @@ def sense(
 ) -> None:
     """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
     with clean_errors():
+        if bag and output is None:
+            raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        with progress_of(quiet) as progress:
-            seen = _observed(stored, recording, threads, progress)
-        settings = SenseSettings(place, at, at_sd, force_prior, tags)
-        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
-        summary = sense_summary(str(model), found, written_by=BY)
-        if output is not None:
-            _write(output, overwrite, model, recording, found, summary)
+        with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
+            with progress_of(quiet) as progress:
+                seen = _observed(stored, recording, threads, progress)
+            found = sense_force(
+                stored.beam,
+                seen,
+                stiffness=stored.uncertain,
+                instruments=stored.bench,
+                settings=SenseSettings(place, at, at_sd, force_prior, tags),
+            )
+            summary = sense_summary(str(model), found, written_by=BY)
+            if work is not None:
+                _write(work, model, recording, found, summary, bag=bag)
     if as_json:
         print_summary(summary, output)
     else:
-        show_sensed(screen(), found, output)
+        show_sensed(screen(), found, output, bag=bag)
 
 
 def _observed(stored: StoredModel, recording: Path, threads: int | None, progress: Progress) -> Observations:
@@ -204,11 +217,11 @@ def _observed(stored: StoredModel, recording: Path, threads: int | None, progres
 
 
 def _write(
-    output: Path, overwrite: bool, model: Path, recording: Path, found: Sensed, summary: dict[str, object]
+    work: OutputFolder, model: Path, recording: Path, found: Sensed, summary: dict[str, object], *, bag: bool
 ) -> None:
     from onebend.report.figures.sensing import sensed_regions, sensing  # here: Matplotlib is for pictures alone
 
-    with workplace(output, SENSE_FORMAT, overwrite) as work:
-        pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-        inputs = inputs_of([model_file(model), *recording_files([recording])])
-        put_in_place(work, sense_writer(found, pictures, summary), pictures, inputs=inputs)
+    messages = force_bag(found.time, found.force, found.covariance) if bag else None
+    pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+    inputs = inputs_of([model_file(model), *recording_files([recording])])
+    put_in_place(work, sense_writer(found, pictures, summary, messages), pictures, inputs=inputs)

@@ -19,6 +19,12 @@ if TYPE_CHECKING:
     from onebend.control.loop.controller import ControllerSettings as ControllerSettings
     from onebend.control.loop.controller import ControllerState as ControllerState
     from onebend.control.loop.controller import Reference as Reference
+    from onebend.control.loop.felt import Exposure as Exposure
+    from onebend.control.loop.felt import Felt as Felt
+    from onebend.control.loop.felt import FeltForce as FeltForce
+    from onebend.control.loop.felt import ForceSense as ForceSense
+    from onebend.control.loop.felt import LoggedForce as LoggedForce
+    from onebend.control.loop.felt import Offset as Offset
     from onebend.control.loop.margins import Gains as Gains
     from onebend.control.loop.margins import Margins as Margins
     from onebend.control.loop.margins import Timing as Timing
@@ -72,6 +78,7 @@ else:
             "onebend.control.goals.target_files": "read_goals read_targets",
             "onebend.control.goals.targets": "Targets angles curve curve_of_length points",
             "onebend.control.loop.controller": "Controller ControllerSettings ControllerState Reference",
+            "onebend.control.loop.felt": "Exposure Felt FeltForce ForceSense LoggedForce Offset",
             "onebend.control.loop.margins": "Gains Margins Timing",
             "onebend.control.loop.plant": "Plant",
             "onebend.control.loop.robustness": "LoopTrial TrialBeam drawn_beams simulate_range simulate_trials "

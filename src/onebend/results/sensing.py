@@ -18,6 +18,7 @@ from onebend.report.figures.pictures import Pictures
 from onebend.results.tables import write_csv
 
 SENSE_FORMAT = "onebend-sense-1"
+BAG = "force.mcap"
 FORCE_COLUMNS = (
     "frame",
     "time_s",
@@ -115,12 +116,16 @@ def write_forces(path: Path, found: Sensed) -> None:
     write_csv(path, FORCE_COLUMNS, rows)
 
 
-def sense_writer(found: Sensed, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder."""
+def sense_writer(
+    found: Sensed, pictures: Pictures, summary: Mapping[str, Any], bag: bytes | None = None
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder, with the content of `force.mcap` where there is one."""
 
     def write(folder: Path) -> None:
         write_forces(folder / "force.csv", found)
         pictures.write(folder)
+        if bag is not None:
+            (folder / BAG).write_bytes(bag)
         write_summary(folder, summary)
 
     return write

@@ -104,7 +104,7 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
         console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
 
 
-def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
+def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
     """When something touched the beam, the largest force, and how sure it is in which direction."""
     table, peak = facts_table(), found.peak
     table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
@@ -130,7 +130,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
         table.add_row(*row)
     console.print(table, highlight=False)
     console.print(remarks_list([(found.name, one) for one in found.remarks]))
-    say_written(console, output, "force.csv, force.png, regions.png, summary.json")
+    say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,12 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.beam.statics.rod import has_mass
 from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller, ControllerSettings
+from onebend.control.loop.felt import ForceSense
 from onebend.control.loop.margins import Timing
 from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.control.loop.tuning import RequiredMargins
 from onebend.errors import ControlError, MechanicsError
+from onebend.records import Array
 
 SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
 MOST_DRAWN = 100  # beams: each takes as long as it takes to simulate
@@ -103,44 +105,74 @@ def simulate_trials(
     eye: LoopCamera = LoopCamera(),
     duration: float = 8.0,
     seed: int = 0,
+    force_off: float = 0.0,
+    feel: Callable[[Beam], ForceSense] | None = None,
 ) -> Iterator[LoopTrial]:
     """The loop on one beam after the other. A beam whose mass is not known is given a small one.
 
+    The robot's force is off by `force_off` [N], to the left of the force that the model needs; `feel` makes what tells
+    the force on the beam that moves.
+
     Raises:
-        ControlError: a duration below two seconds.
+        ControlError: a duration below two seconds, a force that is off by less than nothing.
     """
     if not duration >= 2.0:
         raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
+    if not (np.isfinite(force_off) and force_off >= 0.0):
+        raise ControlError(f"a robot's force is off by a finite size, got {force_off} N")
+    x, y = along(control) * force_off
+    hand = Actuator(lag=control.settings.timing.lag, bias=(-float(y), float(x)))
     for beam in beams:
-        yield LoopTrial(beam, _run(control, beam, eye, duration, seed))
+        truth = _true_system(control, beam, eye, hand)
+        yield LoopTrial(beam, _run(control, truth, duration, seed, None if feel is None else feel(truth.beam)))
+
+
+def along(control: Controller) -> Array:
+    """(2,) the direction of the force that the model needs; that of x where it needs none."""
+    force = control.reference.ends
+    size = float(np.linalg.norm(force))
+    return np.asarray(force / size) if size > 0.0 else np.array([1.0, 0.0])
 
 
 def simulate_range(
-    control: Controller, *, k_error: float = 0.3, eye: LoopCamera = LoopCamera(), duration: float = 8.0, seed: int = 0
+    control: Controller,
+    *,
+    k_error: float = 0.3,
+    eye: LoopCamera = LoopCamera(),
+    duration: float = 8.0,
+    seed: int = 0,
+    force_off: float = 0.0,
+    feel: Callable[[Beam], ForceSense] | None = None,
 ) -> tuple[LoopTrial, ...]:
-    """The loop on the `wrong_beams` of its model.
+    """The loop on the `wrong_beams` of its model, as `simulate_trials`.
 
     Raises:
         ControlError: as `wrong_beams` and `simulate_trials`.
     """
     beams = wrong_beams(control.beam, k_error)
-    return tuple(simulate_trials(control, beams, eye=eye, duration=duration, seed=seed))
+    trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)
+    return tuple(trials)
 
 
-@one_blas_thread
-def _run(control: Controller, beam: TrialBeam, eye: LoopCamera, duration: float, seed: int) -> LoopSimulation | None:
+def _true_system(control: Controller, beam: TrialBeam, eye: LoopCamera, hand: Actuator) -> TrueSystem:
     model = control.beam
     mass = model.mass_per_length if has_mass(model) else Uniform(_LEAST_MASS)
-    truth = TrueSystem(
+    return TrueSystem(
         replace(model, stiffness=beam.stiffness, mass_per_length=mass),
         damping_ratio=control.settings.damping_ratio,
         push_s=control.push_s,
         point_s=control.point_s,
         gravity=(float(control.gravity[0]), float(control.gravity[1])),
         eye=eye,
-        hand=Actuator(lag=control.settings.timing.lag),
+        hand=hand,
     )
+
+
+@one_blas_thread
+def _run(
+    control: Controller, truth: TrueSystem, duration: float, seed: int, feel: ForceSense | None
+) -> LoopSimulation | None:
     try:
-        return simulate_loop(control, truth, duration, seed=seed)
+        return simulate_loop(control, truth, duration, seed=seed, feel=feel)
     except MechanicsError:
         return None

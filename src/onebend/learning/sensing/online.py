@@ -33,7 +33,8 @@ _ONE = np.zeros(1, dtype=np.int64)
 
 @dataclass(frozen=True)
 class LiveForce:
-    """The force in one frame, beam's frame; NaN where the frame tells nothing."""
+    """The force in one frame, beam's frame; NaN where the frame tells nothing, or no force explains it: then `chi2` is
+    more than twenty times the count of what was measured."""
 
     time: float  # s
     force: Array  # (2,) N
@@ -99,9 +100,9 @@ class OnlineSense:
         if found is None or found[3] > _LOST * count:
             again = self._follow(self._anew(time, seen, covariance), seen, whiten)
             found = again if found is None or (again is not None and again[3] < found[3]) else found
-        if found is None:
+        if found is None or not found[3] <= _LOST * count:
             self._shape, none = None, np.full((2, 2), np.nan)
-            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan)
+            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan if found is None else found[3])
         self._shape, unknown, spread, chi2 = found
         axes = self._bench.axes
         force, part = axes @ unknown[:2], axes @ spread[:2, :2] @ axes.T

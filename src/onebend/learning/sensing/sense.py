@@ -13,13 +13,14 @@ from onebend.beam.statics.rod import has_mass
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.design.instruments import Instruments
+from onebend.learning.model.force_error import force_error
 from onebend.learning.model.mass import NEEDS_MASS, weighs
 from onebend.learning.sensing.bench import Bench
 from onebend.learning.sensing.joint import rested
 from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.search import Searched, search, touches
 from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch
-from onebend.learning.sensing.sensor import SensorCheck, check_sensor
+from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -184,11 +185,14 @@ def _unexplained(out: Sensed) -> bool:
 
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
     """The log by the force; where nothing touches the beam, that is none, in every direction."""
+    if np.sum(np.isfinite(out.logged).all(axis=1)) < FEWEST:
+        return None
     bare = ~(o.loaded[frames] | out.touched) & np.isfinite(out.force).all(axis=1)
     force, covariance = np.where(bare[:, None], 0.0, out.force), out.covariance.copy()
     covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)
     common = np.where(bare[:, None, None], 0.0, out.common)
-    return check_sensor(out.time, force, covariance, common, out.logged, o.source.clean_force)
+    told = ToldForces(out.time, force, covariance, common, out.prior_sd)
+    return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force)
 
 
 def _logged(o: Observations, frames: IntArray) -> Array:
