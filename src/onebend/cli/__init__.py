@@ -25,9 +25,7 @@ from onebend.crash import guarded
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
-MOST_NEW = (
-    100_000  # objects between two looks for garbage in cycles: of 700, Python's own, they take a 20th of the time
-)
+MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700 they take a 20th of the time
 COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
 
 

@@ -53,8 +53,8 @@ def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, s
     """Of a free end; where the material relaxes, each shape hangs on those before it, and all are found together.
 
     `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q), where shapes are known about.
-    Newton's method on each shape and the shift of its rest take turns. The shift settles slowly and Newton's method fast,
-    so that the tangent's inverse of one pass does for the next ones, as long as they settle.
+    Newton's method on each shape and the shift of its rest take turns. The shift settles slowly and Newton's method
+    fast: the tangent's inverse of one pass does for the next ones, as long as they settle.
     """
     values = relaxation_values(recording, layout, x)
     if values is None or not remembers(recording, layout, x):
