@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import butter, sosfiltfilt
 
 from onebend.recording.signals import at_times, bandwidth, bridged, low_pass, outliers, runs
 
@@ -73,14 +72,6 @@ def test_low_pass_keeps_slow_and_its_time_and_takes_fast(jitter: float) -> None:
     assert np.abs(smooth - slow)[inner].max() < 2e-3
     at_cutoff = low_pass(time, np.sin(2 * np.pi * 3.0 * time)[:, None], 3.0, longest_gap=0.1)[inner, 0]
     assert np.abs(at_cutoff).max() == pytest.approx(0.5, abs=0.02)
-
-
-@pytest.mark.parametrize(("count", "cutoff"), [(40, 5.0), (600, 35.0), (2000, 0.5)])
-def test_low_pass_is_the_butterworth_of_second_order_forwards_and_backwards(count: int, cutoff: float) -> None:
-    time, values = np.arange(count) / 100.0, 7.0 + np.cumsum(noise((count, 2)), axis=0)
-    pad = min(count - 1, int(2.0 * 100.0 / cutoff))
-    expected = sosfiltfilt(butter(2, cutoff / 50.0, output="sos"), values, axis=0, padtype="even", padlen=pad)
-    assert np.allclose(low_pass(time, values, cutoff, longest_gap=0.1), expected, rtol=1e-10, atol=1e-10)
 
 
 def test_low_pass_does_not_reach_across_a_long_gap() -> None:

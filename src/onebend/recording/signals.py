@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from onebend.errors import RecordingError
@@ -143,6 +142,9 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
     dt = step(time)
     if cutoff >= 0.45 / dt:
         return filtered
+    from scipy.signal import butter, sosfiltfilt  # here: it takes a third of a second to load
+
+    sections = butter(FILTER_ORDER, 2.0 * cutoff * dt, output="sos")
     farthest = max(longest_gap, SEPARATE / cutoff)
     for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(np.diff(time) > farthest)):
         t, bridge = bridged_gaps(time[rows], values[rows], longest_gap, SIDE / cutoff)
@@ -153,8 +155,7 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
         even = resampled(t, bridge, grid)
         pad = min(len(grid) - 1, int(2.0 / (cutoff * dt)))
         # Even reflection: at a rest the noise of the very last sample must not become the level beyond it.
-        padded = np.concatenate([even[pad:0:-1], even, even[-2 : -pad - 2 : -1]])
-        smooth = butterworth(butterworth(padded, cutoff * dt)[::-1], cutoff * dt)[::-1][pad : pad + len(even)]
+        smooth = sosfiltfilt(sections, even, axis=0, padtype="even", padlen=pad)
         filtered[rows] = resampled(grid, smooth, time[rows])
     return filtered
 
@@ -165,22 +166,6 @@ def resampled(time: Array, values: Array, at: Array) -> Array:
     if len(at) == len(time) and np.max(np.abs(at - time)) < 1e-6 * step(time):
         return values
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
-
-
-def butterworth(values: Array, cutoff: float) -> Array:
-    """(N, c): `values` (N, c) behind a second-order Butterworth low-pass, its half power at `cutoff` [cycles a sample].
-    Before the first sample they are taken to have been as it is.
-
-    By the bilinear transform, with K = tan(pi cutoff) and `D = 1 + sqrt(2) K + K^2`, the output y solves a triangular
-    band: `D y_i + 2 (K^2 - 1) y_(i-1) + (1 - sqrt(2) K + K^2) y_(i-2) = K^2 (x_i + 2 x_(i-1) + x_(i-2))`. It is that of
-    `scipy.signal.sosfilt`, which takes a third of a second to load.
-    """
-    k = np.tan(np.pi * cutoff)
-    band = np.array([1.0 + np.sqrt(2.0) * k + k**2, 2.0 * (k**2 - 1.0), 1.0 - np.sqrt(2.0) * k + k**2])
-    change = np.pad(values - values[0], ((2, 0), (0, 0)))
-    right = 0.25 * np.sum(band) * (change[2:] + 2.0 * change[1:-1] + change[:-2])  # the sum is 4 K^2
-    filtered, _ = dtbtrs(np.repeat(band[:, None], len(values), axis=1), right, uplo="L")
-    return np.asarray(filtered + values[0])
 
 
 def bridged_gaps(time: Array, values: Array, longest_gap: float, reach: float) -> tuple[Array, Array]:
