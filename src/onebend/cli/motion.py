@@ -70,6 +70,9 @@ TagsNow = Annotated[
     Literal["learned", "anew"],
     typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
 ]
+Smooth = Annotated[
+    bool, typer.Option("--smooth", help="Besides, the force as a process over the frames: what neighbours say counts.")
+]
 ForcePrior = Annotated[
     float | None,
     typer.Option(
@@ -173,6 +176,7 @@ def sense(
     at_sd: ContactSd = None,
     force_prior: ForcePrior = None,
     tags: TagsNow = "learned",
+    smooth: Smooth = False,
     output: Output = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -184,7 +188,7 @@ def sense(
         stored = read_trusted(model)
         with progress_of(quiet) as progress:
             seen = _observed(stored, recording, threads, progress)
-        settings = SenseSettings(place, at, at_sd, force_prior, tags)
+        settings = SenseSettings(place, at, at_sd, force_prior, tags, smooth)
         found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
         summary = sense_summary(str(model), found, written_by=BY)
         if output is not None:

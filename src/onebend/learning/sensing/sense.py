@@ -15,16 +15,18 @@ from onebend.errors import LearningError
 from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.mass import NEEDS_MASS, weighs
 from onebend.learning.sensing.bench import Bench
+from onebend.learning.sensing.edges import edges_of, frames_at_edges, runs_of, within
 from onebend.learning.sensing.joint import rested
 from onebend.learning.sensing.prior import shared_prior
+from onebend.learning.sensing.readings import read
 from onebend.learning.sensing.search import Searched, search, touches
 from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch
 from onebend.learning.sensing.sensor import SensorCheck, check_sensor
+from onebend.learning.sensing.smooth import Smoothed, smoothed
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
 _NOTHING = 1e-4  # of the prior's sd: a force that is none
-_RUN = 3  # frames in a row that show a force, before it is a contact
 _PLACE_KNOWN = 0.1  # sd of s beyond which the place of the contact is not told
 _TOO_FAR, _UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which it is a warning
 _FROM_PRIOR = 0.25  # share of a component's variance left by the data from which it is said
@@ -132,6 +134,7 @@ def _sensed(searched: Searched, frames: IntArray, prior: float, settings: SenseS
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
     known = np.isfinite(found.force[:, 0])
     touched = touches(found)
+    contacts, smooth = _over_time(searched, frames, touched, prior, settings)
     place_sd = np.sqrt(found.covariance[:, 2, 2]) if sought else np.full(len(frames), bench.place_sd / o.length)
     told = known & (place_sd < _PLACE_KNOWN) & np.isnan(other) if sought else known
     place = found.place if sought else bench.placed(found.place)
@@ -152,10 +155,11 @@ def _sensed(searched: Searched, frames: IntArray, prior: float, settings: SenseS
         strong_sd=np.where(known, np.sqrt(values[:, 0]), np.nan),
         chi2=np.where(known, found.chi2, np.nan),
         touched=touched,
-        contacts=_contacts(touched, o.time[frames]),
+        contacts=contacts,
         misfit=searched.misfit,
         logged=_logged(o, frames),
         common=axes @ found.common,
+        smoothed=None if smooth is None else smooth.turned(axes),
     )
     sensor = None if _unexplained(out) else _judged(out, o, frames)
     return replace(out, sensor=sensor, remarks=_remarks(out, bench))
@@ -181,11 +185,24 @@ def _logged(o: Observations, frames: IntArray) -> Array:
     return o.force[frames]
 
 
-def _contacts(touched: BoolArray, time: Array) -> tuple[Touch, ...]:
-    """Stretches of at least `_RUN` frames in a row that show a force."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], touched, [False]]).astype(int)))
-    runs = zip(edges[::2], edges[1::2], strict=True)
-    return tuple(Touch(float(time[a]), float(time[b - 1])) for a, b in runs if b - a >= _RUN)
+def _over_time(
+    searched: Searched, frames: IntArray, touched: BoolArray, prior: float, settings: SenseSettings
+) -> tuple[tuple[Touch, ...], Smoothed | None]:
+    """When each contact began and ended, and the force as a process where that is asked for."""
+    runs, time = runs_of(touched), searched.bench.observations.time[frames]
+    some, sought, shown = frames_at_edges(runs, len(frames)), settings.place == "unknown", searched.bench
+    found, inside = searched.found.take(some), within(runs, len(frames))[some]
+    contacts: tuple[Touch, ...] = ()
+    if runs:
+        force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
+        readings = read(shown, frames[some], force, found.place, prior, seek_place=sought)
+        both = zip(runs, edges_of(readings, some, runs, len(frames), prior), strict=True)
+        contacts = tuple(Touch(float(time[a]), float(time[b]), begin, end) for (a, b), (begin, end) in both)
+    if not settings.smooth:
+        return contacts, None
+    spans = [(*np.searchsorted(time, one.span),) for one in contacts]
+    inside = within([(int(a), int(b) - 1) for a, b in spans], len(frames))
+    return contacts, smoothed(shown, frames, searched.found, inside, prior, seek_place=sought)
 
 
 def _remarks(sensed: Sensed, bench: Bench) -> tuple[Remark, ...]:

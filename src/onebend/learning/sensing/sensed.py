@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from onebend.learning.sensing.edges import Edge
 from onebend.learning.sensing.joint import Misfit
 from onebend.learning.sensing.sensor import SensorCheck
+from onebend.learning.sensing.smooth import Smoothed
 from onebend.records import Array, BoolArray, IntArray, Remark
 
 
@@ -23,14 +26,24 @@ class SenseSettings:
     force_prior: float | None = None
     # whether the tags sit on the beam as they did when it was learned; "anew": they were put on again
     tags: Literal["learned", "anew"] = "learned"
+    smooth: bool = False  # whether the force is told as a process over the frames besides
 
 
 @dataclass(frozen=True)
 class Touch:
-    """A stretch of frames that show a force: its first and last time."""
+    """A stretch of frames that show a force."""
 
-    begin: float  # s
-    end: float  # s
+    first: float  # s, of its frames
+    last: float  # s
+    begin: Edge  # when the force became more than zero
+    end: Edge  # and when it was zero again
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """s, from when to when; where that is not known, of the frames."""
+        begin = self.begin.time if math.isfinite(self.begin.sd) else self.first
+        end = self.end.time if math.isfinite(self.end.sd) else math.nextafter(self.last, math.inf)
+        return begin, end
 
 
 @dataclass(frozen=True)
@@ -58,6 +71,7 @@ class Sensed:
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
     # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
     common: Array
+    smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
     remarks: tuple[Remark, ...] = ()
 
@@ -66,7 +80,7 @@ class Sensed:
         """Index of the largest force among the frames of a contact; None where there is none."""
         inside = np.zeros(len(self.time), dtype=bool)
         for one in self.contacts:
-            inside |= (self.time >= one.begin) & (self.time <= one.end)
+            inside |= (self.time >= one.first) & (self.time <= one.last)
         size = np.where(inside & self.touched, np.hypot(*self.force.T), -1.0)
         return int(np.argmax(size)) if np.any(size > 0.0) else None
 

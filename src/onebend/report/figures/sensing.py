@@ -19,7 +19,8 @@ _BEYOND = 1.6  # of the largest force: the axes show no more of a band
 
 @styled
 def sensing(found: Sensed) -> Figure:
-    """Both components with their bands over time, and the log's; the place; the misfit of each frame."""
+    """Both components with their bands over time, and the log's; the place; the misfit of each frame; when contacts
+    begin and end."""
     figure, (x, y, place, misfit) = blank(8.0, 4, 1, sharex=True)
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
@@ -35,7 +36,11 @@ def sensing(found: Sensed) -> Figure:
     misfit.set(ylabel="squared misfit", xlabel="time [s]", ylim=(0.0, None))
     for axes in (x, y, place, misfit):
         for one in found.contacts:
-            axes.axvspan(one.begin, one.end, color=MUTED, alpha=0.08, lw=0.0)
+            axes.axvspan(one.first, one.last, color=MUTED, alpha=0.08, lw=0.0)
+            for edge in (one.begin, one.end):
+                if np.isfinite(edge.sd):
+                    half = _WIDE * edge.sd
+                    axes.axvspan(edge.time - half, edge.time + half, color=ORANGE, alpha=0.2, lw=0.0)
     return figure
 
 
@@ -49,6 +54,11 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
         )
     axes.fill_between(found.time, middle - _WIDE * sd, middle + _WIDE * sd, color=colour, alpha=0.25, lw=0.0)
     axes.plot(found.time, middle, color=colour, label="from the shape")
+    if found.smoothed is not None:
+        smooth, spread = found.smoothed.force[:, c], np.sqrt(found.smoothed.covariance[:, c, c])
+        low, high = smooth - _WIDE * spread, smooth + _WIDE * spread
+        axes.fill_between(found.time, low, high, color=ORANGE, alpha=0.35, lw=0.0)
+        axes.plot(found.time, smooth, color=ORANGE, lw=1.0, label="smoothed")
     axes.plot(found.time, found.logged[:, c], "--", color=INK, lw=1.0, label="log")
     axes.set_ylabel(f"force along {name} [N]")
     size = np.linalg.norm(found.force[found.touched], axis=1)
