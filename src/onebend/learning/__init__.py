@@ -50,11 +50,14 @@ if TYPE_CHECKING:
     from onebend.learning.sensing.joint import Misfit as Misfit
     from onebend.learning.sensing.online import LiveForce as LiveForce
     from onebend.learning.sensing.online import OnlineSense as OnlineSense
+    from onebend.learning.sensing.sensed import SecondForce as SecondForce
     from onebend.learning.sensing.sensed import Sensed as Sensed
     from onebend.learning.sensing.sensed import SenseSettings as SenseSettings
+    from onebend.learning.sensing.sensed import ToldMoment as ToldMoment
     from onebend.learning.sensing.sensed import Touch as Touch
     from onebend.learning.sensing.sensor import SensorCheck as SensorCheck
     from onebend.learning.sensing.smooth import Smoothed as Smoothed
+    from onebend.learning.sensing.two import TwoContacts as TwoContacts
     from onebend.learning.start import start_of as start_of
     from onebend.learning.start import with_mass as with_mass
     from onebend.learning.swing.damping import Damping as Damping
@@ -100,9 +103,10 @@ else:
             "onebend.learning.sensing.edges": "Edge",
             "onebend.learning.sensing.joint": "Misfit",
             "onebend.learning.sensing.online": "LiveForce OnlineSense",
-            "onebend.learning.sensing.sensed": "Sensed SenseSettings Touch",
+            "onebend.learning.sensing.sensed": "SecondForce Sensed SenseSettings ToldMoment Touch",
             "onebend.learning.sensing.sensor": "SensorCheck",
             "onebend.learning.sensing.smooth": "Smoothed",
+            "onebend.learning.sensing.two": "TwoContacts",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",
             "onebend.learning.swing.free_swing": "FilmPart Swing",

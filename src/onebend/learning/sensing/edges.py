@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from onebend.learning.sensing.readings import Readings
+from onebend.learning.sensing.frame_forces import FrameForces
 from onebend.records import Array, BoolArray, IntArray
 
 RUN = 3  # frames in a row that show a force, before it is a contact; fewer without one do not end it
@@ -63,7 +63,7 @@ def frames_at_edges(runs: list[tuple[int, int]], count: int) -> IntArray:
 
 
 def edges_of(
-    readings: Readings, frames: IntArray, runs: list[tuple[int, int]], count: int, prior_sd: float
+    readings: FrameForces, frames: IntArray, runs: list[tuple[int, int]], count: int, prior_sd: float
 ) -> list[tuple[Edge, Edge]]:
     """Beginning and end of each contact; `readings` are of `frames` out of `count`."""
     out = []
@@ -80,7 +80,7 @@ def edges_of(
     return out
 
 
-def _begin(readings: Readings, first: int, prior_sd: float) -> Edge:
+def _begin(readings: FrameForces, first: int, prior_sd: float) -> Edge:
     """When the force begins that the frames from `first` on show."""
     time = readings.time
     if first == 0 or len(time) < RUN + 1:
@@ -97,7 +97,7 @@ def _begin(readings: Readings, first: int, prior_sd: float) -> Edge:
     return Edge(mean, float(np.sqrt(weight @ (at - mean) ** 2 + (at[1] - at[0]) ** 2 / 12.0)))
 
 
-def _evidence(readings: Readings, at: Array, first: int, prior_sd: float) -> Array:
+def _evidence(readings: FrameForces, at: Array, first: int, prior_sd: float) -> Array:
     """(n,) log, of beginnings `at` (n,) [s], but for a constant."""
     tells = np.any(readings.weigh != 0.0, axis=-1)  # (W, 2)
     weigh, told, common = readings.weigh[tells], readings.told[tells], readings.common[tells]
@@ -123,7 +123,7 @@ def _evidence(readings: Readings, at: Array, first: int, prior_sd: float) -> Arr
     return np.asarray(best + np.log(np.maximum(np.mean(np.exp(every - best), axis=0), 1e-300)))
 
 
-def _size(readings: Readings, first: int, prior_sd: float) -> float:
+def _size(readings: FrameForces, first: int, prior_sd: float) -> float:
     """N, of the forces that the frames from `first` on show."""
     normal = np.swapaxes(readings.weigh, 1, 2) @ readings.weigh + np.eye(2) / prior_sd**2
     right = np.einsum("fdc,fd->fc", readings.weigh, readings.told)
