@@ -194,7 +194,8 @@ def test_files_screen_and_picture_of_a_moment_and_of_a_second_force(tmp_path: Pa
     o, axes = drawn(0, push(forces(4, most=0.2), 0.8) + twist(moments(4), 0.8), at_s=0.8)
     found = sense(BEAM, o, stiffness=BAND, settings=replace(MOMENT, smooth=True))
     assert axes.shape == (2, 2)
-    assert found.moment is not None
+    moment = found.moment
+    assert moment is not None
     second = SecondForce(
         found.force, found.covariance, found.covariance, found.prior_share, 0.9, 0.01, np.ones(4, dtype=bool)
     )
@@ -206,7 +207,7 @@ def test_files_screen_and_picture_of_a_moment_and_of_a_second_force(tmp_path: Pa
     sense_writer(found, draw({"force": lambda: sensing(found)}), summary)(tmp_path)
     rows = list(csv.DictReader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
     assert {*SMOOTH_COLUMNS, *MOMENT_COLUMNS, *SECOND_COLUMNS} < set(rows[0])
-    np.testing.assert_allclose([float(row["moment_Nm"]) for row in rows], found.moment.moment, rtol=1e-6)
+    np.testing.assert_allclose([float(row["moment_Nm"]) for row in rows], moment.moment, rtol=1e-6)
     np.testing.assert_allclose([float(row["second_fy_N"]) for row in rows], second.force[:, 1], rtol=1e-6)
     stream = io.StringIO()
     show_sensed(Console(file=stream, width=120), found, tmp_path)
