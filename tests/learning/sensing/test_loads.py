@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.linalg import block_diag
 
 from onebend.beam.loads import push, twist
 from onebend.errors import LearningError
+from onebend.learning.model.frames import whitening
 from onebend.learning.sensing.bench import Bench, problem_of, solve
+from onebend.learning.sensing.estimate import estimate
+from onebend.learning.sensing.joint import together
 from onebend.learning.sensing.prior import shared_prior
-from onebend.learning.sensing.sense import sense
+from onebend.learning.sensing.sense import bench_of, sense
 from onebend.learning.sensing.sensed import SecondForce, Sensed, SenseSettings, load_remarks
 from onebend.learning.sensing.tags import tags_of
 from onebend.learning.sensing.two import TwoContacts
@@ -151,6 +155,25 @@ def test_one_contact_is_not_taken_for_two() -> None:
     assert any("One contact explains the shapes as well as two" in one.text for one in found.remarks)
 
 
+def test_the_evidence_is_that_of_the_normal_density_about_the_best() -> None:
+    o, _ = drawn(1, push(forces(3, most=0.2), 0.9))
+    bench, frames, sd = bench_of(BEAM, o, BAND, None, SenseSettings()), np.arange(3), np.full(2, 0.4)
+    place = np.full(3, 0.9)
+    begin = estimate(bench, frames, place, sd, seek_place=False)
+    shown, found, fit = together(bench, frames, begin, sd, seek_place=False)
+    solved = solve(shown, problem_of(shown, frames, place), found.force, place, None)
+    tags = tags_of(shown, frames, solved, found.force, place)
+    pose = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
+    white = whitening(pose, o.covariance)
+    by_load = block_diag(*(white @ tags.by_load * sd).reshape(3, 9, 2))
+    by_shared = (white @ (tags.by_shared @ bench.root)).reshape(27, -1)
+    shared = np.linalg.lstsq(bench.root, shown.mean - bench.mean, rcond=None)[0]
+    away = (white @ (pose - tags.pose)[..., None]).ravel() + by_load @ (found.force / sd).ravel() + by_shared @ shared
+    whole = np.eye(27) + by_load @ by_load.T + by_shared @ by_shared.T
+    expected = -0.5 * (away @ np.linalg.solve(whole, away) + np.linalg.slogdet(whole)[1])
+    assert fit.evidence == pytest.approx(expected, abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -172,9 +195,9 @@ def test_loads_that_cannot_be_told_are_refused(settings: SenseSettings, words: s
 @pytest.mark.parametrize("settings", [MOMENT, BOTH])
 def test_regions_of_a_load_hold_it(settings: SenseSettings) -> None:
     limit, hits = {True: 7.815, False: 9.488}[settings.moment], []
-    for seed in range(60):
+    for seed in range(30):
         hits += [one < limit for one in distances(*one_run(seed, settings))]
-    assert 0.91 < np.mean(hits) < 0.99
+    assert 0.88 < np.mean(hits) < 0.995  # frames of a run are alike: 30 runs tell it to 0.03
 
 
 @pytest.mark.slow
