@@ -163,7 +163,10 @@ class Sensed:
     @property
     def against_log(self) -> tuple[float, float] | None:
         """N, RMS over the touched frames of the difference to the log: in the direction in which the force is known
-        best, and in that in which least. None where there is no log, or no frame that shows a force."""
+        best, and in that in which least. None where there is no log, no frame that shows a force, or a second one, of
+        which the log may be."""
+        if self.second is not None:
+            return None
         shown = self.touched & np.isfinite(self.logged).all(axis=1)
         if not np.any(shown):
             return None
