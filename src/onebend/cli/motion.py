@@ -73,6 +73,24 @@ TagsNow = Annotated[
     Literal["learned", "anew"],
     typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
 ]
+AskMoment = Annotated[bool, typer.Option("--moment", help="The contact transmits a moment besides, as a gripper does.")]
+MomentPrior = Annotated[
+    float | None,
+    typer.Option(
+        "--moment-prior-Nm", min=LEAST, metavar="NM", help="One sd of the moment before; default: the force's times L."
+    ),
+]
+Contacts = Annotated[
+    Literal["1", "2", "auto"],
+    typer.Option(help="How many forces act at once. auto: two where the evidence is for it."),
+]
+SecondAt = Annotated[
+    float | None,
+    typer.Option("--second-at", min=LEAST, max=1.0, metavar="S", help="Where the second of two forces acts."),
+]
+Smooth = Annotated[
+    bool, typer.Option("--smooth", help="Besides, the force as a process over the frames: what neighbours say counts.")
+]
 ForcePrior = Annotated[
     float | None,
     typer.Option(
@@ -177,6 +195,11 @@ def sense(
     at_sd: ContactSd = None,
     force_prior: ForcePrior = None,
     tags: TagsNow = "learned",
+    moment: AskMoment = False,
+    moment_prior: MomentPrior = None,
+    contacts: Contacts = "1",
+    second_at: SecondAt = None,
+    smooth: Smooth = False,
     bag: Bag = False,
     output: Output = None,
     threads: Threads = None,
@@ -189,6 +212,7 @@ def sense(
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
+        settings = SenseSettings(place, at, at_sd, force_prior, tags, moment, moment_prior, contacts, second_at, smooth)
         with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
             with progress_of(quiet) as progress:
                 seen = _observed(stored, recording, threads, progress)
@@ -197,7 +221,7 @@ def sense(
                 seen,
                 stiffness=stored.uncertain,
                 instruments=stored.bench,
-                settings=SenseSettings(place, at, at_sd, force_prior, tags),
+                settings=settings,
             )
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:

@@ -27,7 +27,7 @@ def test_live_frames_are_as_those_of_a_recording_each_by_itself() -> None:
     o = observed(SOFT, forces(12), noise=(3e-5, 1e-3))
     frames = np.arange(12)
     bench = bench_of(SOFT, o, None, None, KNOWN)
-    alone = estimate(bench, frames, o.push_s, prior_of(SOFT, KNOWN), seek_place=False)
+    alone = estimate(bench, frames, o.push_s, np.full(2, prior_of(SOFT, KNOWN)), seek_place=False)
     for t, one in enumerate(followed(o, KNOWN)):
         away = one.force - bench.axes @ alone.force[t]
         assert away @ np.linalg.solve(one.covariance, away) < 0.2

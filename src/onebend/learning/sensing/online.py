@@ -140,9 +140,9 @@ class OnlineSense:
         """(3 m, d) slopes over the priors' sds, and (3 m,) residuals, in units of all noise."""
         tags, count = shape.tags, seen.size
         shared = (whiten @ shape.noise).reshape(count, -1)
-        own = tags.by_force[0]
+        own = tags.by_load[0]
         if self._place is None:
-            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0][..., None]], axis=-1)
+            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0]], axis=-1)
         both = np.concatenate([own * self._sd, np.nan_to_num(seen - tags.pose[0])[..., None]], axis=-1)
         root = np.linalg.cholesky(np.eye(count) + shared @ shared.T)
         out = np.linalg.solve(root, (whiten @ both).reshape(count, -1))
@@ -189,7 +189,7 @@ class OnlineSense:
         )
         bench = replace(self._bench, observations=alone)
         place = None if self._place is None else np.array([self._place])
-        found, _ = first(bench, _ONE, place, float(self._sd[0]))
+        found, _ = first(bench, _ONE, place, self._sd[:2])
         unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(self._sd)]
         edge = self._place if self._place is not None else float(found.place[0])
         here, at = self._at(unknown, edge)
