@@ -174,7 +174,7 @@ COMMANDS = {
     "studio": Place(
         "studio",
         "studio",
-        "Open a local page: learn recordings and look at them, bend learned beams with the pointer.",
+        "Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.",
         "out",
     ),
     "design": Place(

@@ -80,6 +80,7 @@ def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
     return tuple(TrialBeam(Scaled(factor, beam.stiffness), factor) for factor in factors)
 
 
+@one_blas_thread
 def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
     """The model itself, and `count` beams as probable as the band of its k(s) says.
 
@@ -134,6 +135,7 @@ def along(control: Controller) -> Array:
     return np.asarray(force / size) if size > 0.0 else np.array([1.0, 0.0])
 
 
+@one_blas_thread
 def simulate_range(
     control: Controller,
     *,

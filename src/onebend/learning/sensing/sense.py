@@ -21,25 +21,23 @@ from onebend.learning.sensing.joint import rested
 from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.search import Searched, search, touches
 from onebend.learning.sensing.sensed import (
-    FROM_PRIOR,
     SecondForce,
     Sensed,
     SenseSettings,
     ToldMoment,
     Touch,
     check_settings,
-    load_remarks,
     logged_forces,
+    sensed_remarks,
 )
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.learning.sensing.smooth import Smoothed, smoothed
 from onebend.learning.sensing.two import STRIDE, Benches, TwoContacts, both_touch, two_said, two_sought
-from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+from onebend.records import Array, BoolArray, IntArray, Observations
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
 _NOTHING = 1e-4  # of the prior's sd: a force that is none
 _PLACE_KNOWN = 0.1  # sd of s beyond which the place of the contact is not told
-_TOO_FAR, _UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which it is a warning
 _PRIORS = (1e-9, 1e9)  # of the usual sd of a force: beyond, it is none of a beam
 
 
@@ -215,8 +213,8 @@ def _sensed(
         out = replace(out, moment=moment)
     if n == 4:
         out = replace(out, second=_second(load, covariance, share, searched, two))
-    sensor = None if n > 3 or _unexplained(out) else _judged(out, o, frames)
-    return replace(out, sensor=sensor, remarks=_remarks(out, bench))
+    sensor = None if n > 3 or not out.explained else _judged(out, o, frames)
+    return replace(out, sensor=sensor, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
 
 
 def _places(
@@ -251,11 +249,6 @@ def _second(load: Array, covariance: Array, share: Array, searched: Searched, tw
     )
 
 
-def _unexplained(out: Sensed) -> bool:
-    """Whether no force explains the shapes."""
-    return out.misfit is not None and out.misfit.ratio > _TOO_FAR and out.misfit.probability < _UNLIKELY
-
-
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
     """The log by the force; where nothing touches the beam, that is none, in every direction."""
     if np.sum(np.isfinite(out.logged).all(axis=1)) < FEWEST:
@@ -287,31 +280,3 @@ def _over_time(
     spans = [np.searchsorted(time, one.span) for one in contacts]
     runs = [(int(a), int(b) - 1) for a, b in spans if b > a]
     return contacts, smoothed(time, searched.found, runs, prior, readings.widened)
-
-
-def _remarks(sensed: Sensed, bench: Bench) -> tuple[Remark, ...]:
-    out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
-    if fit is not None and _unexplained(sensed):
-        text = (
-            f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
-            "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "
-            "it stands in its clamp as it did then, where the force acts, and that the push is slow"
-        )
-        out.append(Remark("warning", text, about="sensed misfit"))
-    if bench.stiffness is None:
-        out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
-    if not np.isfinite(bench.observations.rest_xy).any():
-        out.append(Remark("note", "No frame shows the beam at rest: the mounting is known only as stated."))
-    if not bench.observations.sd_known:
-        out.append(Remark("note", "The tags' noise is a guess, and the regions are as good as it is."))
-    if lost:
-        out.append(Remark("note", f"In {lost} frames no equilibrium was found that explains the tags."))
-    if np.any(sensed.touched):
-        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
-        weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
-        if weak:
-            text = (
-                f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
-            )
-            out.append(Remark("note", text))
-    return (*out, *load_remarks(sensed))

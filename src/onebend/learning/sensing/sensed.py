@@ -16,6 +16,7 @@ from onebend.learning.sensing.smooth import Smoothed
 from onebend.learning.sensing.two import TwoContacts
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
+TOO_FAR, UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which no force explains the shapes
 FROM_PRIOR = 0.25  # share of a variance left by the data from which it is said
 
 
@@ -154,6 +155,11 @@ class Sensed:
     remarks: tuple[Remark, ...] = ()
 
     @property
+    def explained(self) -> bool:
+        """Whether the force explains the shapes; true where no frame shows one."""
+        return self.misfit is None or self.misfit.ratio <= TOO_FAR or self.misfit.probability >= UNLIKELY
+
+    @property
     def peak(self) -> int | None:
         """Index of the largest force among the frames of a contact; None where there is none."""
         inside = np.zeros(len(self.time), dtype=bool)
@@ -188,6 +194,35 @@ def logged_forces(o: Observations) -> Array:
     """(T, 2) N of the log; NaN where there is none."""
     none = o.source.clean_force is None and not np.any(o.force)
     return np.full_like(o.force, np.nan) if none else o.force
+
+
+def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Remark, ...]:
+    """What the regions do not hold, and what is not observable; `banded`: the model has a band on k(s)."""
+    out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
+    if fit is not None and not sensed.explained:
+        text = (
+            f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
+            "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "
+            "it stands in its clamp as it did then, where the force acts, and that the push is slow"
+        )
+        out.append(Remark("warning", text, about="sensed misfit"))
+    if not banded:
+        out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
+    if not np.isfinite(o.rest_xy).any():
+        out.append(Remark("note", "No frame shows the beam at rest: the mounting is known only as stated."))
+    if not o.sd_known:
+        out.append(Remark("note", "The tags' noise is a guess, and the regions are as good as it is."))
+    if lost:
+        out.append(Remark("note", f"In {lost} frames no equilibrium was found that explains the tags."))
+    if np.any(sensed.touched):
+        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
+        weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
+        if weak:
+            text = (
+                f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
+            )
+            out.append(Remark("note", text))
+    return (*out, *load_remarks(sensed))
 
 
 def load_remarks(sensed: Sensed) -> list[Remark]:
