@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from math import nan
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +32,6 @@ from onebend.records import PLACE_SD, Array, BoolArray
 from onebend.results.model import StoredModel, read_model, save_model
 
 ROOT = Path(__file__).parents[1]
-KEPT = ROOT / "out" / "benchmarks" / "sensing"
 BENCHES = BenchRanges(fps=(15.0,))
 WAYS = ("across", "any")
 KINDS: dict[str, tuple[str, Literal["known", "unknown"], int]] = {  # direction, place, and how many of each beam
@@ -40,7 +42,19 @@ KINDS: dict[str, tuple[str, Literal["known", "unknown"], int]] = {  # direction,
 NUMBERS = ("squared", "best", "best_sd", "least", "least_sd", "place", "place_sd")
 LARGEST = 4.0  # of k/L, as the prior of a force expects it
 FRAMES = 6  # of a push that are looked at
+JUDGED = 3  # pushes of each beam whose force log is judged
+AXES_SD, GAIN_SD = np.radians(3.0), 0.05  # of the logs that are judged
+JUDGEMENTS = {"direction [deg]": 180.0 / np.pi, "gain [%]": 100.0, "delay [ms]": 1e3}
 LEARNING = FitSettings(most_frames=120, first_frames=60)  # of pushes of some 8 s
+
+
+@cache
+def kept() -> Path:
+    """The folder of what this very code made."""
+    digest = hashlib.sha256()
+    for source in sorted([*(ROOT / "src").rglob("*.py"), Path(__file__)]):
+        digest.update(source.read_bytes())
+    return ROOT / "out" / "benchmarks" / f"sensing-{digest.hexdigest()[:12]}"
 
 
 def bench_of(beam: int) -> VirtualBench:
@@ -51,7 +65,7 @@ def bench_of(beam: int) -> VirtualBench:
 
 def learned(beam: int) -> StoredModel | None:
     """Its model, from one push; kept in a file. None: this push teaches nothing."""
-    file = KEPT / f"model-{beam:03d}.json"
+    file = kept() / f"model-{beam:03d}.json"
     if not file.exists():
         bench = bench_of(beam)
         try:
@@ -137,17 +151,60 @@ def warned(found: Sensed) -> bool:
     return any(one.level == "warning" for one in found.remarks)
 
 
-def study(beams: int, part: float) -> list[dict[str, Any]]:
+def judged(beam: int, push: int) -> dict[str, Any]:
+    """A log whose axes, gain and lag are wrong, judged by the beam: what is said of each, its sd, and the truth."""
+    out: dict[str, Any] = {"beam": beam, "push": push, "kind": "judged"}
+    rng = np.random.default_rng([beam, push, 24])
+    bench, model = pushed(beam, push, "across"), learned(beam)
+    assert model is not None
+    turned, gain = float(rng.normal(0.0, AXES_SD)), 1.0 + float(rng.normal(0.0, GAIN_SD))
+    sensor = replace(bench.sensor, gain=gain, gain_sd=0.0)
+    bench = replace(bench, sensor=sensor, declared=replace(bench.declared, axes=turned))
+    try:
+        o = observe_virtual(virtual_recording(bench, seed=1000 * (beam + 1) + push))
+        found = sense(model.beam, o, stiffness=model.uncertain, instruments=model.bench)
+    except (LearningError, MechanicsError, ObservationError, RecordingError, np.linalg.LinAlgError) as wrong:
+        return out | {"failure": f"{type(wrong).__name__}: {wrong}"}
+    if found.sensor is None or o.source.clock is None:
+        return out | {"failure": "not judged"}
+    late = sensor.lag + bench.clock.offset - o.source.clock.offset
+    said = (found.sensor.direction, found.sensor.gain, found.sensor.delay)
+    truth = dict(zip(JUDGEMENTS, (turned, gain, late), strict=True))
+    return out | {name: [*one, truth[name]] for name, one in zip(JUDGEMENTS, said, strict=True)}
+
+
+def judged_table(rows: list[dict[str, Any]]) -> str:
+    """What the beam says of the logs."""
+    good = [one for one in rows if "failure" not in one]
+    beams = np.array([one["beam"] for one in good])
+    lines = ["| of a log | logs (not judged) | error, RMS | sd, RMS / median | error over sd | inside 95 % [%] |"]
+    lines.append("| --- " * 6 + "|")
+    for name, unit in JUDGEMENTS.items():
+        value, sd, truth = np.array([one[name] for one in good]).T
+        over = (value - truth) / sd
+        sizes = f"{unit * rms(value - truth):.2g} | {unit * rms(sd):.2g} / {unit * np.median(sd):.2g}"
+        inside = by_beam(np.abs(over) < 1.96, beams)
+        lines.append(f"| {name} | {len(good)} ({len(rows) - len(good)}) | {sizes} | {rms(over):.2f} | {inside} |")
+    return "\n".join(lines)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def study(beams: int, part: float, kinds: Sequence[str]) -> list[dict[str, Any]]:
     """Every run of these beams; what was done before is in a file, and is not done again."""
-    file = KEPT / "runs.jsonl"
+    file = kept() / "runs.jsonl"
+    file.parent.mkdir(parents=True, exist_ok=True)
     done = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.exists() else []
     known = {(one["kind"], one["beam"], one["push"]) for one in done}
     good = [beam for beam in range(beams) if is_learned(beam)]
-    wanted = [(k, b, p) for k, (*_, n) in KINDS.items() for p in range(max(int(n * part), 1)) for b in good]
+    counts = {kind: n for kind, (*_, n) in KINDS.items()} | {"judged": JUDGED}
+    wanted = [(k, b, p) for k in kinds for p in range(max(int(counts[k] * part), 1)) for b in good]
     with file.open("a", encoding="utf-8") as lines:
         for kind, beam, push in wanted:
             if (kind, beam, push) not in known:
-                done.append(row_of(beam, push, kind))
+                done.append(judged(beam, push) if kind == "judged" else row_of(beam, push, kind))
                 lines.write(json.dumps(done[-1]) + "\n")
                 lines.flush()
     chosen = set(wanted)
@@ -197,8 +254,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--beams", type=int, default=120, help="random beams, each learned from one push")
     parser.add_argument("--part", type=float, default=1.0, help="of the pushes of each")
+    parser.add_argument("--judged", action="store_true", help="judge force logs alone")
     asked = parser.parse_args()
-    print(markdown(study(asked.beams, asked.part)))
+    if not asked.judged:
+        print(markdown(study(asked.beams, asked.part, list(KINDS))), end="\n\n")
+    print(judged_table(study(asked.beams, asked.part, ["judged"])))
 
 
 if __name__ == "__main__":

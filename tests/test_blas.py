@@ -24,6 +24,7 @@ from onebend.cli import COMMANDS, Command
 UNGUARDED = {
     "load_model", "load_observations", "load_uncertain", "save_model", "save_observations",
     "angles", "curve", "curve_of_length", "points", "read_goals", "read_targets", "point_goals",
+    "simulate_trials", "trial_settings", "wrong_beams",  # each trial runs under it; the others compute next to nothing
 }  # fmt: skip
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner, Result
 
 from onebend import __version__, cli
@@ -19,7 +21,7 @@ from onebend.errors import LearningError, ObservationError
 from onebend.files.kept import users_folder
 from onebend.recording.bags.topics import BagContents
 from onebend.recording.folder import folder_of, read_recording
-from onebend.report.figures.pictures import Pictures
+from onebend.report.figures.pictures import Pictures, draw
 from onebend.results.model import load_model, save_model
 from onebend.results.recording_files import recording_files
 from tests import made_up
@@ -42,7 +44,10 @@ def refused(result: Result, *words: str) -> None:
 
 @pytest.fixture
 def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """A pipeline that finds made-up things at once; what it was asked is listed."""
+    """A pipeline that finds made-up things at once, and draws one picture; what it was asked is listed.
+
+    All pictures of a report are drawn in tests/report/ and, by this command, in tests/attack/test_names_are_text.py.
+    """
     asked: list[dict[str, Any]] = []
 
     def learn_from(*folders: Path, **options: Any) -> made_up.MadeUp:
@@ -53,8 +58,12 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         asked.append({"folders": folders, **options})
         return [(made_up.comparison(one.name), made_up.observations(one.name)) for one in folders]
 
+    def one_picture(*_: Any, **__: Any) -> Pictures:
+        return draw({"stiffness": partial(Figure, figsize=(1, 1))})
+
     monkeypatch.setattr(learning_commands, "learn_from", learn_from)
     monkeypatch.setattr(learning_commands, "compare", compare)
+    monkeypatch.setattr(learning_commands, "draw_all", one_picture)
     return asked
 
 
@@ -229,7 +238,7 @@ def test_validate_shows_and_writes_tables(tmp_path: Path, pipeline: list[dict[st
 
 def test_a_validation_does_not_replace_what_was_learned(tmp_path: Path, pipeline: list[dict[str, Any]]) -> None:
     assert run("learn", "REC", "-o", tmp_path / "out").exit_code == 0
-    refused(run("validate", tmp_path / "out", "A", "-o", tmp_path / "out", "--force"), "--force does not")
+    refused(run("validate", tmp_path / "out", "A", "-o", tmp_path / "out", "--force"), "not replaced")
     assert load_model(tmp_path / "out") == made_up.posterior().beam
     assert len(pipeline) == 1
 
@@ -319,14 +328,25 @@ def test_new_then_check_leads_to_the_next_step(tmp_path: Path) -> None:
     refused(run("check", tmp_path / "mine"), "length_m is empty")
 
 
+def test_new_names_the_film_and_the_log_that_are_there(tmp_path: Path) -> None:
+    for name in ("Push 3.MOV", "wrench.csv", "notes.md", ".hidden.mp4"):
+        (tmp_path / name).write_text("x")
+    assert run("new", tmp_path).exit_code == 0
+    written = (tmp_path / "recording.toml").read_text()
+    assert 'file = "Push 3.MOV"' in written
+    assert 'file = "wrench.csv"' in written
+    (tmp_path / "recording.toml").unlink()
+    (tmp_path / "another.csv").write_text("x")
+    assert run("new", tmp_path).exit_code == 0
+    assert 'file = "force.csv"' in (tmp_path / "recording.toml").read_text()
+
+
 def test_check_says_what_was_understood(tmp_path: Path) -> None:
     result = run("check", EXAMPLE, "-o", tmp_path / "check.png")
     assert result.exit_code == 0, result.output
     for words in ("150 mm long", "1280 x 720", "536 frames", "1000 Hz", "tag 3 at s = 1", "tags seen 0, 1, 2, 3"):
         assert words in " ".join(result.stdout.split()), words
     assert (tmp_path / "check.png").stat().st_size > 50_000
-    again = json.loads(run("check", EXAMPLE, "-o", tmp_path / "check.png", "--json").stdout)
-    assert (again["recording"], again["picture"]) == ("linear_train", str(tmp_path / "check.png"))
     (tmp_path / "mine.png").write_bytes(b"a picture of my own")
     refused(run("check", EXAMPLE, "-o", tmp_path / "mine.png"), "exists already")
 
@@ -337,6 +357,8 @@ def test_a_recording_may_be_named_by_its_file(tmp_path: Path, monkeypatch: pytes
     by_file = run("check", weights / "recording.toml", "-o", tmp_path / "a.png", "--json")
     assert by_file.exit_code == 0
     assert by_file.stdout == by_folder.stdout
+    said = json.loads(by_folder.stdout)
+    assert (said["recording"], said["picture"]) == ("hung weights", str(tmp_path / "a.png"))
     assert recording_files([EXAMPLE / "recording.toml"]) == recording_files([EXAMPLE])
     assert folder_of("somewhere/push2/recording.toml") == Path("somewhere/push2")
     monkeypatch.chdir(EXAMPLE)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import runpy
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,12 +14,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+import onebend
 from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
+from onebend.learning.inference.stages import FitSettings
+from onebend.records import Observations
 from onebend.results import detection_cache
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "linear-beam"
+SCRIPT = ROOT / "examples" / "learn_linear_beam.py"
+QUICK = FitSettings(functions=16, most_frames=80, first_frames=40)
+SAYS = [
+    "k at base, middle and tip [N m]",
+    "95 % band, from",
+    "RMS of the three markers on the fast push [mm]",
+    "the tip would go to [mm]",
+]
 
 
 class Runs(NamedTuple):
@@ -40,6 +53,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learning_commands, "draw_all", interrupted)
+        patch.setattr(learning_commands, "_fitting", lambda _: QUICK)  # of this run only the files are looked at
         first = CliRunner().invoke(cli.app, command)
         left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:
@@ -111,17 +125,28 @@ def test_validating_on_a_beam_of_another_length_is_refused(runs: Runs, tmp_path:
     assert "300 mm long, the learned one 150 mm" in result.stderr.replace("\n", " ")
 
 
-def test_the_example_runs_and_stands_in_the_readme() -> None:
-    example = ROOT / "examples" / "learn_linear_beam.py"
-    assert example.read_text(encoding="utf-8").split("\n", 2)[2].strip() in (ROOT / "README.md").read_text(
-        encoding="utf-8"
-    )
-    done = subprocess.run([sys.executable, "-W", "error", str(example)], capture_output=True, text=True, check=False)
+def test_the_example_stands_in_the_readme_and_says_what_it_finds(
+    runs: Runs, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On what was observed above, by a fit of fewer functions."""
+    text = SCRIPT.read_text(encoding="utf-8")
+    assert text.split("\n", 2)[2].strip() in (ROOT / "README.md").read_text(encoding="utf-8")
+    seen, asked = load_observations(runs.out), list[Path]()
+
+    def observe(folder: Path) -> Observations:
+        asked.append(folder)
+        return seen
+
+    monkeypatch.setattr(onebend, "observe", observe)
+    monkeypatch.setattr(onebend, "fit", partial(onebend.fit, settings=QUICK))
+    runpy.run_path(str(SCRIPT))
+    assert asked == [EXAMPLE / "train", EXAMPLE / "fast"]
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == SAYS
+
+
+@pytest.mark.slow
+def test_the_example_runs() -> None:
+    done = subprocess.run([sys.executable, "-W", "error", str(SCRIPT)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
-        "k at base, middle and tip [N m]",
-        "95 % band, from",
-        "RMS of the three markers on the fast push [mm]",
-        "the tip would go to [mm]",
-    ]
+    assert [line.split(":")[0] for line in done.stdout.splitlines()] == SAYS

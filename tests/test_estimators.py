@@ -49,7 +49,7 @@ def test_positive_heights_and_weights() -> None:
 
 @pytest.fixture(scope="module")
 def pushes() -> list[Observations]:
-    return [observed(SOFT, forces(50), at_s=at, noise=NOISE, seed=i) for i, at in enumerate((1.0, 0.8, 0.9))]
+    return [observed(SOFT, forces(25), at_s=at, noise=NOISE, seed=i) for i, at in enumerate((1.0, 0.8, 0.9))]
 
 
 def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
@@ -81,8 +81,8 @@ def test_the_modulus_of_a_beam_that_goes_with_its_section() -> None:
 
 
 def test_cross_validation_leaves_whole_recordings_out(pushes: list[Observations]) -> None:
-    scores = cross_val_score(StiffnessDistribution(functions=8), pushes, cv=LeaveOneOut())
-    assert scores.shape == (3,)
+    scores = cross_val_score(StiffnessDistribution(functions=8), pushes[:2], cv=LeaveOneOut())
+    assert scores.shape == (2,)
     assert np.all((scores < 0.0) & (scores > -1e-3))
 
 

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.modulus import ModulusBand, one_modulus
 from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
-from onebend.errors import LearningError, ObservationError, ResultsError
+from onebend.errors import LearningError, ResultsError
 from onebend.learning.design.planning import PlanSettings, plan
 from onebend.learning.design.proposals import Plan
 from onebend.learning.frequencies.compared import frequency_remarks
@@ -35,11 +35,9 @@ from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording
+from onebend.recording.toml.same_beam import check_same_length, check_together
 from onebend.records import Array, Observations, Remark
 from onebend.results.model import read_model
-
-SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
-SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ def learn(
     wanted = [one if isinstance(one, Recording) else read_recording(one) for one in folders]
     for one in others:
         read_recording(one)
-    check_together(wanted, fitting)
+    check_together(wanted, jointly=fitting is not None)
     trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
@@ -180,33 +178,6 @@ def _same_data(one: Observations, other: Observations) -> bool:
     (one,), (other,) = with_seen_tags([one]), with_seen_tags([other])
     same = np.array_equal(one.xy, other.xy, equal_nan=True) and np.array_equal(one.force, other.force, equal_nan=True)
     return same and one.frequencies == other.frequencies
-
-
-def check_together(wanted: Sequence[Recording], fitting: FitSettings | None) -> None:
-    """Raises `LearningError` where the recordings cannot be learned from together; read from their files alone."""
-    first = wanted[0]
-    if fitting is None and len(wanted) > 1:
-        raise LearningError("the regression learns from one recording; give one, or learn from all with the fit")
-    for i, one in enumerate(wanted[1:], start=1):
-        if any(one.folder.resolve() == other.folder.resolve() for other in wanted[:i]):
-            raise LearningError(f"{one.folder} is given twice: the same data would count as two pushes. Give it once")
-        if abs(one.beam.length - first.beam.length) > 1e-9 or _ids(one) != _ids(first):
-            raise LearningError(
-                f"{one.folder} is not of the beam of {first.folder}: {1000 * one.beam.length:.4g} mm with tags "
-                f"{_ids(one)}, against {1000 * first.beam.length:.4g} mm with tags {_ids(first)}. Learn from "
-                "recordings of one beam, or correct length_m and the tags"
-            )
-        for tag, same in zip(one.tags.on_beam, first.tags.on_beam, strict=True):
-            away = abs(tag.s - same.s) * first.beam.length
-            if away > SAME_PLACE * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
-                raise LearningError(
-                    f"tag {tag.id} is at s = {tag.s:.4g} in {one.folder} and at s = {same.s:.4g} in {first.folder}. "
-                    "Recordings that are learned from together need the same tags in the same places"
-                )
-
-
-def _ids(one: Recording) -> list[int]:
-    return [tag.id for tag in one.tags.on_beam]
 
 
 def _regression(
@@ -294,7 +265,7 @@ def compare(
     """
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
-        check_same_length(beam, recording)
+        check_same_length(beam.length, recording)
     pairs = []
     for recording in recordings:
         seen = observe(recording, settings=observing, detect=detect, frames=frames, progress=progress)
@@ -336,12 +307,3 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
             'learn the beam with a band (docs/method.md, "k(s) with a band")'
         )
     return plan(stored.uncertain, stored.beam, stored.bench, settings, progress=progress)
-
-
-def check_same_length(beam: Beam, recording: Recording) -> None:
-    """Raises `ObservationError` where the recording is of a beam of another length."""
-    if abs(recording.beam.length - beam.length) > SAME_LENGTH * beam.length:
-        raise ObservationError(
-            f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
-            f"{1000 * beam.length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
-        )

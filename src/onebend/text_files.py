@@ -100,13 +100,24 @@ def read_toml(path: Path, error: type[OnebendError]) -> tuple[str, dict[str, Any
         error: as `read_text`; it is not valid TOML, or nested deeper than any description is.
     """
     content = read_text(path, error, most=MOST_TOML)
+    return content, toml_data(content, path, error)
+
+
+def toml_data(content: str, path: Path, error: type[OnebendError]) -> dict[str, Any]:
+    """Data of a text that is TOML, or is to be: of the file `path`.
+
+    Raises:
+        error: it is longer than a description is, not valid TOML, or nested deeper.
+    """
+    if len(content) > MOST_TOML:
+        raise error(f"{path} has more than {_in_words(MOST_TOML)}. Is it the right file?")
     for line, row in enumerate(content.splitlines(), start=1):
         if row.count(".") > MOST_DOTS and any(
             part.count(".") > MOST_DOTS for part in BETWEEN_KEYS.split(STRINGS.sub("x", row))
         ):
             raise error(f"{path}, line {line}: a key of more than {MOST_DOTS} parts. Write the tables out.")
     try:
-        return content, tomllib.loads(content)
+        return tomllib.loads(content)
     except tomllib.TOMLDecodeError as wrong:
         hint = (
             " The file is UTF-16: save it as UTF-8." if "\0" in content[:100] else " Text needs quotes, numbers a dot."

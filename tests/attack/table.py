@@ -60,6 +60,11 @@ def on_model(folder: Path, case: Case) -> None:
     case.harm(folder / "model.json")
 
 
+def on_model_and_tracks(folder: Path, case: Case) -> None:
+    track_folder(folder / "rec", angles=True)
+    on_model(folder, case)
+
+
 def on_bag(folder: Path, case: Case) -> None:
     on_tracks(folder, case)
     bag = next(name for name in BAG.values() if (folder / "rec" / name).exists())
@@ -74,6 +79,7 @@ FAMILIES = (
     Family("text, learn", TEXT, on_tracks, lambda _: LEARN, 400.0),
     Family("Parquet, check", PARQUET, on_tracks, lambda _: ["check", "rec"]),
     Family("model.json, show", MODEL_CASES, on_model, lambda _: ["show", "model.json"]),
+    Family("model.json, sense", MODEL_CASES, on_model_and_tracks, lambda _: ["sense", "model.json", "rec", "-q"]),
     Family("bags, check", BAGS, on_bag, lambda _: ["check", "rec"]),
     Family("bench poses and frequencies, check", BENCHES, on_example, lambda _: ["check", "rec"]),
     Family("films, check", [*HOSTILE, *HARD], on_film, lambda _: ["check", "rec"]),

@@ -138,7 +138,7 @@ CASES = [
     Case("a damaged head", spoilt(head=True), "is not a readable video|damaged|no film|does not rise|has no time"),
     Case("damaged pictures", spoilt(head=False), "damaged or truncated"),
     Case("the kernel's messages", edit(TOML, '"video.mp4"', '"/proc/kmsg"'), "is empty"),
-    Case("an endless device", edit(TOML, '"video.mp4"', '"/dev/zero"'), "there is no file"),
+    Case("an endless device", edit(TOML, '"video.mp4"', '"/dev/zero"'), "is a device, and no file"),
     Case("a tag that is not there", edit(TOML, "id = 3\n", "id = 7\n"), UNSEEN),
     Case("a tag that no family has", edit(TOML, "id = 3\n", "id = 587\n"), "no tag 587 in tag36h11"),
     Case("another family", edit(TOML, '"tag36h11"', '"tag25h9"'), r"look like tag36h11 \(ids 0, 1, 2, 3\)"),

@@ -147,9 +147,9 @@ FILE_CASES = [
     Case("section_file = /etc/passwd", named("beam", "section_file", "/etc/passwd"), "lacks the column"),
     Case("force = /proc/kmsg", edit(TOML, '"force.csv"', '"/proc/kmsg"'), "is empty"),
     Case("force = /proc/self/mem", edit(TOML, '"force.csv"', '"/proc/self/mem"'), "is empty"),
-    Case("force = /dev/zero", edit(TOML, '"force.csv"', '"/dev/zero"'), "there is no file"),
+    Case("force = /dev/zero", edit(TOML, '"force.csv"', '"/dev/zero"'), "is a device, and no file"),
     Case("force is a fifo", special("fifo"), "is a pipe, and no file"),
-    Case("force is a circle of links", special("loop"), "there is no file"),
+    Case("force is a circle of links", special("loop"), "is a link that leads nowhere"),
 ]
 QUICK = {
     "nested arrays", "a key of many parts", "length of 400 digits", "id of 5000 digits", "UTF-16", "Latin-1",

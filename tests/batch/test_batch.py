@@ -128,18 +128,21 @@ def test_a_changed_file_is_learned_anew(stems: Path, done: BatchOutcome, tmp_pat
     assert run_batch(copy, done.out).learned_now == 1
 
 
-def test_a_row_states_what_recording_toml_does_not(stems: Path, tmp_path: Path) -> None:
-    rows = f"path,name,group,treatment,day,length_m\n{stems}/dry/one,a,g,watered,3,\n{stems}/dry/one,b,g,dry,,0.151\n"
+def test_a_row_states_what_recording_toml_does_not(stems: Path, done: BatchOutcome, tmp_path: Path) -> None:
+    rows = f"path,name,group,treatment,day,length_m\n{stems}/dry/one,b,g,dry,3,0.151\n"
     (tmp_path / "list.csv").write_text(rows)
     outcome = run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True)
     write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
-    first, second = pq.read_table(tmp_path / "out" / "recordings.parquet").to_pylist()
-    assert (first["length_m"], second["length_m"]) == (0.15, 0.151)
-    assert (first["treatment"], second["treatment"], first["day"]) == ("watered", "dry", 3.0)
-    assert first["hash"] != second["hash"]
+    (found,) = pq.read_table(tmp_path / "out" / "recordings.parquet").to_pylist()
+    (unstated,) = (
+        row for row in pq.read_table(done.out / "recordings.parquet").to_pylist() if row["name"] == "dry/one"
+    )
+    assert (unstated["length_m"], found["length_m"]) == (0.15, 0.151)
+    assert (found["treatment"], found["day"]) == ("dry", 3.0)
+    assert unstated["hash"] != found["hash"]
     model = load_model(tmp_path / "out" / "recordings" / "b")
     assert model.length == 0.151
-    assert model.stiffness(0.5) == pytest.approx(second["k_at_0.5_N_m"], rel=1e-9)
+    assert model.stiffness(0.5) == pytest.approx(found["k_at_0.5_N_m"], rel=1e-9)
     assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 0
     shutil.rmtree(tmp_path / "out" / "recordings" / "b")
     assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 1

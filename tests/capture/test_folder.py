@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from onebend.capture.folder import GrowingTable, places_for, retimed, state_start, with_values
+from onebend.capture.sources import files_of
+from onebend.capture.specs import camera_of, force_of
 from onebend.errors import RecordingError
 from onebend.recording.template import template
 from tests.streaming.streamed import toml
@@ -64,6 +66,36 @@ def test_an_earlier_recording_is_kept_unless_told_otherwise(tmp_path: Path) -> N
     assert film.read_bytes() == b"mine"
     assert places_for(tmp_path, COLUMNS, overwrite=True).earlier == (film,)
     assert film.exists()  # until a new film begins
+
+
+@pytest.mark.parametrize("name", ["../video.mp4", "/tmp/video.mp4", "link/video.mp4"])
+def test_nothing_is_written_out_of_the_recordings_folder(tmp_path: Path, name: str) -> None:
+    place = tmp_path / "push"
+    place.mkdir()
+    (place / "link").symlink_to(tmp_path)
+    (tmp_path / "video.mp4").write_bytes(b"mine")
+    folder(place, toml().replace('"video.mp4"', f'"{name}"'))
+    with pytest.raises(RecordingError, match="out of the recording's folder"):
+        places_for(place, COLUMNS, overwrite=True)
+
+
+@pytest.mark.parametrize("spec", ["bag:{}/push.mcap", "bag:{}"])
+def test_a_bag_that_is_read_is_not_replaced(tmp_path: Path, spec: str) -> None:
+    place = folder(tmp_path, toml().replace('"force.csv"', '"push.mcap"'))
+    (place / "push.mcap").write_bytes(b"a bag")
+    read = files_of(None, force_of(spec.format(place)))
+    with pytest.raises(RecordingError, match="would be replaced"):
+        places_for(place, COLUMNS, overwrite=True, read=read)
+    assert places_for(place, COLUMNS, overwrite=True).earlier
+
+
+def test_what_ffmpeg_plays_is_not_replaced(tmp_path: Path) -> None:
+    place = folder(tmp_path)
+    (place / "video.mp4").write_bytes(b"a film")
+    for spec in (f"av:{place / 'video.mp4'}", f"av:file:{place / 'video.mp4'}"):
+        with pytest.raises(RecordingError, match="would be replaced"):
+            places_for(place, COLUMNS, overwrite=True, read=files_of(camera_of(spec)))
+    assert files_of(camera_of(f"av:video={'x' * 5000},format=dshow")) == ()
 
 
 def test_the_start_is_written_and_all_else_stays(tmp_path: Path) -> None:

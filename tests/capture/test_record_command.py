@@ -21,6 +21,7 @@ from onebend.cli.common import percent, stopped_by_hand
 from onebend.errors import RecordingError
 from onebend.report.overview import overview
 from onebend.terminal.recordings import RecordingView, recording_screen
+from tests.attack.hostile_films import CASES
 from tests.recording.filmed import HEIGHT, WIDTH
 from tests.streaming.streamed import frames, log, toml
 
@@ -90,6 +91,7 @@ def test_json_is_one_object(original: Path, tmp_path: Path) -> None:
         (("--camera", "film:PLAYED,lost=2"), "lost=2: this must be a number from 0 to 1."),
         (("--camera", "film:PLAYED", "--force", "serial:/dev/ttyUSB9"), "Name forces as fx_N"),
         (("--camera", "film:/nowhere", "--force", "log:PLAYED"), "there is no such film"),
+        (("--play", "PLAYED/force.csv"), "force.csv: this is no recording, it holds no recording.toml."),
     ],
 )
 def test_what_cannot_be_recorded_says_what_to_do(
@@ -119,6 +121,14 @@ def test_a_start_that_failed_is_begun_again_with_the_same_words(original: Path, 
     assert done.exit_code == 0, done.stderr
 
 
+def test_a_film_that_ends_in_damage_ends_in_one_sentence(original: Path, tmp_path: Path) -> None:
+    shutil.copytree(original, tmp_path / "rec")
+    next(case for case in CASES if case.name == "every packet twice").harm(tmp_path / "rec")
+    done = run(tmp_path / "new", "--play", tmp_path / "rec", "--fast", "--no-learning", "--now", "--quiet")
+    assert done.exit_code == 2
+    assert "does not rise. Write it anew. Nothing was recorded." in done.stderr.replace("\n", " ")
+
+
 def test_another_description_is_not_replaced_by_like(original: Path, tmp_path: Path) -> None:
     mine = tmp_path / "recording.toml"
     mine.write_text(toml() + "# mine\n", encoding="utf-8")
@@ -140,6 +150,19 @@ def test_what_is_read_is_not_replaced_even_when_asked(original: Path, tmp_path: 
     assert done.exit_code == 2, done.output
     assert "would be replaced" in " ".join(done.stderr.split())
     assert {path.name: path.read_bytes() for path in mine.iterdir()} == before
+
+
+def test_a_film_that_ends_before_its_picture_was_good_says_why(original: Path, tmp_path: Path) -> None:
+    film = FilmWriter(tmp_path / "short.mp4", (WIDTH, HEIGHT))
+    for i, level in enumerate((0, 0, 0)):
+        film.write(np.full((HEIGHT, WIDTH), level, np.uint8), i / 30.0)
+    film.close()
+    specs = ("--camera", f"film:{tmp_path / 'short.mp4'}", "--force", f"log:{original}", "--fast", "--quiet")
+    done = run(tmp_path / "new", "--like", original, *specs)
+    assert done.exit_code == 2
+    said = " ".join(done.stderr.split())
+    assert "to its end before the picture was good: the picture is dark and shows no tag" in said
+    assert "Nothing was recorded. To film whatever is wrong with the picture, add --now." in said
 
 
 def test_the_tables_of_the_beam_are_copied_with_its_description(original: Path, tmp_path: Path) -> None:

@@ -200,6 +200,7 @@ def test_a_bad_picture_is_not_filmed_until_it_is_good_or_told_to(tmp_path: Path)
     states: list[CaptureState] = []
     outcome = record(folder(tmp_path), source, force(), SETTINGS, states.append, clock=PlayedClock())
     assert outcome.film is None
+    assert "to its end before the picture was good: the picture is dark and shows no tag" in outcome.why
     assert {state.stage for state in states} == {"exposure"}
     assert "the picture is dark" in states[-1].advice[0]
     assert not (tmp_path / "video.mp4").exists()

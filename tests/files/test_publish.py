@@ -165,7 +165,7 @@ def test_a_stranger_with_our_name_is_not_replaced(tmp_path: Path) -> None:
     (out / "model.json").write_text("somebody's")
     with pytest.raises(ResultsError, match="not empty"):
         prepare(out, kind=KIND, overwrite=False)
-    with pytest.raises(ResultsError, match=r"--force does not"):
+    with pytest.raises(ResultsError, match=r"are not replaced"):
         prepare(out, kind=KIND, overwrite=True)
     earlier(tmp_path / "other", figures=("a.png",))
     (tmp_path / "other" / "figures" / "new.png").write_text("mine")
@@ -177,7 +177,7 @@ def test_a_stranger_with_our_name_is_not_replaced(tmp_path: Path) -> None:
 
 def test_results_of_another_kind_are_not_replaced(tmp_path: Path) -> None:
     earlier(tmp_path / "out")
-    with pytest.raises(ResultsError, match="--force does not"):
+    with pytest.raises(ResultsError, match="are not replaced"):
         prepare(tmp_path / "out", kind="onebend-other-1", overwrite=True)
 
 
@@ -186,7 +186,7 @@ def test_results_that_were_edited_are_not_replaced(tmp_path: Path) -> None:
     earlier(out)
     (out / "model.json").write_text("edited")
     assert changed_files(out) == ["model.json"]
-    with pytest.raises(ResultsError, match=r"model\.json there is not as the earlier run left it.*--force does not"):
+    with pytest.raises(ResultsError, match=r"model\.json there is not as the earlier run left it.*is not replaced"):
         prepare(out, kind=KIND, overwrite=True)
     (out / "model.json").unlink()  # what is gone is in nobody's way
     run(out, overwrite=True)

@@ -24,6 +24,7 @@ from onebend.lab.virtual import (
     observe_virtual,
     virtual_recording,
 )
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.posterior import fit
 
 S = np.linspace(0.05, 0.9, 60)
@@ -65,7 +66,7 @@ def test_without_noise_the_whole_way_gives_force_clock_and_stiffness_back(plain:
     assert seen.source.clock is not None
     assert seen.source.clock.offset == pytest.approx(250.0, abs=0.005)
     np.testing.assert_allclose(seen.force, PUSH.force(seen.time - 250.0), atol=0.01 * PUSH.peak)
-    found = fit([seen], 0.03)
+    found = fit([seen], 0.03, settings=FitSettings(functions=16, most_frames=80, first_frames=40))
     np.testing.assert_allclose(found.band(S).k, BEAM.stiffness(S), rtol=0.03)
 
 

@@ -26,6 +26,7 @@ from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_leve
 from onebend.learning.validation import mounting, validate
 from onebend.learning.verdict import fit_remarks, fitted_rms
 from onebend.recording.folder import read_recording
+from onebend.recording.toml.same_beam import check_together
 from onebend.records import Observations, Remark
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
@@ -186,7 +187,7 @@ def test_a_curved_beam_is_compared_from_its_own_shape_at_rest() -> None:
 
 def test_recordings_of_two_beams_are_refused_before_any_work() -> None:
     train, fast = read_recording(EXAMPLE / "train"), read_recording(EXAMPLE / "fast")
-    pipeline.check_together([train, fast], FitSettings())
+    check_together([train, fast], jointly=True)
     longer = replace(fast, beam=replace(fast.beam, length=0.2))
     other = replace(fast, tags=replace(fast.tags, on_beam=fast.tags.on_beam[:2]))
     moved = replace(
@@ -196,9 +197,9 @@ def test_recordings_of_two_beams_are_refused_before_any_work() -> None:
         (longer, "200 mm"), (other, r"\[1, 2\], against"), (moved, "tag 1 is at s = 0.5"), (train, "given twice"),
     ):  # fmt: skip
         with pytest.raises(LearningError, match=words):
-            pipeline.check_together([train, wrong], FitSettings())
+            check_together([train, wrong], jointly=True)
     with pytest.raises(LearningError, match="learns from one"):
-        pipeline.check_together([train, fast], None)
+        check_together([train, fast], jointly=False)
 
 
 def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,7 @@ def test_a_column_that_never_changes_is_named(tmp_path: Path, dead: str) -> None
     assert f"The {which} force of the log never changes (0.3 N)" in log.remarks[0].text
 
 
-@pytest.mark.parametrize("off", [-30, 60, 90])
+@pytest.mark.parametrize("off", [60, *(pytest.param(off, marks=pytest.mark.slow) for off in (-30, 90))])
 def test_a_turned_log_is_named_with_the_angle_that_fits(pushed: VirtualRecording, off: int) -> None:
     cos, sin = np.cos(np.deg2rad(off)), np.sin(np.deg2rad(off))
     log = replace(pushed.log, force=pushed.log.force @ np.array([[cos, sin], [-sin, cos]]))

@@ -122,20 +122,49 @@ def test_a_beam_that_is_not_there_is_said(working: TestClient, model: str) -> No
         assert socket.receive_json()["what"] == "error"
 
 
-@pytest.mark.parametrize("message", [[], 3, {"do": "drag"}, {"do": "drag", "model": "beam", "n": 1, "goal": ["x"]}])
-def test_what_is_no_message_of_the_page_ends_the_socket(working: TestClient, message: object) -> None:
+@pytest.mark.parametrize(
+    "message",
+    [
+        "[]", "3", "{", '{"do": "drag"}', '{"do": "drag", "model": "beam", "n": 1, "goal": ["x"]}',
+        '{"do": "drag", "model": "beam", "n": 1e999, "goal": [0.1, 0.1]}',
+    ],
+)  # fmt: skip
+def test_what_is_no_message_of_the_page_ends_the_socket(working: TestClient, message: str) -> None:
     with opened(working) as socket:
         assert socket.receive_json()["what"] == "hello"
-        socket.send_json(message)
+        socket.send_text(message)
         assert socket.receive()["type"] == "websocket.close"
 
 
 @pytest.mark.parametrize(
-    "settings", [{"mode": "foot"}, {"push_s": 0.0}, {"point_s": 2}, {"max_force_N": -1}, {"max_force_N": float("nan")}]
-)
+    "settings",
+    [
+        {"mode": "foot"}, {"push_s": 0.0}, {"push_s": 1e-12}, {"point_s": 2}, {"max_force_N": -1},
+        {"max_force_N": float("nan")}, {"max_force_N": 1e300},
+    ],
+)  # fmt: skip
 def test_settings_without_meaning_are_refused(folder: Path, settings: dict[str, Any]) -> None:
+    bending = Bending.of("beam", folder / "beam")
     with pytest.raises(StudioError):
-        Bending.of("beam", folder / "beam").change(settings)
+        bending.change(settings)
+    assert bending.version == 0
+
+
+def test_a_fault_in_one_drag_is_said_and_the_next_is_answered(
+    working: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        shown = heard(socket, "beam")
+        with monkeypatch.context() as patch:
+            patch.setattr(Bending, "drag", lambda *_: 1 // 0)
+            socket.send_json({"do": "drag", "model": "beam", "n": 1, "goal": [0.1, 0.1]})
+            for _ in range(200):
+                if (message := socket.receive_json())["what"] == "error":
+                    break
+            assert "a fault of onebend's own (ZeroDivisionError" in message["text"]
+        socket.send_json({"do": "drag", "model": "beam", "n": 2, "goal": shown["answer"]["pose"][:2]})
+        assert heard(socket, "answer")["n"] == 2
 
 
 def test_a_goal_without_meaning_is_refused(folder: Path) -> None:

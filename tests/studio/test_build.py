@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,19 @@ def test_every_source_has_its_built_file_and_no_other_is_there() -> None:
     written = json.loads((PAGE / "sources.json").read_text())
     built = {name.replace(".ts", ".js") for name in written}
     assert {path.name for path in PAGE.iterdir()} == built | {"sources.json"}
+
+
+def test_the_server_is_there_before_what_a_room_needs_is_loaded() -> None:
+    """The first picture waits for no room but its own."""
+    call = "import sys, onebend.studio.server; print(*sys.modules)"
+    loaded = set(
+        subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True).stdout.split()
+    )
+    rooms = {"bending", "learned", "learner", "mapping", "recordings", "rehearsing"}
+    assert not loaded & {f"onebend.studio.{name}" for name in rooms}
+    assert not loaded & {"scipy", "av", "PIL", "matplotlib", "pyapriltags", "onebend.recording", "onebend.control"}
+    main = (PAGE / "main.js").read_text(encoding="utf-8")
+    assert set(re.findall(r'from "\./(\w+)\.js"', main)) == {"bend", "dom", "learn", "net", "place"}
 
 
 def test_the_page_asks_nothing_of_the_network() -> None:

@@ -11,7 +11,12 @@ from starlette.websockets import WebSocketDisconnect
 from onebend.studio.guard import LARGEST_BODY
 from tests.studio.conftest import HOME, PORT, TOKEN, own
 
-PATHS = ("/", "/main.js", "/page.css", "/api/places", "/api/result?name=beam", "/api/film?name=beam", "/api/job")
+PATHS = (
+    "/", "/main.js", "/page.css", "/api/places", "/api/result?name=beam", "/api/film?name=beam", "/api/job",
+    "/api/beam?name=beam", "/api/check.png?name=beam", "/api/work/check", "/api/work/rehearse",
+    "/api/record", "/api/record/sources", "/api/record/picture?n=1",
+)  # fmt: skip
+CHANGES = ("/api/stop", "/api/record/start", "/api/record/begin", "/api/record/stop")
 EVERYWHERE = [*PATHS, "/nowhere", "/?token=", "/?token=another", f"/?token={TOKEN}&token=x", f"/main.js?token={TOKEN}"]
 
 
@@ -50,13 +55,18 @@ def test_a_name_that_leads_here_is_refused(client: TestClient, host: str) -> Non
     "origin", ["http://evil.example", "null", f"https://127.0.0.1:{PORT}", "http://127.0.0.1:1", ""]
 )
 def test_another_sites_page_may_neither_read_nor_write(client: TestClient, origin: str) -> None:
-    assert client.get("/api/places", headers={"origin": origin}).status_code == 403
-    assert client.post("/api/stop", json={}, headers={"origin": origin}).status_code == 403
+    for path in PATHS:
+        assert client.get(path, headers={"origin": origin}).status_code == 403
+    for path in CHANGES:
+        assert client.post(path, json={}, headers={"origin": origin}).status_code == 403
 
 
-def test_a_change_needs_an_origin(client: TestClient) -> None:
-    assert client.post("/api/stop", json={}).status_code == 403
-    assert client.post("/api/stop", json={}, headers=own()).status_code == 200
+@pytest.mark.parametrize("path", CHANGES)
+def test_a_change_needs_the_token_and_an_origin(client: TestClient, stranger: TestClient, path: str) -> None:
+    assert client.post(path, json={}).status_code == 403
+    assert client.post(path, json={}, headers=own()).status_code in (200, 422)
+    stranger.cookies.clear()
+    assert stranger.post(path, json={}, headers=own()).status_code == 403
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])

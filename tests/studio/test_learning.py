@@ -37,6 +37,24 @@ def test_a_result_says_what_its_files_say(working: TestClient, folder: Path) -> 
     assert found["verdict"] is None
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"fit": [1]}', '{"fit": {"allowances": 5}}', '{"fit": {"allowances": [5]}}', '{"remarks": 5}',
+        '{"remarks": [5]}', '{"provenance": "x"}', '{"verdict": NaN}',
+        '{"verdict": {"grade": "\\ud800", "known": 1}, "recordings": 1}',
+    ],
+)  # fmt: skip
+def test_a_summary_that_another_hand_wrote_harms_no_other_result(client: TestClient, folder: Path, text: str) -> None:
+    (folder / "beam" / "summary.json").write_text(text)
+    try:
+        found = client.get("/api/result", params={"name": "beam"}).json()
+        assert found["remarks"] == found["allowances"] == []
+        assert {"beam", "hung weights"} <= {one["name"] for one in client.get("/api/places").json()["found"]}
+    finally:
+        (folder / "beam" / "summary.json").write_text("{}")
+
+
 def test_the_list_says_what_is_there(working: TestClient) -> None:
     found = working.get("/api/places").json()["found"]
     assert {("beam", "result"), ("hung weights", "recording")} <= {(one["name"], one["kind"]) for one in found}
@@ -53,6 +71,7 @@ def test_the_film_is_the_reports(tmp_path: Path) -> None:
     data = json.dumps({"film": film, "curve": {"tag_id": [1, 2]}})
     assert film_data(report(tmp_path / "a", data)) == film | {"tag_id": [1, 2]}
     assert film_data(report(tmp_path / "b", '{"film": null}')) is None
+    assert film_data(report(tmp_path / "odd", '{"film": {}, "curve": [1]}')) == {"tag_id": []}
     for name, text in (("c", "{"), ("d", "[]"), ("e", "[" * 100_000)):
         with pytest.raises(StudioError, match="Learn again"):
             film_data(report(tmp_path / name, text))

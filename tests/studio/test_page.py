@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,8 @@ CHROMIUM = next((one for one in map(shutil.which, ("chromium", "chromium-browser
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here to show the page in")
 
 
-@pytest.fixture(scope="module")
-def address(folder: Path) -> Iterator[str]:
+@contextmanager
+def served_over(folder: Path) -> Iterator[str]:
     """A studio as `onebend studio` serves it."""
     command = [sys.executable, "-m", "onebend", "studio", str(folder), "--no-open"]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
@@ -39,21 +40,33 @@ def address(folder: Path) -> Iterator[str]:
     served.stdout.close()
 
 
-@pytest.fixture
-def page(address: str) -> Iterator[Page]:
+@contextmanager
+def browsed(address: str) -> Iterator[Page]:
     """A page on it; what it complains of fails the test."""
     from playwright.sync_api import sync_playwright
 
     wrong: list[str] = []
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        shown = browser.new_page(viewport={"width": 1100, "height": 760})
+        shown = browser.new_context(viewport={"width": 1100, "height": 760}).new_page()
         shown.on("pageerror", lambda error: wrong.append(str(error)))
         shown.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
         shown.goto(address)
         yield shown
         browser.close()
     assert not wrong
+
+
+@pytest.fixture(scope="module")
+def address(folder: Path) -> Iterator[str]:
+    with served_over(folder) as found:
+        yield found
+
+
+@pytest.fixture
+def page(address: str) -> Iterator[Page]:
+    with browsed(address) as shown:
+        yield shown
 
 
 def ready(page: Page) -> None:

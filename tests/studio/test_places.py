@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from tests.studio.conftest import own
 OUTSIDE = (
     "..", "../secret", "beam/../../secret", "/etc", "//etc", "beam\0", "C:\\beam", "beam\\..\\..", "~/../..", "",
     "./../secret", "link", "link/inner", "beam:x", "a" * 5000,
+    "a" * 300, "beam\udcff", "\ud800",
 )  # fmt: skip
 
 
@@ -48,6 +50,12 @@ def test_what_is_there_is_found_by_name(places: StudioFolder) -> None:
     assert places.result("beam").name == "beam"
 
 
+def test_a_name_that_is_no_text_is_not_listed(places: StudioFolder) -> None:
+    (places.root / "odd\udcff").mkdir()
+    (places.root / "odd\udcff" / "recording.toml").write_text("")
+    assert {one.name for one in places.found()} == {"beam"}
+
+
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(StudioError, match="not a folder"):
         StudioFolder.of(tmp_path / "nowhere")
@@ -75,11 +83,12 @@ def test_the_server_says_what_is_wrong_with_a_name(client: TestClient, name: str
         {}, {"recordings": "hung weights"}, {"recordings": ["../x"]}, {"recordings": ["nowhere"]}, {"recordings": [1]},
         {"recordings": ["hung weights"], "out": "../x"}, {"recordings": ["hung weights"], "out": "/tmp/x"},
         {"recordings": ["hung weights"], "out": "."}, {"recordings": ["hung weights"], "validate": ["/etc"]},
-        {"recordings": ["hung weights"] * 51},
+        {"recordings": ["hung weights"] * 51}, {"recordings": ["\ud800"]}, {"recordings": ["a" * 300]},
+        {"recordings": ["hung weights"], "out": "\udcff"},
     ],
 )  # fmt: skip
 def test_learning_takes_names_of_this_folder_alone(client: TestClient, asked: dict[str, object]) -> None:
-    answer = client.post("/api/learn", json=asked, headers=own())
+    answer = client.post("/api/learn", content=json.dumps(asked), headers=own())
     assert answer.status_code == 422
     assert client.get("/api/job").json() == {"job": None}
 

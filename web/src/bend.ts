@@ -4,7 +4,8 @@ import { Canvas, Point } from "./draw.js";
 import { ask, listen, Message, onReturn, say, send, whoAmI } from "./net.js";
 import { atEnd, remember } from "./place.js";
 import { Panel } from "./panel.js";
-import { Answer, Ellipse, Opened, Plane, ReachMap, Scene } from "./plane.js";
+import { Answer, Ellipse, Opened, Plane, Scene } from "./plane.js";
+import { ReachMap } from "./reach.js";
 
 interface Found { name: string; kind: "recording" | "result"; grade?: string; known?: string; changed: number }
 type Grab = "point" | "turn" | null;

@@ -5,13 +5,20 @@ import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
 
-const ROOMS = { bend: ["Bend", bend], learn: ["Learn", learn] } as const;
+// What the first picture does not need is loaded with its room.
+const ROOMS = {
+  record: ["Record", async () => (await import("./record.js")).record],
+  recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
+  learn: ["Learn", async () => learn],
+  bend: ["Bend", async () => bend],
+  rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
+} as const;
 type Room = keyof typeof ROOMS;
 
 const place = document.getElementById("room")!, nav = document.querySelector("nav")!;
-let shown: Room | null = null;
+let shown: Room | null = null, turn = 0;
 
-function show(): void {
+async function show(): Promise<void> {
   const name = roomName(), room: Room = name in ROOMS ? name as Room : "bend";
   for (const link of nav.querySelectorAll("a")) {
     if (link.dataset.room === room) link.setAttribute("aria-current", "page");
@@ -23,13 +30,14 @@ function show(): void {
   place.replaceChildren();
   place.className = room;
   document.title = `${ROOMS[room][0]} · onebend studio`;
-  ROOMS[room][1](place, params());
+  const mine = ++turn, begin = await ROOMS[room][1]();
+  if (mine === turn) begin(place, params());  // another may have been chosen meanwhile
 }
 
 for (const [room, [words]] of Object.entries(ROOMS)) nav.append(h("a", { href: `#${room}`, "data-room": room }, words));
-window.addEventListener("hashchange", show);
+window.addEventListener("hashchange", () => { void show(); });
 window.addEventListener("unhandledrejection", (event) => {
   say(event.reason instanceof Error ? event.reason.message : String(event.reason));
 });
 connect((words) => { document.getElementById("link")!.textContent = words; });
-show();
+void show();

@@ -1,8 +1,8 @@
 // The plane of bending: axes, reachable set and its edge, beam, ellipse, force, and what is held.
 import { arrow, Canvas, Colours, label, Point, ticks, trace } from "./draw.js";
 import { digits, fixed } from "./dom.js";
+import { drawEdge, drawReach, Limit, ReachMap } from "./reach.js";
 
-export type Limit = "force" | "stability" | null;
 export interface Opened {
   model: string; length_m: number; rest_m: Point[]; push_s: number; point_s: number; max_force_N: number;
   largest_first_N: number; mode: "point" | "hand"; doubts: string[]; band: boolean; version: number;
@@ -12,9 +12,6 @@ export interface Answer {
   goal_m: Point; pose: [number, number, number]; force_N: Point; moment_N_m: number; push_m: Point; line_m: Point[];
   ellipse: Ellipse | null; limit: Limit; away_m: number; turned_away_rad: number; margin: number; bend_per_m: number; command: string;
   seconds: number; version: number;
-}
-export interface ReachMap {
-  edges: { limit: Limit; line_m: Point[] }[]; points_m: Point[]; triangles: [number, number, number][];
 }
 export interface Scene {
   opened: Opened | null; answer: Answer | null; map: ReachMap | null; edge: [Point, Limit][] | null;
@@ -47,7 +44,7 @@ export class Plane {
       below.setTransform(ratio, 0, 0, ratio, 0, 0);
       below.font = context.font;
       this.axes(below, width, height, tint);
-      if (opened.mode === "point" && map) this.reach(below, tint, map);
+      if (opened.mode === "point" && map) drawReach(below, tint, this.px, map);
     }
     context.drawImage(this.still, 0, 0, width, height);
     if (opened.mode === "hand") this.handsReach(context, tint);
@@ -122,35 +119,7 @@ export class Plane {
     context.globalAlpha = 0.1;
     context.fill();
     context.globalAlpha = 1;
-    edge.forEach(([end, limit], i) => this.side(context, tint, [end, edge[(i + 1) % edge.length]![0]], limit));
-  }
-
-  // All triangles as one path, turned alike, so that no seam shows between them.
-  private reach(context: CanvasRenderingContext2D, tint: Colours, map: ReachMap): void {
-    const path = new Path2D(), at = map.points_m.map(this.px);
-    for (const [i, j, k] of map.triangles) {
-      const [a, b, c] = [at[i]!, at[j]!, at[k]!];
-      const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
-      path.moveTo(...a);
-      path.lineTo(...(turned ? c : b));
-      path.lineTo(...(turned ? b : c));
-      path.closePath();
-    }
-    context.fillStyle = tint.blue;
-    context.globalAlpha = 0.11;
-    context.fill(path);
-    context.globalAlpha = 1;
-    for (const { limit, line_m } of map.edges) this.side(context, tint, line_m, limit);
-  }
-
-  private side(context: CanvasRenderingContext2D, tint: Colours, line: Point[], limit: Limit): void {
-    const stable = limit !== "stability";
-    context.strokeStyle = stable ? tint.blue : tint.orange;
-    context.lineWidth = stable ? 1.2 : 2;
-    context.setLineDash(stable ? [] : [6, 5]);
-    trace(context, line.map(this.px));
-    context.stroke();
-    context.setLineDash([]);
+    edge.forEach(([end, limit], i) => drawEdge(context, tint, this.px, [end, edge[(i + 1) % edge.length]![0]], limit));
   }
 
   private clamp(context: CanvasRenderingContext2D, tint: Colours): void {

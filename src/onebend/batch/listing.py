@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from onebend.errors import RecordingError
-from onebend.recording.folder import FILE_NAME, HOMES, folder_of
+from onebend.recording.folder import FILE_NAME, folder_of
+from onebend.recording.toml.description import HOMES
 from onebend.text_files import csv_rows, quoted
 
 OWN = ("path", "name", "group")  # columns of a list with a meaning of their own

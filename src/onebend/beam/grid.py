@@ -16,6 +16,7 @@ import numpy as np
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
+_FEW_PLACES = 64  # up to which rows are remembered
 _NARROWEST = 1e-9  # of a panel, in s: closer edges are one edge
 
 
@@ -55,12 +56,11 @@ class Grid:
         return np.asarray(out.reshape(*out.shape[:-2], -1))
 
     def integral_to(self, s: Array) -> Array:
-        """Rows R (..., S, Q) with `R @ f = int_0^s f` for places `s` (..., S) in [0, 1]."""
+        """Rows R (..., S, Q) with `R @ f = int_0^s f` for places `s` (..., S) in [0, 1]; not to be written to."""
         s = np.asarray(s, dtype=float)
-        h = np.diff(self.edges)  # (..., P)
-        local = (s[..., :, None] - self.edges[..., None, :-1]) / h[..., None, :]  # (..., S, P), 0..1 inside
-        rows = 0.5 * h[..., None, :, None] * _integral_rows(np.clip(local, 0.0, 1.0), self.order)
-        return np.asarray(rows.reshape(*rows.shape[:-2], rows.shape[-2] * rows.shape[-1]))
+        if s.ndim == self.edges.ndim == 1 and len(s) <= _FEW_PLACES:
+            return _rows_to(s.tobytes(), self.edges.tobytes(), self.order)
+        return _integral_to(s, self.edges, self.order)
 
     @property
     def integral_to_nodes(self) -> Array:
@@ -144,6 +144,22 @@ def _to_legendre(order: int) -> Array:
     x, w = _gauss(order)
     degree = np.arange(order)
     return np.asarray((degree[:, None] + 0.5) * np.polynomial.legendre.legvander(x, order - 1).T * w)
+
+
+@lru_cache(maxsize=64)
+def _rows_to(places: bytes, edges: bytes, order: int) -> Array:
+    """Remembered: the places of a beam's tags are asked for again and again."""
+    rows = _integral_to(np.frombuffer(places), np.frombuffer(edges), order)
+    rows.flags.writeable = False
+    return rows
+
+
+def _integral_to(s: Array, edges: Array, order: int) -> Array:
+    """As `Grid.integral_to`."""
+    h = np.diff(edges)  # (..., P)
+    local = (s[..., :, None] - edges[..., None, :-1]) / h[..., None, :]  # (..., S, P), 0..1 inside
+    rows = 0.5 * h[..., None, :, None] * _integral_rows(np.clip(local, 0.0, 1.0), order)
+    return np.asarray(rows.reshape(*rows.shape[:-2], rows.shape[-2] * rows.shape[-1]))
 
 
 def _integral_rows(local: Array, order: int) -> Array:

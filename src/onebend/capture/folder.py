@@ -67,6 +67,9 @@ def places_for(
     named: list[int] = []
     if rec.force is not None and columns is not None:
         log, named = rec.force.file, _named(rec, columns)
+    for path in (film, log):
+        if path is not None and not path.parent.resolve().is_relative_to(rec.folder.resolve()):
+            raise RecordingError(f"{where}: {path} is out of the recording's folder. Name a file in it, as video.mp4.")
     found = [path for path in (film, log, rec.folder / STAMPS) if path is not None and path.exists()]
     if found and (own := [path for path in found for one in read if one.exists() and path.samefile(one)]):
         raise RecordingError(

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from onebend.capture.state import TagView
+from onebend.capture.state import CaptureSettings, TagView
 from onebend.recording.preview import SMALLEST
 from onebend.recording.toml.entries import TagsEntry
 from onebend.recording.video import Picture
 from onebend.records import Array
 
+GOOD = "the picture is good: touch nothing, the film begins"
 BURNT, BURNT_SHARE = 252, 0.2  # grey level, and share of a tag's brightest half that may reach it
 LEAST_CONTRAST = 60  # grey levels between a tag's black and its white
 DARK, BRIGHT = 35, 220  # mean grey level of a picture in which no tag is seen
@@ -48,6 +49,14 @@ def setup_advice(picture: Picture, tags: Sequence[TagView], strangers: Sequence[
             f"{_tags(flat)} {_is(flat)} grey on grey ({white - black:.0f} levels): more light, or expose for longer"
         )
     return said + _at_edge(picture, seen)
+
+
+def not_begun(why: str, advice: Sequence[str], settings: CaptureSettings) -> str:
+    """Why a recording ended, and why it had not begun by then: the last `advice` says it."""
+    if not advice:
+        return f"{why} before a picture came"
+    wrong = [one for one in advice if one != GOOD]
+    return f"{why} before the picture was good: {wrong[0] if wrong else f'it must be good for {settings.setup:g} s'}"
 
 
 def tag_levels(picture: Picture, corners: Array) -> tuple[float, float, float]:

@@ -16,14 +16,13 @@ from onebend.capture.clocks import Clock, HostClock
 from onebend.capture.film_writer import FilmWriter
 from onebend.capture.folder import RecordingPlaces, places_for, room_left, state_start
 from onebend.capture.follower import Follower
-from onebend.capture.guidance import tag_views
+from onebend.capture.guidance import GOOD, not_begun, tag_views
 from onebend.capture.logs import Logs
 from onebend.capture.pump import Pump
 from onebend.capture.sources import CameraSource, End, ForceSource, Frame, Samples, files_of
 from onebend.capture.stages import NO_FORCE, Stages, outcome_remarks, stage_advice
 from onebend.capture.state import CaptureOutcome, CaptureSettings, CaptureState, Stop
 
-GOOD = "the picture is good: touch nothing, the film begins"
 LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
 FIRST_LOOKS = 5  # frames of a good picture at least, before the film begins
 
@@ -281,7 +280,7 @@ class _Session:
                 self._why = f"{self._why}; at its end nothing more could be written ({wrong.strerror or wrong})"
 
     def _outcome(self) -> CaptureOutcome:
-        places, state = self._places, self._state
+        places, state, why = self._places, self._state, self._why or "its sources ended"
         remarks = [] if self._film is None else outcome_remarks(state, self._settings, self._stages)
         if self._follower.why and self._settings.follow:
             remarks.append(f"k(s) was not learned meanwhile: {self._follower.why}")
@@ -291,7 +290,7 @@ class _Session:
             folder=places.rec.folder,
             film=None if self._film is None else places.film,
             log=None if self._film is None else places.log,
-            why=self._why or "its sources ended",
+            why=why if self._film is not None or self._fault else not_begun(why, state.advice, self._settings),
             fault=self._fault,
             state=state,
             remarks=tuple(remarks),

@@ -76,8 +76,10 @@ class ForceSource(Protocol):
 
 
 def files_of(*sources: CameraSource | ForceSource | None) -> tuple[Path, ...]:
-    """The files that these sources read (their `files`, where they have any), which no recording may replace."""
-    return tuple(Path(path) for source in sources for path in getattr(source, "files", ()))
+    """The files that these sources read (their `files`, where they have any; of a folder, all in it), which no
+    recording may replace."""
+    named = [Path(path) for source in sources for path in getattr(source, "files", ())]
+    return tuple(file for path in named for file in (path, *(path.iterdir() if path.is_dir() else ())))
 
 
 @runtime_checkable

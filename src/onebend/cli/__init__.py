@@ -7,6 +7,7 @@ The list of commands stands here as text, so that `--version` and `--help` load 
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
@@ -24,6 +25,7 @@ from onebend.crash import guarded
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
+MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700 they take a 20th of the time
 COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
 
 
@@ -172,7 +174,7 @@ COMMANDS = {
     "studio": Place(
         "studio",
         "studio",
-        "Open a local page: learn recordings and look at them, bend learned beams with the pointer.",
+        "Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.",
         "out",
     ),
     "design": Place(
@@ -302,6 +304,7 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 
 def main() -> NoReturn:
     """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
+    gc.set_threshold(MOST_NEW)
     if COMPLETE in os.environ:
         from typer.completion import completion_init  # type: ignore[attr-defined]
 

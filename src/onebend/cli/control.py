@@ -12,11 +12,9 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
-from onebend.control.loop.controller import ControllerSettings, controller
-from onebend.control.loop.margins import Timing
-from onebend.control.loop.robustness import simulate_range
+from onebend.control.loop.controller import controller
+from onebend.control.loop.robustness import MOST_DRAWN, drawn_beams, simulate_trials, trial_settings, wrong_beams
 from onebend.control.loop.simulation import LoopCamera
-from onebend.control.loop.tuning import RequiredMargins
 from onebend.control.reach.reach import Reach, ReachSettings
 from onebend.control.reach.reach import reach as solve_reach
 from onebend.control.reach.reachable import ReachableSet, reachable
@@ -55,6 +53,16 @@ KError = Annotated[
         "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
     ),
 ]
+Draws = Annotated[
+    int | None,
+    typer.Option(
+        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band instead."
+    ),
+]
+Noise = Annotated[
+    float,
+    typer.Option("--noise-mm", min=0.0, max=1e3, metavar="MM", help="Of each coordinate the camera sees, one sd."),
+]
 Delay = Annotated[
     float,
     typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
@@ -66,6 +74,24 @@ Duration = Annotated[
     float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
 ]
 LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
+Feeling = Annotated[
+    Literal["nothing", "log", "shape"],
+    typer.Option(
+        "--felt",
+        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+    ),
+]
+ForceOff = Annotated[
+    float,
+    typer.Option(
+        "--force-off-N",
+        min=0.0,
+        max=1000.0,
+        metavar="N",
+        help="By so much the robot's force is off, across it, and the log of --felt log, along it.",
+    ),
+]
+Hidden = Annotated[bool, typer.Option("--hidden", help="The camera never sees the point, nor a tag on it.")]
 Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
@@ -133,31 +159,44 @@ def loop(
     push_at: PushAt = 1.0,
     point: Point = 1.0,
     k_error: KError = 0.3,
+    draws: Draws = None,
     delay_ms: Delay = 50.0,
     fps: Rate = 30.0,
+    noise_mm: Noise = 0.05,
     max_force: LoopMaxForce = None,
     gravity: Gravity = (0.0, 0.0),
+    felt: Feeling = "nothing",
+    force_off: ForceOff = 0.0,
+    hidden: Hidden = False,
     duration: Duration = 8.0,
     output: Output = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
+    from onebend.forecast.sensed_force import felt_by  # here: learning and lab, which `reach` does without
+
     with clean_errors():
-        beam = read_trusted(model).beam
-        delay = 1e-3 * delay_ms
-        settings = ControllerSettings(
-            timing=Timing(fps=fps, delay=delay),
-            longest_delay=max(0.1, delay),
-            wanted=RequiredMargins(k_error=k_error),
-            most_force=or_unlimited(max_force),
-        )
+        stored = read_trusted(model)
+        beam, delay = stored.beam, 1e-3 * delay_ms
+        beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
+        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
-        trials = simulate_range(control, k_error=k_error, eye=LoopCamera(fps=fps, delay=delay), duration=duration)
+        feel = felt_by(
+            felt,
+            control,
+            stiffness=stored.uncertain,
+            instruments=stored.bench,
+            force_off=force_off,
+            hidden=hidden,
+        )
+        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm, hidden=((0.0, math.inf),) if hidden else ())
+        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration, force_off=force_off, feel=feel))
         known = control.margins()
-        summary = loop_summary(str(model), control, known, trials, written_by=BY)
+        rehearsed: dict[str, object] = {"felt": felt, "force_off_N": force_off, "hidden": hidden}
+        summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
         if output is not None:
             from onebend.report.figures.looping import looping  # here: Matplotlib is for pictures alone
 
@@ -168,4 +207,4 @@ def loop(
     if as_json:
         print_summary(summary, output)
     else:
-        show_loop(screen(), control, known, trials, output)
+        show_loop(screen(), control, known, trials, output, rehearsed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,17 +14,19 @@ from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, print_summary, progress_of, put_in_place, screen, workplace
 from onebend.cli.models import read_trusted
 from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
-from onebend.files.publish import amend
+from onebend.errors import ResultsError
+from onebend.export.force_bag import force_bag
+from onebend.files.publish import OutputFolder, amend
 from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import sense as sense_force
 from onebend.learning.sensing.sensed import Sensed, SenseSettings
 from onebend.learning.swing.damping import DampingSettings, learn_damping
 from onebend.learning.swing.free_swing import FilmPart
 from onebend.learning.swing.swing_frequencies import frequencies_of
-from onebend.pipeline import check_same_length
 from onebend.progress import Progress
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
+from onebend.recording.toml.same_beam import check_same_length
 from onebend.records import Observations
 from onebend.report.figures.pictures import draw
 from onebend.results.detection_cache import detection_cache
@@ -70,6 +73,24 @@ TagsNow = Annotated[
     Literal["learned", "anew"],
     typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
 ]
+AskMoment = Annotated[bool, typer.Option("--moment", help="The contact transmits a moment besides, as a gripper does.")]
+MomentPrior = Annotated[
+    float | None,
+    typer.Option(
+        "--moment-prior-Nm", min=LEAST, metavar="NM", help="One sd of the moment before; default: the force's times L."
+    ),
+]
+Contacts = Annotated[
+    Literal["1", "2", "auto"],
+    typer.Option(help="How many forces act at once. auto: two where the evidence is for it."),
+]
+SecondAt = Annotated[
+    float | None,
+    typer.Option("--second-at", min=LEAST, max=1.0, metavar="S", help="Where the second of two forces acts."),
+]
+Smooth = Annotated[
+    bool, typer.Option("--smooth", help="Besides, the force as a process over the frames: what neighbours say counts.")
+]
 ForcePrior = Annotated[
     float | None,
     typer.Option(
@@ -79,6 +100,7 @@ ForcePrior = Annotated[
         help="One sd of each component of the force before any shape is seen; default: three times k/L.",
     ),
 ]
+Bag = Annotated[bool, typer.Option("--bag", help="Write force.mcap too: the force and its covariance as a ROS 2 bag.")]
 
 
 Swinging = Annotated[
@@ -173,6 +195,12 @@ def sense(
     at_sd: ContactSd = None,
     force_prior: ForcePrior = None,
     tags: TagsNow = "learned",
+    moment: AskMoment = False,
+    moment_prior: MomentPrior = None,
+    contacts: Contacts = "1",
+    second_at: SecondAt = None,
+    smooth: Smooth = False,
+    bag: Bag = False,
     output: Output = None,
     threads: Threads = None,
     overwrite: Overwrite = False,
@@ -181,34 +209,43 @@ def sense(
 ) -> None:
     """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
     with clean_errors():
+        if bag and output is None:
+            raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        with progress_of(quiet) as progress:
-            seen = _observed(stored, recording, threads, progress)
-        settings = SenseSettings(place, at, at_sd, force_prior, tags)
-        found = sense_force(stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings)
-        summary = sense_summary(str(model), found, written_by=BY)
-        if output is not None:
-            _write(output, overwrite, model, recording, found, summary)
+        settings = SenseSettings(place, at, at_sd, force_prior, tags, moment, moment_prior, contacts, second_at, smooth)
+        with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
+            with progress_of(quiet) as progress:
+                seen = _observed(stored, recording, threads, progress)
+            found = sense_force(
+                stored.beam,
+                seen,
+                stiffness=stored.uncertain,
+                instruments=stored.bench,
+                settings=settings,
+            )
+            summary = sense_summary(str(model), found, written_by=BY)
+            if work is not None:
+                _write(work, model, recording, found, summary, bag=bag)
     if as_json:
         print_summary(summary, output)
     else:
-        show_sensed(screen(), found, output)
+        show_sensed(screen(), found, output, bag=bag)
 
 
 def _observed(stored: StoredModel, recording: Path, threads: int | None, progress: Progress) -> Observations:
     """A recording of the learned beam."""
     files = read_recording(recording)
-    check_same_length(stored.beam, files)
+    check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect
     return observe(files, settings=ObserveSettings(threads=threads), detect=detect, progress=progress)
 
 
 def _write(
-    output: Path, overwrite: bool, model: Path, recording: Path, found: Sensed, summary: dict[str, object]
+    work: OutputFolder, model: Path, recording: Path, found: Sensed, summary: dict[str, object], *, bag: bool
 ) -> None:
     from onebend.report.figures.sensing import sensed_regions, sensing  # here: Matplotlib is for pictures alone
 
-    with workplace(output, SENSE_FORMAT, overwrite) as work:
-        pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-        inputs = inputs_of([model_file(model), *recording_files([recording])])
-        put_in_place(work, sense_writer(found, pictures, summary), pictures, inputs=inputs)
+    messages = force_bag(found.time, found.force, found.covariance) if bag else None
+    pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+    inputs = inputs_of([model_file(model), *recording_files([recording])])
+    put_in_place(work, sense_writer(found, pictures, summary, messages), pictures, inputs=inputs)

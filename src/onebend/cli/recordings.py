@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,16 +13,13 @@ from onebend.cli.common import clean_errors, percent, print_json, say, screen, s
 from onebend.cli.options import Json, Overwrite, Quiet, Recording
 from onebend.errors import ObservationError, RecordingError
 from onebend.files.kept import VARIABLE, users_folder
-from onebend.files.single_file import check_name_free, write_file
+from onebend.files.single_file import check_replaceable, write_file
 from onebend.recording.bags.force_topic import FIELDS
 from onebend.recording.bags.topics import BagContents, bag_contents
-from onebend.recording.folder import FILE_NAME
+from onebend.recording.folder import FILE_NAME, folder_of
 from onebend.recording.template import Kind, write_template
 from onebend.strict_json import to_json
 from onebend.terminal.recordings import show_bag, show_overview
-
-if TYPE_CHECKING:
-    from onebend.report.overview import Overview
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
@@ -36,7 +33,6 @@ Definitions = Annotated[
 ]
 
 PICTURE = "check.png"
-SOFTWARE = "onebend check"  # what stands in the picture, so that only such a one is replaced unasked
 
 RecordFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
@@ -137,12 +133,14 @@ def check(
     recording: Recording, *, output: Picture = Path(PICTURE), overwrite: Overwrite = False, as_json: Json = False
 ) -> None:
     """Read a recording's files, look for the tags in some frames, say and draw what was understood."""
-    from onebend.report.overview import overview  # here: `new` and `topics` read no films
+    from onebend.report.overview import SOFTWARE, overview  # here: `new` and `topics` read no films
 
     with clean_errors():
-        check_replaceable(output, overwrite)
+        check_replaceable(output, SOFTWARE, overwrite=overwrite)
         found = overview(recording)
-        drawn = draw_check(found)
+        from onebend.report.figures.checking import check_png  # here: matplotlib takes a third of a second to load
+
+        drawn = check_png(found)
         if drawn is not None:
             write_file(output, drawn, overwrite=True)
         if found.faults and as_json:
@@ -156,24 +154,6 @@ def check(
     if found.faults:
         with clean_errors():
             raise ObservationError("\n".join(found.faults))
-
-
-def draw_check(found: Overview) -> bytes | None:
-    """The picture of a check; None where there is nothing to draw."""
-    from onebend.report.figures.checking import check_picture  # here: matplotlib takes a third of a second to load
-    from onebend.report.figures.style import png_of
-
-    figure = check_picture(found)
-    return None if figure is None else png_of(figure, software=SOFTWARE)
-
-
-def check_replaceable(path: Path, overwrite: bool) -> None:
-    """Raises `ResultsError` where `path` exists and is not a picture that a check drew."""
-    if path.is_file() and not overwrite:
-        with path.open("rb") as stream:
-            if SOFTWARE.encode() in stream.read(200):
-                return
-    check_name_free(path, overwrite=overwrite)
 
 
 def record(
@@ -207,6 +187,11 @@ def record(
             overwrite=overwrite,
         )
         if play is not None:
+            if not (folder_of(play) / FILE_NAME).is_file():
+                raise RecordingError(
+                    f"--play {play}: this is no recording, it holds no {FILE_NAME}. A film alone is played by --camera "
+                    "film:FILE, a log by --force log:FILE."
+                )
             camera, force = camera or f"film:{play}", force or f"log:{play}"
             like = like if (folder / FILE_NAME).exists() else like or play
         if camera is None:
@@ -221,7 +206,9 @@ def record(
             outcome = capture.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:
             kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
-            raise RecordingError(f"{outcome.why}. {kept}")
+            if outcome.film is None and not outcome.fault:
+                kept += " To film whatever is wrong with the picture, add --now."
+            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
     if as_json:
         print_json(capture.outcome_data(outcome))
         return

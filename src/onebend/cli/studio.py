@@ -22,10 +22,10 @@ NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) -> None:
-    """Open a local page: learn recordings and look at them, bend learned beams with the pointer.
+    """Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.
 
-    It is served on this computer alone, to whoever has the address with its token. Ctrl-C ends it; a recording that is
-    being learned is then stopped, and what was found of it is kept.
+    It is served on this computer alone, to whoever has the address with its token. Ctrl-C ends it; a film that is being
+    recorded then ends and is kept, and a recording that is being learned is stopped, and what was found of it is kept.
     """
     with clean_errors():
         if missing := [name for name in NEEDED if find_spec(name) is None]:

@@ -19,12 +19,23 @@ if TYPE_CHECKING:
     from onebend.control.loop.controller import ControllerSettings as ControllerSettings
     from onebend.control.loop.controller import ControllerState as ControllerState
     from onebend.control.loop.controller import Reference as Reference
+    from onebend.control.loop.felt import Exposure as Exposure
+    from onebend.control.loop.felt import Felt as Felt
+    from onebend.control.loop.felt import FeltForce as FeltForce
+    from onebend.control.loop.felt import ForceSense as ForceSense
+    from onebend.control.loop.felt import LoggedForce as LoggedForce
+    from onebend.control.loop.felt import Offset as Offset
     from onebend.control.loop.margins import Gains as Gains
     from onebend.control.loop.margins import Margins as Margins
     from onebend.control.loop.margins import Timing as Timing
     from onebend.control.loop.plant import Plant as Plant
     from onebend.control.loop.robustness import LoopTrial as LoopTrial
+    from onebend.control.loop.robustness import TrialBeam as TrialBeam
+    from onebend.control.loop.robustness import drawn_beams as drawn_beams
     from onebend.control.loop.robustness import simulate_range as simulate_range
+    from onebend.control.loop.robustness import simulate_trials as simulate_trials
+    from onebend.control.loop.robustness import trial_settings as trial_settings
+    from onebend.control.loop.robustness import wrong_beams as wrong_beams
     from onebend.control.loop.simulation import Actuator as Actuator
     from onebend.control.loop.simulation import LoopCamera as LoopCamera
     from onebend.control.loop.simulation import LoopSimulation as LoopSimulation
@@ -67,9 +78,11 @@ else:
             "onebend.control.goals.target_files": "read_goals read_targets",
             "onebend.control.goals.targets": "Targets angles curve curve_of_length points",
             "onebend.control.loop.controller": "Controller ControllerSettings ControllerState Reference",
+            "onebend.control.loop.felt": "Exposure Felt FeltForce ForceSense LoggedForce Offset",
             "onebend.control.loop.margins": "Gains Margins Timing",
             "onebend.control.loop.plant": "Plant",
-            "onebend.control.loop.robustness": "LoopTrial simulate_range",
+            "onebend.control.loop.robustness": "LoopTrial TrialBeam drawn_beams simulate_range simulate_trials "
+            "trial_settings wrong_beams",
             "onebend.control.loop.simulation": "Actuator LoopCamera LoopSimulation TrueSystem simulate_loop",
             "onebend.control.loop.tuning": "RequiredMargins",
             "onebend.control.path.follow": "FollowedPath PathSettings",

@@ -16,7 +16,7 @@ CANNOT = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Swap the names of two folders in one step (`renameat2`).
+    """Swap the names of two folders, or of two files, in one step (`renameat2`).
 
     Returns:
         False where this system or file system has no such step; nothing is changed then.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from onebend.errors import ResultsError
-from onebend.files.renames import move_in, sync_file, sync_folder, umask
+from onebend.files.renames import exchange, move_in, sync_file, sync_folder, umask
 
 
 def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> None:
@@ -48,6 +49,48 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
             sync_folder(path.parent)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def replace_file(path: Path, data: bytes, known: bytes) -> bytes | None:
+    """Put `data` in the place of a file that holds `known`, in one step; its permissions stay.
+
+    Returns:
+        None where it was done; what the file holds where that is not `known`: then it is left as it is, also where it
+        changed in the moment of the replacement (on systems that can swap two names).
+
+    Raises:
+        ResultsError: there is no such plain file, or it cannot be read or written.
+    """
+    check_name_free(path, overwrite=True)
+    with _as_results_error(path):
+        found = path.read_bytes()
+        if found != known:
+            return found
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem[:40]}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        beside = Path(name)
+        try:
+            beside.write_bytes(data)
+            shutil.copymode(path, beside)
+            sync_file(beside)
+            if not exchange(beside, path):
+                beside.replace(path)
+            elif (found := beside.read_bytes()) != known:
+                exchange(beside, path)
+                return found
+            sync_folder(path.parent)
+        finally:
+            beside.unlink(missing_ok=True)
+    return None
+
+
+def check_replaceable(path: Path, mark: str, *, overwrite: bool) -> None:
+    """Raises `ResultsError` where `path` exists and is not a file that begins with this mark in its first bytes."""
+    if path.is_file() and not overwrite:
+        with path.open("rb") as stream:
+            if mark.encode() in stream.read(200):
+                return
+    check_name_free(path, overwrite=overwrite)
 
 
 def check_name_free(path: Path, *, overwrite: bool) -> None:

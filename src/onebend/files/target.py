@@ -41,13 +41,13 @@ def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
     changed = [name for name in changed_files(out) if os.path.lexists(out / name)] if ours else []
     if changed:
         raise ResultsError(
-            f"{out}: {', '.join(changed[:3])} there is not as the earlier run left it (edited by hand?), so --force "
-            "does not replace it. Move it away, or choose another -o"
+            f"{out}: {', '.join(changed[:3])} there is not as the earlier run left it (edited by hand?), so it "
+            "is not replaced. Move it away, or choose another -o"
         )
     if not ours:
         raise ResultsError(
             f"{out}: its files did not come from an earlier run of this command, or {SUMMARY} was changed since, so "
-            "--force does not replace them. Choose another -o"
+            "they are not replaced. Choose another -o"
         )
     _check_reach(out)
 

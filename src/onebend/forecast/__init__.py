@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from onebend.forecast.rehearsal import Rehearsal as Rehearsal
     from onebend.forecast.rehearsal import rehearse as rehearse
     from onebend.forecast.runs import SimulatedRun as SimulatedRun
+    from onebend.forecast.sensed_force import SensedForce as SensedForce
+    from onebend.forecast.sensed_force import SensedTags as SensedTags
+    from onebend.forecast.sensed_force import drawn_tags as drawn_tags
+    from onebend.forecast.sensed_force import felt_by as felt_by
     from onebend.forecast.setup import KnownBeam as KnownBeam
     from onebend.forecast.setup import Setup as Setup
     from onebend.forecast.setup import known_beam as known_beam
@@ -26,6 +30,7 @@ else:
             "onebend.forecast.prediction": "BudgetEntry PredictedBand",
             "onebend.forecast.rehearsal": "Obtained Rehearsal rehearse",
             "onebend.forecast.runs": "SimulatedRun",
+            "onebend.forecast.sensed_force": "SensedForce SensedTags drawn_tags felt_by",
             "onebend.forecast.setup": "KnownBeam Setup known_beam setup_of",
         },
     )

@@ -46,13 +46,18 @@ if TYPE_CHECKING:
     from onebend.learning.model.spline import Spline as Spline
     from onebend.learning.pose_equilibria import SeenPoses as SeenPoses
     from onebend.learning.posterior import Nuisance as Nuisance
+    from onebend.learning.sensing.edges import Edge as Edge
     from onebend.learning.sensing.joint import Misfit as Misfit
     from onebend.learning.sensing.online import LiveForce as LiveForce
     from onebend.learning.sensing.online import OnlineSense as OnlineSense
+    from onebend.learning.sensing.sensed import SecondForce as SecondForce
     from onebend.learning.sensing.sensed import Sensed as Sensed
     from onebend.learning.sensing.sensed import SenseSettings as SenseSettings
+    from onebend.learning.sensing.sensed import ToldMoment as ToldMoment
     from onebend.learning.sensing.sensed import Touch as Touch
     from onebend.learning.sensing.sensor import SensorCheck as SensorCheck
+    from onebend.learning.sensing.smooth import Smoothed as Smoothed
+    from onebend.learning.sensing.two import TwoContacts as TwoContacts
     from onebend.learning.start import start_of as start_of
     from onebend.learning.start import with_mass as with_mass
     from onebend.learning.swing.damping import Damping as Damping
@@ -95,10 +100,13 @@ else:
             "onebend.learning.model.spline": "Spline",
             "onebend.learning.pose_equilibria": "SeenPoses",
             "onebend.learning.posterior": "FitSettings Nuisance",
+            "onebend.learning.sensing.edges": "Edge",
             "onebend.learning.sensing.joint": "Misfit",
             "onebend.learning.sensing.online": "LiveForce OnlineSense",
-            "onebend.learning.sensing.sensed": "Sensed SenseSettings Touch",
+            "onebend.learning.sensing.sensed": "SecondForce Sensed SenseSettings ToldMoment Touch",
             "onebend.learning.sensing.sensor": "SensorCheck",
+            "onebend.learning.sensing.smooth": "Smoothed",
+            "onebend.learning.sensing.two": "TwoContacts",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.swing.damping": "Damping DampingSettings SwingFit",
             "onebend.learning.swing.free_swing": "FilmPart Swing",

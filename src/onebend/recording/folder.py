@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -16,66 +16,38 @@ from onebend.errors import RecordingError
 from onebend.recording.bags.reader import is_bag
 from onebend.recording.bags.recorded_topics import check_bag, with_bags
 from onebend.recording.camera.bag_calibration import known_camera
-from onebend.recording.toml.beam_entry import BeamEntry, MassEntry
-from onebend.recording.toml.entries import (
-    FAMILIES,
-    FAMILY_SIZES,
-    MOST_TAGS,
-    ForceEntry,
-    GravityEntry,
-    PushEntry,
-    Recording,
-    TagEntry,
-    TagsEntry,
+from onebend.recording.toml.description import (
+    HOMES,
+    SECTIONS,
+    camera_record,
+    check_together,
+    check_top,
+    empty_values,
+    read_beam,
+    read_tags,
+    remarks_on,
 )
-from onebend.recording.toml.frequency_entry import FrequencyEntry, read_frequencies
+from onebend.recording.toml.entries import Recording, TagEntry, TagsEntry
+from onebend.recording.toml.frequency_entry import read_frequencies
 from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
-from onebend.recording.toml.schema import (
-    LONGEST_KEY,
-    Mistakes,
-    keys_of,
-    lines_of_keys,
-    place_name,
-    read_table,
-    report_unknown,
-)
-from onebend.recording.toml.source_entries import (
-    CameraEntry,
-    CameraInfoEntry,
-    MarkersEntry,
-    PhotosEntry,
-    PosesEntry,
-    UncalibratedEntry,
-    VideoEntry,
-)
+from onebend.recording.toml.schema import Mistakes, Place, place_name, read_table
+from onebend.recording.toml.source_entries import CameraInfoEntry, MarkersEntry, UncalibratedEntry, VideoEntry
 from onebend.records import Remark
-from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml
+from onebend.text_files import MOST_TOML, ascii_only, read_text, read_toml, toml_data
 
 FILE_NAME = "recording.toml"
-FORMAT = 1
-SECTIONS: dict[str, type] = {
-    "camera": CameraEntry,
-    "video": VideoEntry,
-    "force": ForceEntry,
-    "push": PushEntry,
-    "gravity": GravityEntry,
-    "markers": MarkersEntry,
-    "poses": PosesEntry,
-    "photos": PhotosEntry,
-}
-SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 BAGS = ("video", "force")  # whose file may be a bag
 CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
-EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
-TABLES = ("beam", "tags", *SECTIONS)
-LISTED: dict[str | int, type] = {"on_base": TagEntry, "on_beam": TagEntry, "masses": MassEntry}  # of [[...]]
-RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS, "frequencies": FrequencyEntry}
-# Which tables know a key: what stands in the wrong one is told its place.
-HOMES: dict[str, tuple[str, ...]] = {
-    name: tuple(table for table, one in RECORDS.items() if name in {key.name for key, _ in keys_of(one).values()})
-    for record in RECORDS.values()
-    for name in {key.name for key, _ in keys_of(record).values()}
-}
+LINE_NAMED = re.compile(r"\bline (\d+)\b")  # in what is said of text that is no TOML
+
+
+@dataclass(frozen=True)
+class TextCheck:
+    """What is wrong with the text of a `recording.toml`, and what could be read of it."""
+
+    mistakes: tuple[tuple[int, str], ...]  # line (from 1) and what is wrong there, by lines
+    remarks: tuple[Remark, ...]  # none where there are mistakes
+    data: Mapping[str, Any]  # as TOML has it; empty where the text is none
 
 
 def folder_of(path: Path | str) -> Path:
@@ -102,14 +74,50 @@ def read_recording(
         if isinstance(data.setdefault(table, {}), dict):  # what is no table is a mistake, which is told below
             data[table][name] = value
     mistakes = Mistakes(str(folder / FILE_NAME), content, HOMES)
-    check_top(data, mistakes)
-    if mistakes.found:
+    rec = _described(folder, data, mistakes, filmed=filmed, bags=filmed)
+    if rec is None:
         raise RecordingError(str(mistakes))
+    return with_bags(rec, data) if filmed else rec
+
+
+def check_text(folder: Path, content: str) -> TextCheck:
+    """Check the text of a `recording.toml` for this folder, without writing it; quick enough for every key pressed.
+
+    The files that it names must exist. What stands in bags is not looked at. Keys that are still empty do not keep the
+    others from being checked.
+    """
+    empty = empty_values(content)
+    rows = content.splitlines()
+    for _, line, _ in empty:
+        rows[line - 1] = ""
+    mistakes = Mistakes(FILE_NAME, content, HOMES)
+    rec, data = None, {}
+    try:
+        data = toml_data("\n".join(rows), Path(FILE_NAME), RecordingError)
+        rec = _described(folder, data, mistakes, filmed=True, bags=False)
+    except RecordingError as wrong:
+        named = LINE_NAMED.search(str(wrong))
+        mistakes.found.append((int(named[1]) if named else max(1, len(rows)), str(wrong)))
+    told = [(line, words) for _, line, words in empty]
+    told += [one for one in mistakes.found if not _follows(one[1], empty)]
+    remarks = rec.remarks if rec is not None and not told else ()
+    return TextCheck(tuple(sorted(told)), remarks, MappingProxyType(data))
+
+
+def _follows(words: str, empty: list[tuple[Place, int, str]]) -> bool:
+    """Whether this mistake only says again that a key is empty."""
+    tables = [(place_name(place[:-1]), place[-1]) for place, _, _ in empty]
+    return any(words.startswith((f"{table} lacks {key}:", f"{table} needs either ")) for table, key in tables)
+
+
+def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed: bool, bags: bool) -> Recording | None:
+    """The recording that `data` describes, or None with the reasons in `mistakes`; `bags`: look into them too."""
+    check_top(data, mistakes)
     swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
     tags: TagsEntry | None = CLAMP_ALONE
     if "tags" in data:
         tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
-    beam = read_beam(data["beam"], mistakes)
+    beam = read_beam(data["beam"], mistakes) if "beam" in data else None
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
         for name, record in (SECTIONS | {"camera": camera_record(data)}).items()
@@ -121,14 +129,16 @@ def read_recording(
     to_come = () if filmed else BAGS
     entries = {name: with_paths(entry, name, folder, mistakes, name in to_come) for name, entry in sections.items()}
     check_together(entries, data, mistakes)
-    if not mistakes.found and filmed:
+    if not mistakes.found and bags:
         for name in BAGS:
             if entries[name] is not None:
                 check_bag(name, entries[name], data[name], mistakes)
+    if isinstance(entries["camera"], CameraInfoEntry) and not bags and filmed:
+        entries["camera"] = None
     entries["camera"], camera_remarks = known_camera(entries["camera"], entries["video"], mistakes)
     if mistakes.found or beam is None or tags is None:
-        raise RecordingError(str(mistakes))
-    rec = Recording(
+        return None
+    return Recording(
         folder=folder,
         name=data.get("name", folder.resolve().name),
         beam=beam,
@@ -144,7 +154,6 @@ def read_recording(
         frequencies=swung,
         **entries,
     )
-    return with_bags(rec, data) if filmed else rec
 
 
 def load(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -158,111 +167,8 @@ def load(folder: Path) -> tuple[str, dict[str, Any]]:
         return read_toml(path, RecordingError)
     except RecordingError:
         if empty := empty_values(read_text(path, RecordingError, most=MOST_TOML)):
-            raise RecordingError("\n".join(f"{path}:{line}: {words}" for line, words in empty)) from None
+            raise RecordingError("\n".join(f"{path}:{line}: {words}" for _, line, words in empty)) from None
         raise
-
-
-def empty_values(content: str) -> list[tuple[int, str]]:
-    """Lines (from 1) of keys that have no value, as a template leaves them, and what to fill in."""
-    rows = content.splitlines()
-    found = []
-    for place, line in lines_of_keys(content).items():
-        if EMPTY.match(rows[line - 1]):
-            record = LISTED.get(place[1] if len(place) > 1 else "", RECORDS.get(str(place[0])))
-            keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
-            says = keys[str(place[-1])].says if place[-1] in keys else "a value, or a # before the line"
-            found.append((line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
-    return sorted(found)
-
-
-def camera_record(data: dict[str, Any]) -> type:
-    """What [camera] is read as: a calibration, the topic of one, or all that is known of a camera without one."""
-    table = data.get("camera")
-    keys = set(table) if isinstance(table, dict) else set()
-    return UncalibratedEntry if keys == {"scale_sd"} else CameraInfoEntry if "camera_info" in keys else CameraEntry
-
-
-def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
-    """The tables and keys at the top of the file."""
-    report_unknown(data, ["format", "name", *TABLES, "frequencies"], (), mistakes)
-    if data.get("format") != FORMAT:
-        mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
-    if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > LONGEST_KEY:
-        text = f"name must be text in quotes of at most {LONGEST_KEY} characters, not {quoted(data['name'])}."
-        mistakes.add(("name",), text)
-    sources = [name for name in SOURCES if name in data]
-    alone = not sources and "frequencies" in data  # they need no tag, and no force
-    if not sources and not alone:
-        mistakes.add((), 'The file lacks the table [video]. Add `[video]` with `file = "video.mp4"`.')
-    if len(sources) > 1:
-        names = " and ".join(f"[{name}]" for name in sources)
-        mistakes.add((sources[1],), f"The file has {names}: a recording has one of them. Make a folder of each.")
-    camera = data.get("camera")
-    if isinstance(camera, dict) and "camera_info" in camera and (more := set(camera) - {"camera_info", "scale_sd"}):
-        text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
-        mistakes.add(("camera", "camera_info"), text)
-    for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
-        if name not in data and not (alone and name == "tags"):
-            mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
-    for name in ("tags", "force", "push", "camera") if alone else ():
-        if name in data:
-            mistakes.add((name,), f"[{name}] goes with a film, tracks, poses or photos, and there is none. Remove it.")
-
-
-def read_beam(table: Any, mistakes: Mistakes) -> BeamEntry | None:
-    """[beam] with what rides on it."""
-    rows = table.get("masses", []) if isinstance(table, dict) else []
-    if not isinstance(rows, list):
-        mistakes.add(
-            ("beam", "masses"), "[beam] masses must be tables: `[[beam.masses]]` with s and mass_kg, one each."
-        )
-        rows = []
-    read = [read_table(MassEntry, row, ("beam", "masses", i), mistakes) for i, row in enumerate(rows)]
-    masses = tuple(one for one in read if one is not None)
-    return read_table(BeamEntry, table, ("beam",), mistakes, masses=masses)
-
-
-def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
-    """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing."""
-    if not isinstance(table, dict):
-        mistakes.add(("tags",), f"[tags] must be a table, not {quoted(table)}.")
-        return None
-    lists: dict[str, tuple[TagEntry, ...]] = {}
-    for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
-        rows = table.get(group, [])
-        if not isinstance(rows, list) or not (rows or (group == "on_base" and not pictures)):
-            mistakes.add(("tags", group), f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
-            rows = []
-        if len(rows) > MOST_TAGS:
-            mistakes.add(
-                ("tags", group), f"[[tags.{group}]] lists {len(rows)} tags; at most {MOST_TAGS} can be followed."
-            )
-            rows = []
-        read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
-        lists[group] = tuple(tag for tag in read if tag is not None)
-    known_ids: set[int] = set()
-    for group, tags in lists.items():
-        for i, tag in enumerate(tags):
-            if tag.id in known_ids:
-                mistakes.add(
-                    ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
-                )
-            known_ids.add(tag.id)
-    if pictures:
-        refuse_unprinted(table.get("family", FAMILIES[0]), lists, mistakes)
-    if pictures and "size_m" not in table:
-        mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
-    return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
-
-
-def refuse_unprinted(family: object, lists: dict[str, tuple[TagEntry, ...]], mistakes: Mistakes) -> None:
-    """Note every id that the family of tags does not have."""
-    count = FAMILY_SIZES.get(family, math.inf) if isinstance(family, str) else math.inf
-    for group, tags in lists.items():
-        for i, tag in enumerate(tags):
-            if tag.id >= count:
-                text = f"There is no tag {tag.id} in {family}: it has tags 0 to {count - 1:.0f}."
-                mistakes.add(("tags", group, i, "id"), f"{text} Correct the id or the family.")
 
 
 def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come: bool = False) -> Any:
@@ -310,42 +216,3 @@ def _no_file(path: Path) -> str:
         "a socket": path.is_socket,
     }
     return next((kind for kind, stands in kinds.items() if stands()), "")
-
-
-def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
-    """Mistakes between tables, or between keys of one table."""
-    push, gravity = entries["push"], entries["gravity"]
-    if push is not None and push.column and entries["force"] is not None and entries["force"].topic:
-        mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
-    if push is not None and math.isnan(push.at) == (push.column == ""):
-        mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
-    if "force" in data and "push" not in data:
-        mistakes.add(("force",), "There is a [force] but no [push]: say where it acts. Add `[push]` with `at_s = 1.0`.")
-    if "push" in data and "force" not in data:
-        mistakes.add(("push",), "There is a [push] but no [force]: add the force log, or remove [push].")
-    if gravity is None:
-        return
-    if "poses" in data or "photos" in data:  # the table of loads may say it in every pose
-        if gravity.base_angle_file is not None:
-            text = "[gravity] base_angle_file: poses have no clock. Give base_angle_deg, or clamp_deg with the loads."
-            mistakes.add(("gravity", "base_angle_file"), text)
-    elif math.isnan(gravity.base_angle) == (gravity.base_angle_file is None):
-        mistakes.add(("gravity",), "[gravity] needs either base_angle_deg or base_angle_file, not both.")
-
-
-def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
-    """Remarks on values that are assumed because the file does not state them."""
-    remarks = []
-    if "placement_sd_m" not in data["tags"] and "poses" not in data:
-        assumed = f"{1000 * tags.placement_sd:g} mm"
-        remarks.append(
-            Remark("note", f"recording.toml does not say how exactly the tags were placed: {assumed} assumed.")
-        )
-    film = data.get("video", data.get("markers"))
-    if film is not None and "start_s" not in film and "force" in data:
-        what = "the video starts" if "video" in data else "the tracks start"
-        text = f"recording.toml does not say when {what} on the force log's clock."
-        if "start_uncertainty_s" in film:
-            text = f"{text[:-1]}: start_uncertainty_s says nothing without start_s."
-        remarks.append(Remark("note", text))
-    return tuple(remarks)

@@ -7,13 +7,22 @@ from pathlib import Path
 from typing import Literal
 
 from onebend.errors import RecordingError, ResultsError
+from onebend.files.endings import FILMS, LOGS
 from onebend.files.single_file import write_file
-from onebend.recording.folder import FILE_NAME, FORMAT
+from onebend.recording.folder import FILE_NAME
 from onebend.recording.toml.beam_entry import BeamEntry
+from onebend.recording.toml.description import FORMAT
 from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.toml.frequency_entry import FrequencyEntry
 from onebend.recording.toml.schema import keys_of
-from onebend.recording.toml.source_entries import CameraEntry, MarkersEntry, PhotosEntry, PosesEntry, VideoEntry
+from onebend.recording.toml.source_entries import (
+    CameraEntry,
+    MarkersEntry,
+    PhotosEntry,
+    PosesEntry,
+    VideoEntry,
+)
+from onebend.strict_json import to_json
 
 Kind = Literal["video", "ros", "photos", "weights", "mocap"]
 INTRODUCTION = f"""\
@@ -42,6 +51,8 @@ FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for
 def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[str, str]) -> Path:
     """Write a `recording.toml` to fill in into `folder` (made if need be) and return its path.
 
+    Where the folder holds one film, or one table that may be a log, it is named.
+
     Args:
         filled: by table, what is known already: keys with their values as TOML.
 
@@ -51,11 +62,23 @@ def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[s
     path = Path(folder) / FILE_NAME
     if path.exists():
         raise RecordingError(f"{path} exists already. Edit it, or name another folder.")
+    if kind == "video":
+        filled = {**files_beside(path.parent), **filled}
     try:
         write_file(path, template(kind, **filled))
     except ResultsError as wrong:
         raise RecordingError(str(wrong)) from None
     return path
+
+
+def files_beside(folder: Path) -> dict[str, dict[str, str]]:
+    """What the files in a folder tell of [video] and [force]; nothing where there are several that it may be."""
+    found: dict[str, dict[str, str]] = {}
+    for table, endings in (("video", FILMS), ("force", LOGS)):
+        names = [one.name for one in folder.glob("[!.]*") if one.suffix.lower() in endings and one.is_file()]
+        if len(names) == 1 and names[0].isprintable():
+            found[table] = {"file": to_json(names[0])}
+    return found
 
 
 def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:

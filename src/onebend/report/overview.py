@@ -36,6 +36,7 @@ from onebend.report.wording import significant
 
 STEP, MOST_OFFSETS = 0.05, 2000  # s between offsets of the clocks that are tried, and how many at most
 SURE = 0.9  # correlation of force and bending above which film and log are taken to show one push
+SOFTWARE = "onebend check"  # what stands in the picture of it, so that only such a one is replaced unasked
 SMOOTH = 0.1  # s, over which a log is averaged before its largest force is taken
 
 

@@ -19,9 +19,16 @@ LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "f
 
 
 def loop_summary(
-    model: str, control: Controller, known: Margins, trials: tuple[LoopTrial, ...], *, written_by: str
+    model: str,
+    control: Controller,
+    known: Margins,
+    trials: tuple[LoopTrial, ...],
+    rehearsed: Mapping[str, object],
+    *,
+    written_by: str,
 ) -> dict[str, Any]:
-    """What `onebend loop --json` prints and `summary.json` holds (there with `files`); SI; null is infinite."""
+    """What `onebend loop --json` prints and `summary.json` holds (there with `files`); SI; null is infinite.
+    `rehearsed`: what the rehearsals were made with beside the controller."""
     timing = control.settings.timing
     return {
         "format": LOOP_FORMAT,
@@ -42,9 +49,11 @@ def loop_summary(
             "delay_s": _finite(known.delay),
             "softest": _finite(known.softest),
         },
+        **rehearsed,
         "rehearsals": [
             {
                 "k_factor": trial.factor,
+                "drawn": trial.beam.drawn,
                 "stands": trial.run is not None,
                 "steady_m": _finite(trial.steady),
                 "settled_s": _finite(trial.settled(SETTLED)),

@@ -31,6 +31,7 @@ VERSION = 7
 # 6 no `shared_mean` and `discrepancy` in `bench`
 READABLE = (1, 2, 3, 4, 5, 6, 7)
 FILE_NAME = "model.json"
+WIDEST = 1e3  # of log k: no band has such an sd
 KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", "section", OWN_CHECKSUM}
 
 
@@ -269,7 +270,8 @@ def _uncertain(file: Path, data: Any, beam: Beam) -> UncertainStiffness | None:
     try:
         uncertain = UncertainStiffness.from_dict(data)
         spread = np.linalg.eigvalsh(uncertain.covariance)
-        if spread[0] < -1e-9 * spread[-1] or not np.allclose(uncertain.covariance, uncertain.covariance.T):
+        sized = -1e-9 * spread[-1] <= spread[0] and spread[-1] < WIDEST**2
+        if not sized or not np.allclose(uncertain.covariance, uncertain.covariance.T):
             raise MechanicsError("its covariance is none")
         fits = np.allclose(uncertain.band(s).k, beam.stiffness(s), rtol=1e-9)
     except (MechanicsError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:

@@ -23,6 +23,8 @@ from onebend.studio.mapping import ellipse_of, pushed_beam
 PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
 Mode = Literal["point", "hand"]
 _BEGIN_TURN = 0.35  # rad, about, by which the tip is turned when a beam is opened
+_NEAREST = 1e-6  # s: nearer to the clamp a force bends nothing
+_STRONGEST = 1e6  # N
 _LARGEST_TIMES = 2.0  # the first bound on the force, times k / L^2 of the softest place
 
 
@@ -92,8 +94,8 @@ class Bending:
             raise StudioError("a beam is bent at a point or by a hand")
         push_s, point_s = _place(wanted.get("push_s", self.push_s)), _place(wanted.get("point_s", self.point_s))
         max_force = float(wanted.get("max_force_N", self.max_force))
-        if not 0.0 < max_force < math.inf:
-            raise StudioError("the largest force must be positive")
+        if not 0.0 < max_force <= _STRONGEST:
+            raise StudioError(f"the largest force must be positive, and at most {_STRONGEST:g} N")
         if mode == "hand":
             push_s = point_s = 1.0
         same = (push_s, point_s, max_force) == (self.push_s, self.point_s, self.max_force)
@@ -189,8 +191,8 @@ def outline_of(found: ReachMap) -> dict[str, Any]:
 
 def _place(value: Any) -> float:
     place = float(value)
-    if not 0.0 < place <= 1.0:
-        raise StudioError("a place lies in (0, 1]: 1 is the tip")
+    if not _NEAREST <= place <= 1.0:
+        raise StudioError(f"a place lies between {_NEAREST:g} and 1, the tip")
     return place
 
 

@@ -12,7 +12,7 @@ from starlette.websockets import WebSocket
 from onebend.strict_json import plain
 
 _MOST_WAITING = 64
-_ENOUGH_ANSWERS = 3  # that wait for a slow tab: it does without the next
+_ENOUGH = 3  # messages that wait for a slow tab: it does without the next one that passes
 
 
 class Client:
@@ -24,10 +24,11 @@ class Client:
         self.socket, self.number = socket, next(self.count)
         self.waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
 
-    def put(self, message: dict[str, Any]) -> None:
-        """Send, soon; a tab that takes nothing any more misses it, and asks again when it is back."""
+    def put(self, message: dict[str, Any], *, passing: bool = False) -> None:
+        """Send, soon; a tab that takes nothing any more misses it, and asks again when it is back. `passing`: a newer
+        one will take its place."""
         size = self.waiting.qsize()
-        if size < _MOST_WAITING and not (message["what"] == "answer" and size > _ENOUGH_ANSWERS):
+        if size < _MOST_WAITING and not (passing and size > _ENOUGH):
             self.waiting.put_nowait(message)
 
     async def write(self) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 
 def line(*words: str) -> str:
@@ -35,3 +36,36 @@ def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, rep
     """What learns the same."""
     checks = [word for one in validate for word in ("--validate", one)]
     return line("learn", *recordings, "--output", out, *checks, *(["--force"] if replace else []))
+
+
+def check_line(name: str) -> str:
+    """What checks the same."""
+    return line("check", _word(name), "--output", f"{_word(name)}/check.png")
+
+
+def loop_line(wanted: Mapping[str, Any]) -> str:
+    """What rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
+    places = [] if wanted["push_s"] == 1.0 else ["--push-at", number(wanted["push_s"])]
+    places += [] if wanted["point_s"] == 1.0 else ["--point", number(wanted["point_s"])]
+    beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
+    bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]
+    timing = ["--delay-ms", number(wanted["delay_ms"]), "--fps", number(wanted["fps"])]
+    timing += ["--noise-mm", number(wanted["noise_mm"]), "--duration-s", number(wanted["duration_s"])]
+    goal = [number(one) for one in wanted["goal_m"]]
+    return line("loop", _word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
+
+
+def _word(name: str) -> str:
+    """A name that is no option."""
+    return f"./{name}" if name.startswith("-") else name
+
+
+def record_line(wanted: Mapping[str, Any]) -> str:
+    """What records the same; `wanted` as from `filming.wanted_recording`."""
+    given = [(f"--{key}", wanted[key]) for key in ("camera", "force", "like") if wanted[key]]
+    if wanted["until_percent"] is not None:
+        given.append(("--until", f"{number(wanted['until_percent'])}%"))
+    given += [] if wanted["longest_s"] == 600.0 else [("--longest-s", number(wanted["longest_s"]))]
+    given += [] if wanted["crf"] == 18 else [("--crf", str(wanted["crf"]))]
+    flags = [f"--{key.replace('_', '-')}" for key in ("now", "no_learning", "fast", "overwrite") if wanted[key]]
+    return line("record", wanted["out"], *(word for pair in given for word in pair), *flags)

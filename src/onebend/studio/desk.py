@@ -12,12 +12,15 @@ import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from onebend.crash import words
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.clients import Client
+from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
 from onebend.workers import end_with_parent
@@ -35,7 +38,10 @@ class Desk:
     def __init__(self, places: StudioFolder) -> None:
         self.places = places
         self.clients: set[Client] = set()
-        self.jobs = Jobs(self._job_changed)
+        self.jobs = Jobs("learner", self._job_changed)
+        rooms = {"check": "recordings", "rehearse": "rehearsing"}
+        self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
+        self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
         self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
         self.beside = self._process()
@@ -61,9 +67,13 @@ class Desk:
         with contextlib.suppress(RuntimeError):  # it was ended meanwhile
             self.beside.submit(_load)
 
+    async def load(self, module: str) -> None:
+        """Load a module that the first picture did without, after the mechanics: no two threads load at once."""
+        await self._in_thread(lambda: import_module(module))
+
     async def end(self) -> None:
         """Stop what runs."""
-        await self.jobs.stop()
+        await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()), self.recorder.end())
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
@@ -75,12 +85,13 @@ class Desk:
         client = Client(socket)
         self.clients.add(client)
         writer = asyncio.create_task(client.write())
-        client.put({"what": "hello", "you": client.number, "folder": str(self.places.root), "job": self._job()})
+        about = {"folder": str(self.places.root), "job": self._job(), "recording": self.recorder.shown()}
+        client.put({"what": "hello", "you": client.number, **about})
         try:
             while True:
                 message = await socket.receive_json()
                 await self._handle(client, message)
-        except (WebSocketDisconnect, ValueError, KeyError, RuntimeError):
+        except (WebSocketDisconnect, ValueError, KeyError, RuntimeError, OverflowError):
             pass  # it is gone, or it is not our page
         finally:
             self.clients.discard(client)
@@ -161,10 +172,12 @@ class Desk:
                     continue
                 try:
                     answer = await self._in_thread(partial(bending.drag, goal))
-                except OnebendError as error:
-                    self.tell({"what": "error", "text": str(error)})
+                except Exception as error:  # whatever it is, the next drag is answered
+                    self.tell(
+                        {"what": "error", "text": str(error) if isinstance(error, OnebendError) else words(error)}
+                    )
                     continue
-                self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer})
+                self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer}, passing=True)
                 self._moves[model] = self._moves.get(model, 0) + 1
                 if bending.hand is None:
                     self._spawn(self._ellipse(model, self._moves[model]))
@@ -179,8 +192,14 @@ class Desk:
             self.beside = self._process()
             raise StudioError("the process that makes maps ended. Try again") from None
 
+    async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
+        """The outline of what forces up to `most` N can hold, of a beam as JSON."""
+        from onebend.studio import bending, mapping  # here and below: loaded beside the page's first picture
+
+        return bending.outline_of(await self._aside(mapping.make_map, beam, push_s, point_s, most))
+
     async def _map(self, model: str) -> None:
-        from onebend.studio import mapping  # here and below: loaded beside the page's first picture
+        from onebend.studio import mapping
 
         bending, version = self.beams[model], self.beams[model].version
         work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)
@@ -236,13 +255,17 @@ class Desk:
             if found is not None and self._moves.get(model) == moves:
                 self.tell({"what": "ellipse", "model": model, "ellipse": found})
 
-    def tell(self, message: dict[str, Any]) -> None:
-        """To all tabs."""
+    def tell(self, message: dict[str, Any], *, passing: bool = False) -> None:
+        """To all tabs; a slow one does without what is `passing`."""
         for client in tuple(self.clients):
-            client.put(message)
+            client.put(message, passing=passing)
 
     def _job(self) -> dict[str, Any] | None:
         return None if self.jobs.job is None else self.jobs.job.shown()
+
+    def _work_changed(self, room: str) -> None:
+        job = self.works[room].job
+        self.tell({"what": "work", "room": room, "job": None if job is None else job.shown()})
 
     def _job_changed(self) -> None:
         shown = self._job()

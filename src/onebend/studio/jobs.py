@@ -1,4 +1,4 @@
-"""Long work in a process of its own, which can be stopped, and what it says of how far it is."""
+"""Long work in a process of its own, which can be stopped, and what it says of how far it is: both ends of the line."""
 
 from __future__ import annotations
 
@@ -6,22 +6,26 @@ import asyncio
 import contextlib
 import json
 import os
+import shlex
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from onebend.errors import StudioError
+from onebend.errors import OnebendError, StudioError
+from onebend.strict_json import to_json
 
 _PATIENCE = 8.0  # s that a process has to end after an interrupt
-_LONGEST_LINE = 2**20
+_LONGEST_LINE = 2**22  # bytes
+_OFTEN = 0.1  # s between two lines of one stage
 
 
 @dataclass
 class Job:
-    """One learning that runs or ran."""
+    """One piece of work that runs or ran."""
 
     wanted: dict[str, Any]
     began: float = field(default_factory=time.time)
@@ -29,19 +33,20 @@ class Job:
     state: str = "running"  # running, stopping, done, stopped, failed
     error: str = ""
     published: bool = False  # k(s) is in place; the report may still be drawn
+    found: list[dict[str, Any]] = field(default_factory=list)  # what it found by now
     ended: float | None = None
 
     def shown(self) -> dict[str, Any]:
         """For the page."""
         return {
-            "recordings": self.wanted["recordings"],
-            "out": self.wanted["out"],
-            "command": self.wanted["command"],
+            **{name: value for name, value in self.wanted.items() if name != "folder"},
+            "began": self.began,
             "seconds": (self.ended or time.time()) - self.began,
             "stages": self.stages,
             "state": self.state,
             "error": self.error,
             "published": self.published,
+            "found": len(self.found),
         }
 
     def hear(self, said: dict[str, Any]) -> None:
@@ -54,28 +59,31 @@ class Job:
                 self.stages.append(row)
         elif said.get("published") is True:
             self.published = True
+        elif "found" in said:
+            self.found.append(said["found"])
         elif "error" in said:
             self.error = str(said["error"])
 
 
 class Jobs:
-    """At most one job at a time: two would only be slower."""
+    """Work of one kind, at most one piece of it at a time: two would only be slower."""
 
-    def __init__(self, changed: Callable[[], None]) -> None:
-        self.changed = changed
+    def __init__(self, module: str, changed: Callable[[], None]) -> None:
+        """`module`: the one in this folder that does it, run as a process."""
+        self.module, self.changed = module, changed
         self.job: Job | None = None
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
 
     async def start(self, wanted: dict[str, Any]) -> None:
-        """Begin to learn. Raises `StudioError` while another job runs."""
+        """Begin. Raises `StudioError` while another job of this kind runs."""
         if self.job is not None and self.job.state in ("running", "stopping"):
-            raise StudioError("another recording is being learned. Stop it, or wait")
+            raise StudioError(f"another runs: {self.job.wanted['command']}. Stop it, or wait")
         self.job = Job(wanted)
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = await asyncio.create_subprocess_exec(
             sys.executable,
-            *("-m", "onebend.studio.learner"),
+            *("-m", f"onebend.studio.{self.module}"),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.DEVNULL,
@@ -121,3 +129,68 @@ class Jobs:
         else:
             job.state, job.error = "failed", job.error or f"the process ended with {code}"
         self.changed()
+
+
+class Lines:
+    """A `Progress` that writes lines of JSON."""
+
+    def __init__(self) -> None:
+        self._stack: list[list[Any]] = []  # stage, done, total
+        self._said = 0.0
+
+    def start(self, stage: str, total: int | None) -> None:
+        self._stack.append([stage, 0, total])
+        self._say()
+
+    def advance(self, count: int = 1) -> None:
+        self._stack[-1][1] += count
+        if time.monotonic() - self._said > _OFTEN:
+            self._say()
+
+    def done(self) -> None:
+        self._say()
+        self._stack.pop()
+
+    def _say(self) -> None:
+        self._said = time.monotonic()
+        stage, done, total = self._stack[-1]
+        tell({"stage": stage, "done": done, "total": total})
+
+
+def tell(data: Mapping[str, Any]) -> None:
+    """One line; nobody may be there any more to read it."""
+    with contextlib.suppress(BrokenPipeError, OSError):
+        sys.stdout.write(to_json(data, ascii_only=True, readable=False) + "\n")
+        sys.stdout.flush()
+
+
+def process(work: Callable[[Mapping[str, Any]], None], *, alone: bool = True) -> int:
+    """What a process of `Jobs` does: `work` on the JSON object on standard input, in the folder that it names.
+
+    Args:
+        alone: it goes on when the studio is gone; else it ends then.
+
+    Returns:
+        0: done; 2: it cannot be done; 130: interrupted.
+    """
+    wanted = json.loads(sys.stdin.readline())
+    if not alone:
+        threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
+    os.chdir(wanted["folder"])
+    sys.argv = shlex.split(wanted["command"])  # what a result says that it comes from
+    try:
+        work(wanted)
+    except OnebendError as error:
+        tell({"error": str(error)})
+        return 2
+    except KeyboardInterrupt:
+        tell({"error": "Stopped."})
+        return 130
+    tell({"finished": True})
+    return 0
+
+
+def _end_after(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(0)

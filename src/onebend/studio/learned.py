@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.errors import StudioError
 from onebend.files.manifest import LARGEST, SUMMARY
 from onebend.results.model import StoredModel, read_model
@@ -27,7 +28,7 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
     """
     stored = read_model(folder)
     summary = _summary(folder)
-    fit = summary.get("fit") or {}
+    fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
     return {
         "name": name,
         "changed": [words for words in (stored.changed, stored.swapped) if words],
@@ -38,20 +39,23 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
         "training": summary.get("training", []),
         "validation": summary.get("validation", []),
         "fitted_rms_m": fit.get("fitted_rms_m"),
-        "allowances": [one for one in fit.get("allowances", []) if one.get("matters")],
-        "remarks": [one for one in summary.get("remarks", []) if one.get("level") == "warning"],
-        "command": (summary.get("provenance") or {}).get("command"),
-        "written": (summary.get("provenance") or {}).get("written"),
+        "allowances": [one for one in _objects(fit.get("allowances")) if one.get("matters")],
+        "remarks": [one for one in _objects(summary.get("remarks")) if one.get("level") == "warning"],
+        "command": origin.get("command"),
+        "written": origin.get("written"),
         "report": (folder / REPORT).is_file(),
     }
 
 
 def curve(stored: StoredModel) -> dict[str, Any]:
     """k(s) in N m at 101 places, with its bands."""
-    known = stored.uncertain
-    found: dict[str, Any] = {"s": _S.tolist(), "k_N_m": np.asarray(stored.beam.stiffness(_S)).tolist(), "bands": []}
-    if known is None:
-        return found
+    known = {} if stored.uncertain is None else known_curve(stored.uncertain)
+    return {"bands": [], **known, "s": _S.tolist(), "k_N_m": np.asarray(stored.beam.stiffness(_S)).tolist()}
+
+
+def known_curve(known: UncertainStiffness) -> dict[str, Any]:
+    """The same of k(s) as it is known without a model of it."""
+    found: dict[str, Any] = {"s": _S.tolist(), "k_N_m": np.asarray(known.profile(_S)).tolist(), "bands": []}
     for level in _LEVELS:
         band = known.band(_S, level)
         found["bands"].append({"level": level, "low_N_m": band.low.tolist(), "high_N_m": band.high.tolist()})
@@ -82,7 +86,7 @@ def film_data(folder: Path) -> dict[str, Any] | None:
         raise StudioError(f"{path.name} was changed. Learn again") from error
     if not isinstance(film, dict):
         return None
-    return film | {"tag_id": (data.get("curve") or {}).get("tag_id", [])}
+    return film | {"tag_id": _object(data.get("curve")).get("tag_id", [])}
 
 
 def _summary(folder: Path) -> dict[str, Any]:
@@ -93,4 +97,13 @@ def _summary(folder: Path) -> dict[str, Any]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
-    return data if isinstance(data, dict) else {}
+    return _object(data)
+
+
+def _object(value: Any) -> dict[str, Any]:
+    """What stands there as onebend writes it: an object; an empty one where another hand wrote something else."""
+    return value if isinstance(value, dict) else {}
+
+
+def _objects(value: Any) -> list[dict[str, Any]]:
+    return [one for one in value if isinstance(one, dict)] if isinstance(value, list) else []

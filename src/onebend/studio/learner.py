@@ -7,18 +7,12 @@ whole, by the same steps.
 
 from __future__ import annotations
 
-import json
-import os
-import shlex
 import sys
-import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import onebend
-from onebend.errors import OnebendError
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish
 from onebend.learning.inference.stages import FitSettings
 from onebend.learning.paper.selection import RegressionSettings
@@ -30,41 +24,7 @@ from onebend.results.learned_files import learned_writer
 from onebend.results.provenance import inputs_of, provenance
 from onebend.results.recording_files import recording_files
 from onebend.results.summary import LEARN_FORMAT, summary_of
-
-_OFTEN = 0.1  # s between two lines of one stage
-
-
-class Lines:
-    """A `Progress` that writes lines of JSON."""
-
-    def __init__(self) -> None:
-        self._stack: list[list[Any]] = []  # stage, done, total
-        self._said = 0.0
-
-    def start(self, stage: str, total: int | None) -> None:
-        self._stack.append([stage, 0, total])
-        self._say()
-
-    def advance(self, count: int = 1) -> None:
-        self._stack[-1][1] += count
-        if time.monotonic() - self._said > _OFTEN:
-            self._say()
-
-    def done(self) -> None:
-        self._say()
-        self._stack.pop()
-
-    def _say(self) -> None:
-        self._said = time.monotonic()
-        stage, done, total = self._stack[-1]
-        tell({"stage": stage, "done": done, "total": total})
-
-
-def tell(data: Mapping[str, Any]) -> None:
-    """One line; nobody may be there any more to read it."""
-    with suppress(BrokenPipeError, OSError):
-        sys.stdout.write(json.dumps(data) + "\n")
-        sys.stdout.flush()
+from onebend.studio.jobs import Lines, process, tell
 
 
 def work(wanted: Mapping[str, Any]) -> None:
@@ -100,22 +60,5 @@ def _put(place: OutputFolder, run: Run, pictures: Pictures, made_from: dict[str,
     publish(place, write, {**made_from, "pictures_failed": pictures.failed})
 
 
-def main() -> int:
-    """0: done; 2: the recording cannot be learned from; 130: interrupted."""
-    wanted = json.loads(sys.stdin.readline())
-    os.chdir(wanted["folder"])
-    sys.argv = shlex.split(wanted["command"])  # what the result says that it comes from
-    try:
-        work(wanted)
-    except OnebendError as error:
-        tell({"error": str(error)})
-        return 2
-    except KeyboardInterrupt:
-        tell({"error": "Stopped."})
-        return 130
-    tell({"finished": True})
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(process(work))

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from onebend.errors import StudioError
+from onebend.files.endings import FILMS, LOGS
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
 _DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search for recordings and results
@@ -18,10 +19,10 @@ _LARGEST_SUMMARY = 16 * 2**20  # bytes
 
 @dataclass(frozen=True)
 class Found:
-    """A recording or a result below the studio's folder."""
+    """A recording or a result below the studio's folder, or a film with a log that nothing describes yet."""
 
     name: str  # relative, with /; "." is the folder itself
-    kind: Literal["recording", "result"]
+    kind: Literal["recording", "result", "film"]
     changed: float  # s since 1970
     about: dict[str, Any]  # of a result: recordings, grade, known
 
@@ -46,7 +47,7 @@ class StudioFolder:
         """
         parts = PurePosixPath(name).parts
         odd = not name or any(part in name for part in ("\0", "\\", ":")) or len(name) > 1000
-        if odd or PurePosixPath(name).is_absolute() or ".." in parts:
+        if odd or not _is_text(name) or PurePosixPath(name).is_absolute() or ".." in parts:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
         try:
             path = (self.root / name).resolve()
@@ -56,10 +57,25 @@ class StudioFolder:
             raise StudioError(f"{name[:100]!r} leads out of {self.root}")
         return path
 
+    def beside(self, name: str, file: str) -> Path:
+        """A file that is named in the folder `name`, as it leads on from there.
+
+        Raises `StudioError` where it lies outside of the studio's folder, or names nothing.
+        """
+        if not file or "\0" in file or len(file) > 1000:
+            raise StudioError("no file is named")
+        try:
+            path = (self.path(name) / file).resolve()
+        except (OSError, RuntimeError) as error:
+            raise StudioError(f"{file[:100]!r} cannot be read") from error
+        if not path.is_relative_to(self.root):
+            raise StudioError(f"{file[:100]!r} leads out of {self.root}: the page does not look there. A check does")
+        return path
+
     def recording(self, name: str) -> Path:
         """The folder of a recording. Raises `StudioError` where there is none."""
         path = self.path(name)
-        if not (path / RECORDING).is_file():
+        if not _is_file(path / RECORDING):
             raise StudioError(f"{name} holds no {RECORDING}")
         self.path(f"{name}/{RECORDING}")  # no link to elsewhere
         return path
@@ -67,20 +83,24 @@ class StudioFolder:
     def result(self, name: str) -> Path:
         """The folder of a learned beam. Raises `StudioError` where there is none."""
         path = self.path(name)
-        if not (path / MODEL).is_file():
+        if not _is_file(path / MODEL):
             raise StudioError(f"{name} holds no {MODEL}: learn a recording first")
         self.path(f"{name}/{MODEL}")
         return path
 
     def found(self) -> list[Found]:
-        """All recordings and results, by name; hidden folders and links are left out."""
+        """All recordings and results, by name; hidden folders, links and names that are no text are left out."""
         rows, waiting, seen = [], [(self.root, 0)], 0
         while waiting and seen < _MOST_FOLDERS:
             folder, depth = waiting.pop()
             seen += 1
             try:
                 with os.scandir(folder) as entries:
-                    inside = [one for one in entries if not one.name.startswith(".") and not one.is_symlink()]
+                    inside = [
+                        one
+                        for one in entries
+                        if not one.name.startswith(".") and _is_text(one.name) and not one.is_symlink()
+                    ]
                     files = {one.name for one in inside if one.is_file(follow_symlinks=False)}
                     below = [Path(one.path) for one in inside if one.is_dir(follow_symlinks=False)]
             except OSError:
@@ -88,11 +108,29 @@ class StudioFolder:
             name = folder.relative_to(self.root).as_posix()
             if RECORDING in files:
                 rows.append(Found(name, "recording", _changed(folder / RECORDING), {}))
+            elif MODEL not in files and _with_ending(files, FILMS) and _with_ending(files, LOGS):
+                rows.append(Found(name, "film", 0.0, {}))
             if {MODEL, RESULT_SUMMARY} <= files:
                 rows.append(Found(name, "result", _changed(folder / MODEL), _about(folder / RESULT_SUMMARY)))
             if depth < _DEEPEST:
                 waiting += [(one, depth + 1) for one in below if one.name not in _LEFT_OUT]
         return sorted(rows, key=lambda one: (one.name, one.kind))
+
+
+def _is_text(name: str) -> bool:
+    """Whether a name has characters alone: one of other bytes cannot be said to a page, or by it."""
+    return not any("\ud800" <= one <= "\udfff" for one in name)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
+
+def _with_ending(names: set[str], endings: tuple[str, ...]) -> bool:
+    return any(name.lower().endswith(endings) for name in names)
 
 
 def _changed(path: Path) -> float:

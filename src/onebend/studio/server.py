@@ -7,22 +7,25 @@ import json
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
 from onebend.errors import OnebendError, StudioError
-from onebend.strict_json import plain
+from onebend.strict_json import to_json
 from onebend.studio.commands import learn_line
 from onebend.studio.desk import Desk
+from onebend.studio.filming import sources_data, wanted_recording
 from onebend.studio.guard import Guard
+from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
 
 PAGE = Path(__file__).parent / "page"
@@ -47,6 +50,16 @@ def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
         Route("/api/result", clean(asked.result)),
         Route("/api/film", clean(asked.film)),
         Route("/api/job", clean(asked.job)),
+        Route("/api/recordings/{what:str}", clean(asked.recordings), methods=["POST"]),
+        Route("/api/check.png", clean(asked.check_picture)),
+        Route("/api/beam", clean(asked.beam)),
+        Route("/api/reach", clean(asked.reach), methods=["POST"]),
+        Route("/api/work/{room:str}", clean(asked.work)),
+        Route("/api/work/{room:str}/{what:str}", clean(asked.begin_work), methods=["POST"]),
+        Route("/api/record", clean(asked.recording)),
+        Route("/api/record/sources", clean(asked.sources)),
+        Route("/api/record/picture", clean(asked.picture)),
+        Route("/api/record/{what:str}", clean(asked.record), methods=["POST"]),
         Route("/api/learn", clean(asked.learn), methods=["POST"]),
         Route("/api/stop", clean(asked.stop), methods=["POST"]),
         WebSocketRoute("/socket", desk.serve),
@@ -64,22 +77,88 @@ class Asked:
     async def places(self, _request: Request) -> Response:
         found = await run_in_threadpool(self.desk.places.found)
         rows = [{"name": one.name, "kind": one.kind, "changed": one.changed, **one.about} for one in found]
-        return JSONResponse(plain({"folder": str(self.desk.places.root), "found": rows}))
+        return _said({"folder": str(self.desk.places.root), "found": rows})
 
     async def result(self, request: Request) -> Response:
         from onebend.studio.learned import result_data  # here: not before the first picture
 
         name = _name(request)
-        return JSONResponse(plain(await run_in_threadpool(result_data, name, self.desk.places.result(name))))
+        return _said(await run_in_threadpool(result_data, name, self.desk.places.result(name)))
 
     async def film(self, request: Request) -> Response:
         from onebend.studio.learned import film_data
 
-        return JSONResponse(plain(await run_in_threadpool(film_data, self.desk.places.result(_name(request)))))
+        return _said(await run_in_threadpool(film_data, self.desk.places.result(_name(request))))
 
     async def job(self, _request: Request) -> Response:
         job = self.desk.jobs.job
-        return JSONResponse({"job": None if job is None else job.shown()})
+        return _said({"job": None if job is None else job.shown()})
+
+    async def recordings(self, request: Request) -> Response:
+        what, asked = request.path_params["what"], await _posted(request)
+        found = await run_in_threadpool(of_room, "recordings", "answer", self.desk.places, what, asked)
+        if what == "new":
+            self.desk.tell({"what": "places"})
+        if what == "save" and "conflict" not in found:
+            self.desk.tell({"what": "saved", "name": asked["name"], "version": found["version"]})
+        return _said(found)
+
+    async def check_picture(self, request: Request) -> Response:
+        picture = await run_in_threadpool(of_room, "recordings", "check_picture_of", self.desk.places, _name(request))
+        return Response(picture, media_type="image/png")
+
+    async def beam(self, request: Request) -> Response:
+        name = _name(request)
+        found = await run_in_threadpool(of_room, "rehearsing", "beam_data", name, self.desk.places.result(name))
+        return _said(found)
+
+    async def reach(self, request: Request) -> Response:
+        asked = await _posted(request)
+        wanted = await run_in_threadpool(of_room, "rehearsing", "reach_asked", self.desk.places, asked)
+        return _said(await self.desk.reach(*wanted))
+
+    async def work(self, request: Request) -> Response:
+        job = self._work(request).job
+        return _said({"job": None if job is None else job.shown(), "found": [] if job is None else job.found})
+
+    async def begin_work(self, request: Request) -> Response:
+        work, what, asked = self._work(request), request.path_params["what"], await _posted(request)
+        if what == "stop":
+            await work.stop()
+        elif what == "start":
+            await work.start(await run_in_threadpool(of_room, work.module, "wanted_work", self.desk.places, asked))
+        else:
+            raise StudioError(f"work is started and stopped; there is no {what[:100]!r}")
+        return _said({})
+
+    def _work(self, request: Request) -> Jobs:
+        room = request.path_params["room"]
+        if room not in self.desk.works:
+            raise StudioError(f"there is no work of the kind {room[:100]!r}")
+        return self.desk.works[room]
+
+    async def recording(self, _request: Request) -> Response:
+        return _said({"recording": self.desk.recorder.shown()})
+
+    async def sources(self, _request: Request) -> Response:
+        await self.desk.load("onebend.capture.specs")
+        return _said(await run_in_threadpool(sources_data, self.desk.places))
+
+    async def picture(self, request: Request) -> Response:
+        number = request.query_params.get("n", "")
+        picture = self.desk.recorder.picture(int(number) if number.isdecimal() and len(number) < 16 else 0)
+        return Response(picture, media_type="image/jpeg")
+
+    async def record(self, request: Request) -> Response:
+        what, recorder = request.path_params["what"], self.desk.recorder
+        if what == "start":
+            wanted = wanted_recording(self.desk.places, await _posted(request))
+            await recorder.start(wanted)
+            return _said({"out": wanted["out"]})
+        if what not in ("begin", "stop"):
+            raise StudioError(f"a recording is started, begun and stopped; there is no {what[:100]}")
+        (recorder.begin if what == "begin" else recorder.stop)()
+        return _said({})
 
     async def learn(self, request: Request) -> Response:
         asked = await _posted(request)
@@ -101,11 +180,11 @@ class Asked:
             "command": learn_line(recordings, validate, out, replace),
         }
         await self.desk.jobs.start(wanted)
-        return JSONResponse({"out": out})
+        return _said({"out": out})
 
     async def stop(self, _request: Request) -> Response:
         await self.desk.jobs.stop()
-        return JSONResponse({})
+        return _said({})
 
 
 def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
@@ -115,9 +194,19 @@ def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request],
         try:
             return await work(request)
         except OnebendError as error:
-            return JSONResponse({"error": str(error)}, 422)
+            return _said({"error": str(error)}, 422)
 
     return inside
+
+
+def _said(data: Any, status: int = 200) -> Response:
+    """JSON, whatever the names and texts in it."""
+    return Response(to_json(data, readable=False), status, media_type="application/json")
+
+
+def of_room(room: str, function: str, *arguments: Any) -> Any:
+    """What a room's function gives; the room is loaded when it is first asked, by the thread that asks."""
+    return getattr(import_module(f"onebend.studio.{room}"), function)(*arguments)
 
 
 def _name(request: Request) -> str:

@@ -17,6 +17,7 @@ from onebend.report.wording import significant
 from onebend.terminal.parts import facts_table, force_words, remarks_list, say_written
 
 if TYPE_CHECKING:  # for the types alone: `show` says what damping is, and loads no search
+    from onebend.learning.sensing.edges import Edge
     from onebend.learning.sensing.sensed import Sensed
     from onebend.learning.sensing.sensor import SensorCheck
 
@@ -104,12 +105,12 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
         console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
 
 
-def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
+def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
     """When something touched the beam, the largest force, and how sure it is in which direction."""
     table, peak = facts_table(), found.peak
     table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
     for one in found.contacts:
-        table.add_row("contact", f"from {one.begin:.3f} to {one.end:.3f} s")
+        table.add_row("contact", f"{_when('from', one.begin, 'before')} {_when('to', one.end, 'after')} (95 %)")
     if peak is None:
         table.add_row("force", "none that leaves its 95 % region at zero")
     else:
@@ -121,6 +122,12 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
         share = 100.0 * found.prior_share[peak]
         table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
         table.add_row("place", _place(found, peak))
+        for row in _more_rows(found, peak):
+            table.add_row(*row)
+        if found.smoothed is not None:
+            smooth, sd = found.smoothed.force[peak], np.sqrt(np.diag(found.smoothed.covariance[peak]))
+            said = f"{force_words(smooth)}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
+            table.add_row("smoothed there", said)
     if found.misfit is not None:
         table.add_row("misfit", f"{found.misfit.ratio:.3g} times what band, mounting and noise let expect (squared)")
     difference = found.against_log
@@ -130,7 +137,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None) -> None:
         table.add_row(*row)
     console.print(table, highlight=False)
     console.print(remarks_list([(found.name, one) for one in found.remarks]))
-    say_written(console, output, "force.csv, force.png, regions.png, summary.json")
+    say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
@@ -149,6 +156,31 @@ def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
         ("its bias x, y", f"{pair(check.bias)} N"),
         ("its drift x, y", f"{pair(check.drift)} N/s"),
     ]
+
+
+def _more_rows(found: Sensed, peak: int) -> list[tuple[str, str]]:
+    """The moment, and the second force, where they were asked for."""
+    rows, moment, two, second = [], found.moment, found.two, found.second
+    if moment is not None:
+        value, share = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)", moment.prior_share[peak]
+        rows.append(("its moment", f"{value}, {100.0 * share:.2g} % from the prior (sd {moment.prior_sd:.3g} N m)"))
+    if two is not None:
+        rows.append(("two contacts", f"log evidence {two.evidence:.3g} against one"))
+        for near, far in two.others:
+            rows.append(("", f"places s = {near:.2f} and {far:.2f} explain the shapes about as well"))
+    if second is not None:
+        sd = np.sqrt(np.diag(second.covariance[peak]))
+        said = f"{force_words(second.force[peak])}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
+        rows.append(("second force", said))
+        place = f"s = {second.place:.3f} ± {1.96 * second.place_sd:.2g}"
+        rows.append(("its place", "not told by the shape" if math.isnan(second.place) else place))
+    return rows
+
+
+def _when(word: str, edge: Edge, outside: str) -> str:
+    if not math.isfinite(edge.sd):
+        return f"{word} {outside} the film"
+    return f"{word} {edge.time:.3f} ± {1.96 * edge.sd:.2g} s"
 
 
 def _place(found: Sensed, t: int) -> str:

@@ -127,7 +127,7 @@ def test_an_s_is_point_symmetric() -> None:
 
 
 @given(x=st.floats(-0.6, 0.9), y=st.floats(-0.4, 0.4), angle=st.floats(-3.0, 3.0), turn=st.floats(-3.0, 3.0))
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_mirror_and_turned_room(x: float, y: float, angle: float, turn: float) -> None:
     chord = np.arctan2(y, x)
     assume(abs(angle) > 0.05 and abs(np.sin(chord - 0.5 * angle)) > 0.05)  # else two equilibria have the same energy
@@ -176,7 +176,7 @@ def fold_of_the_bow() -> float:
 def test_a_bow_snaps_over_where_its_branch_folds() -> None:
     fold = fold_of_the_bow()
     assert 0.5 < fold < 0.6
-    for count in (8, 31, 64):
+    for count in (8, 31):
         path = snap_path(1.0, count)
         held = hold_along(UNIT, path)
         assert np.all(held.solved.stable)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
 from onebend.cli import app
 from onebend.control.loop.controller import ControllerSettings, controller
-from onebend.control.loop.robustness import simulate_range
-from onebend.control.loop.simulation import LoopCamera
+from onebend.control.loop.robustness import drawn_beams, simulate_range, simulate_trials
+from onebend.control.loop.simulation import AXIS_PLACES, LoopCamera
 from onebend.errors import ControlError
 from onebend.results.looping import LOOP_COLUMNS
 from onebend.results.model import save_model
+from tests import made_up
 
 BEAM = Beam(0.12, Powers((0.03, -0.015)), mass_per_length=Uniform(0.05))
 GOAL = BEAM.equilibrium((-0.05, 0.3)).xy(1.0)
@@ -67,11 +69,16 @@ def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:
         "0.2",
         "--delay-ms",
         "60",
+        "--felt",
+        "log",
+        "--force-off-N",
+        "0.01",
     ]
     done = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["delay_s"] == 0.06
+    assert (said["felt"], said["force_off_N"], said["hidden"]) == ("log", 0.01, False)
     assert said["margins"]["gain"] > 2.0
     assert [one["k_factor"] for one in said["rehearsals"]] == [1.0, 0.8, 1.2]
     with (tmp_path / "out" / "loop.csv").open(encoding="utf-8") as file:
@@ -98,3 +105,44 @@ def test_command_carries_the_weight(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, asked)
     assert done.exit_code == 0, done.output
     np.testing.assert_allclose(json.loads(done.stdout)["force_N"], (0.0, 0.3), atol=1e-4)
+
+
+def test_drawn_beams_are_those_of_the_band_and_go_their_own_ways(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    beam = fit.beam
+    goal = beam.equilibrium((0.0, 0.02)).xy(1.0)
+    drawn = drawn_beams(beam, fit.stiffness, 1)
+    s = np.linspace(0.0, 1.0, 101)
+    for one, profile in zip(drawn[1:], fit.stiffness.draw(1, seed=0), strict=True):
+        np.testing.assert_array_equal(one.stiffness(s), profile(s))
+        assert one.factor == pytest.approx(np.exp(np.mean(np.log(profile(s) / beam.stiffness(s)))))
+    still = replace(ControllerSettings(), feedback=False)
+    runs = [
+        one.run
+        for one in simulate_trials(
+            controller(beam, goal, settings=still), drawn, eye=LoopCamera(noise=0.0), duration=2.0
+        )
+    ]
+    assert drawn[0].factor == 1.0
+    for one, run in zip(drawn, runs, strict=True):
+        assert run is not None
+        there = replace(beam, stiffness=one.stiffness).equilibrium(run.force[-1])
+        np.testing.assert_allclose(run.axis[-1], there.xy(AXIS_PLACES), atol=2e-4)
+        np.testing.assert_allclose(run.axis[:, -1], run.xy, atol=1e-12)
+    save_model(tmp_path / "model.json", BEAM, written_by="a test")
+    asked = ["loop", str(tmp_path / "model.json"), "--goal", *map(str, GOAL), "--draws", "2"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 2
+    assert "no band to draw beams from" in " ".join(done.output.split())
+
+
+def test_the_command_rehearses_on_drawn_beams(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
+    goal = fit.beam.equilibrium((0.0, 0.02)).xy(1.0)
+    asked = ["--goal", *map(str, goal), "--draws", "1", "--duration-s", "2", "--noise-mm", "0", "--fps", "10"]
+    done = CliRunner().invoke(app, ["loop", str(tmp_path / "model.json"), *asked, "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "drawn, " in done.stdout
+    said = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert [one["drawn"] for one in said["rehearsals"]] == [False, True]

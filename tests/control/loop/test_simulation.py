@@ -83,7 +83,9 @@ def test_what_only_passes_the_goal_in_the_end_has_not_settled() -> None:
 
     def near_from(begin: float) -> LoopSimulation:
         away = np.where(time < begin, 5e-3, 1e-4)
-        return LoopSimulation(np.zeros(2), time, np.column_stack([away, 0.0 * away]), none, none)
+        return LoopSimulation(
+            np.zeros(2), time, np.column_stack([away, 0.0 * away]), none, none, np.zeros((len(time), 0, 2))
+        )
 
     ends_near, stays = near_from(3.9), near_from(2.5)
     assert ends_near.steady() == 5e-3

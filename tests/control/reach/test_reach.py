@@ -223,6 +223,7 @@ def test_start_leads_on_from_an_earlier_result() -> None:
         ((0.1, 0.0, 0.0, 0.0), {}, "goal is a place"),
         ((0.1, 0.0, 1.0), {}, "cannot hold a point at an angle"),
         ((0.1, 0.05), {"push_s": 0.0}, "push_s lies in"),
+        ((0.1, 0.05), {"push_s": 1e-12}, "too near the clamp"),
         ((0.1, 0.05), {"point_s": 1.2}, "point_s lies in"),
     ],
 )

@@ -18,6 +18,7 @@ from onebend.lab.random_bench import BenchRanges, design_with_effects, random_be
 from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, only, with_random_effects
 from onebend.lab.tag_errors import TagNoise
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
+from onebend.learning.inference.stages import FitSettings
 from onebend.learning.posterior import fit
 
 S = np.linspace(0.0, 1.0, 401)
@@ -62,7 +63,7 @@ def test_a_static_fit_finds_the_secant_modulus() -> None:
     inner = np.linspace(0.1, 0.85, 40)
     truth = true_stiffness(one.bench, one.motion, inner)
     np.testing.assert_allclose(truth.k, 0.9 * truth.k_bare, rtol=2e-3)
-    found = fit([observe_virtual(one)])
+    found = fit([observe_virtual(one)], settings=FitSettings(functions=16, most_frames=80, first_frames=40))
     np.testing.assert_allclose(found.band(inner).k, truth.k, rtol=0.05)
 
 

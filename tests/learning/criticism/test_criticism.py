@@ -209,7 +209,7 @@ def test_every_suspect_has_words(suspect: Suspect, value: float) -> None:
 
 
 def test_markers_without_any_noise_are_fitted_to_the_end() -> None:
-    one = fit([observed(SOFT, forces(40))], 0.02, settings=IDEAL)
+    one = fit([observed(SOFT, forces(20))], 0.02, settings=replace(IDEAL, functions=24))
     assert one.optimum.converged
     assert one.optimum.steps < 40
     s = np.linspace(0.1, 0.9, 17)

@@ -23,7 +23,7 @@ from onebend.learning.verdict import fit_remarks
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 
 NOISE = (2e-5, 1e-3)
-SETTINGS = replace(IDEAL, functions=20)
+SETTINGS = replace(IDEAL, functions=16)
 
 
 @cache
@@ -52,7 +52,7 @@ def test_a_right_place_is_neither_accused_nor_widened() -> None:
     assert not search.accused
     assert np.max(search.gain) < 0.5 * ACCUSED
     wider = with_places(one.optimum, search).covariance.of_shared
-    assert np.all(np.diag(wider)[:20] < 1.2 * np.diag(one.optimum.covariance.of_shared)[:20])
+    assert np.all(np.diag(wider)[:16] < 1.2 * np.diag(one.optimum.covariance.of_shared)[:16])
 
 
 def test_a_quiet_fit_is_asked_beside_its_push_alone() -> None:

@@ -88,6 +88,30 @@ def test_a_regression_has_nothing_to_plan_from(tmp_path: Path) -> None:
     assert "no band on k(s)" in found.stderr.replace("\n", " ")
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("tags", [0.3, None, 1.0]), ("tags", [0.3, 7.0, 1.0]), ("discrepancy", []), ("discrepancy", [0.0, None]),
+        ("discrepancy", [-1.0, 0.0]), ("gravity", [0.0]), ("shared", ["along", "across", "moon"]),
+    ],
+)  # fmt: skip
+def test_a_bench_that_no_onebend_wrote_is_named(model: Path, name: str, value: object) -> None:
+    data = json.loads(model.read_text(encoding="utf-8"))
+    assert name in data["bench"]
+    data["bench"][name] = value
+    model.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ResultsError, match="key 'bench' describes no bench"):
+        read_model(model)
+
+
+def test_a_band_without_end_is_none(model: Path) -> None:
+    data = json.loads(model.read_text(encoding="utf-8"))
+    data["uncertain"]["covariance"][0][0] = 1e300
+    model.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ResultsError, match="its covariance is none"):
+        read_model(model)
+
+
 @pytest.mark.parametrize(("key", "value"), [("bench", 3), ("bench", {}), ("uncertain", []), ("uncertain", {"mean": 1})])
 def test_a_damaged_band_or_bench_is_named(model: Path, key: str, value: object) -> None:
     data = json.loads(model.read_text(encoding="utf-8"))

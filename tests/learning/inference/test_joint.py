@@ -25,6 +25,18 @@ def root_of(rng: np.random.Generator, count: int) -> BlockRoot:
     return BlockRoot(rng.uniform(0.5, 2.0, count), ((np.array([2, 1]), np.array([[1.3, 0.0], [-0.4, 0.7]])),))
 
 
+@pytest.mark.parametrize("where", [[1, 3, 5], [2, 3, 4], [4, 1, 3], [5, 3, 1], [0, 1, 5]])
+def test_a_root_is_its_dense_matrix_wherever_its_block_stands(where: list[int]) -> None:
+    rng = np.random.default_rng(1)
+    block, sd, dense = np.tril(rng.standard_normal((3, 3))), rng.uniform(0.5, 2.0, 6), np.zeros((6, 6))
+    np.fill_diagonal(dense, sd)
+    dense[np.ix_(where, where)] = block
+    root, v = BlockRoot(sd, ((np.array(where), block),)), rng.standard_normal((6, 6))
+    assert root.times(v) == pytest.approx(dense @ v)
+    assert root.transposed_times(v) == pytest.approx(dense.T @ v)
+    assert root.around(v) == pytest.approx(dense.T @ v @ dense)
+
+
 class Case:
     """`y_r = J_r x_r + noise` of each recording, dense and by recording."""
 

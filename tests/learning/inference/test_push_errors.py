@@ -126,7 +126,7 @@ def test_axes_that_are_off_are_found_within_their_tolerance() -> None:
     ("name", "wrong"),
     [
         ("force direction", {"turn": 0.35}),
-        ("push place", {"at_s": 0.6, "said": 1.0}),
+        pytest.param("push place", {"at_s": 0.6, "said": 1.0}, marks=pytest.mark.slow),
         ("axis scale", {"scale": (2.5, 1.0)}),
     ],
 )

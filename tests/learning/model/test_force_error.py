@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Powers
@@ -117,6 +118,22 @@ def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
     assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1])
     one = with_source(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
     assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
+
+
+def test_the_root_is_that_of_the_parts_added_up() -> None:
+    """The parts' covariances as they are written in the module's docstring, by sums."""
+    o = seen(stepped(STEPS))
+    error = force_error(o, o.time[o.loaded])
+    coloured, memory, walk, load = 1.3, 0.7, 2.0, 0.5
+    noise, since = error.noise, error.knots - error.knots[0]
+    short = error.filtered.covariance(coloured * noise.coloured, memory * noise.tau, error.white)
+    expected = toeplitz(short) + 0.03 * short[0] * np.eye(len(short)) + error.level**2
+    expected += (walk * noise.walk) ** 2 * np.minimum.outer(since, since) + (load * error.load) ** 2 * (
+        1 + error.stages
+    )
+    root = error.root(coloured, memory, walk, load)
+    assert np.array_equal(root, np.tril(root))
+    assert root @ root.T == pytest.approx(expected, abs=1e-9 * np.max(expected))
 
 
 def test_a_declared_size_is_what_is_expected() -> None:

@@ -27,7 +27,7 @@ def test_live_frames_are_as_those_of_a_recording_each_by_itself() -> None:
     o = observed(SOFT, forces(12), noise=(3e-5, 1e-3))
     frames = np.arange(12)
     bench = bench_of(SOFT, o, None, None, KNOWN)
-    alone = estimate(bench, frames, o.push_s, prior_of(SOFT, KNOWN), seek_place=False)
+    alone = estimate(bench, frames, o.push_s, np.full(2, prior_of(SOFT, KNOWN)), seek_place=False)
     for t, one in enumerate(followed(o, KNOWN)):
         away = one.force - bench.axes @ alone.force[t]
         assert away @ np.linalg.solve(one.covariance, away) < 0.2
@@ -57,3 +57,15 @@ def test_a_beam_left_alone_is_not_touched() -> None:
     found = followed(observed(SOFT, np.zeros((3, 2)), noise=(2e-5, 1e-3)), KNOWN)
     assert not any(one.touched for one in found)
     assert found[-1].covariance[0, 0] == pytest.approx(prior_of(SOFT, KNOWN) ** 2, rel=0.1)
+
+
+def test_a_shape_that_no_force_explains_tells_none_and_the_next_frame_does() -> None:
+    """The tip alone is a third of the beam away."""
+    o = observed(SOFT, forces(4), noise=(3e-5, 1e-3))
+    xy = o.xy.copy()
+    xy[1, 2] += [0.0, 0.05]
+    found = followed(replace(o, xy=xy), KNOWN)
+    assert np.isnan(found[1].force).all()
+    assert found[1].chi2 > 20.0 * 9
+    assert not found[1].touched
+    assert found[2].touched

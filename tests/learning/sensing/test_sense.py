@@ -180,6 +180,9 @@ def test_a_missing_tag_and_a_missing_angle_make_it_less_sure() -> None:
         ({}, SenseSettings(place="unknown", at_s=0.5), "either said or sought"),
         ({}, SenseSettings(force_prior=0.0), "no force"),
         ({}, SenseSettings(at_sd=float("nan")), "finite"),
+        ({}, SenseSettings(at_sd=1e300), "let the place be sought"),
+        ({}, SenseSettings(force_prior=1e300), "beyond any force on this beam; usual is"),
+        ({}, SenseSettings(force_prior=1e-300), "beyond any force on this beam; usual is"),
     ],
 )
 def test_what_cannot_be_sensed_is_refused(changed: dict[str, object], settings: SenseSettings, words: str) -> None:
@@ -187,6 +190,11 @@ def test_what_cannot_be_sensed_is_refused(changed: dict[str, object], settings: 
     with pytest.raises(LearningError) as error:
         sense(SOFT, o, settings=settings)
     assert words in str(error.value)
+
+
+def test_a_beam_without_stiffness_is_refused_in_words() -> None:
+    with pytest.raises(LearningError, match="equations of the force cannot be solved"):
+        sense(replace(SOFT, stiffness=Table((0.0, 1.0), (1e-300, 1e-300))), observed(SOFT, few()))
 
 
 def test_files_screen_and_picture(tmp_path: Path) -> None:

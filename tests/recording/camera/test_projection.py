@@ -113,7 +113,7 @@ def test_covariance_is_honest(calibrated: bool) -> None:
     """
     true = TRUE[::4]
     exact, squares = corners_of(true, SEEN), []
-    for seed in range(10):
+    for seed in range(5):
         noise = edge_noise(exact, 0.3, seed)
         noise[:, 0] = 0.0
         rec = recording(calibrated=SEEN if calibrated else None)

@@ -24,7 +24,7 @@ def turned(angle: float) -> np.ndarray:
     [
         (Pushed(), 249.0, None),
         (Pushed(), 249.0, 1.0),
-        (Pushed(fps=25.0, seed=1), 252.1, 1.0),
+        pytest.param(Pushed(fps=25.0, seed=1), 252.1, 1.0, marks=pytest.mark.slow),
         (Pushed(fps=60.0, seed=2), 250.3, None),
         (Pushed(rate=100.0, bias=(3.0, -2.0), seed=3), 251.0, None),
         (Pushed(rise=1.0, seed=4), 248.5, 1.0),

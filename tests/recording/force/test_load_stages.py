@@ -56,17 +56,22 @@ def test_displacement_bridges_missing_tags() -> None:
     assert displacement(TIME[:3], xy, np.full((2, 2), np.nan)) == pytest.approx(expected)
 
 
-def test_the_clock_is_found_though_the_logs_error_changes_with_the_load() -> None:
-    bench = VirtualBench(Beam(0.15, Uniform(0.02)), PushProfile(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
-    for seed in range(3):
-        steps = observe_virtual(virtual_recording(bench, seed=seed)).source.clock
-        assert steps is not None
-        assert abs(steps.offset - bench.clock.offset) < 3.0 * steps.sd < 0.4
-    even = replace(bench, sensor=ForceSensor(white_sd=0.004))
+BENCH = VirtualBench(Beam(0.15, Uniform(0.02)), PushProfile(0.4), sensor=ForceSensor(white_sd=0.004, reversal=0.12))
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+def test_the_clock_is_found_though_the_logs_error_changes_with_the_load(seed: int) -> None:
+    steps = observe_virtual(virtual_recording(BENCH, seed=seed)).source.clock
+    assert steps is not None
+    assert abs(steps.offset - BENCH.clock.offset) < 3.0 * steps.sd < 0.4
+
+
+def test_no_step_is_claimed_where_the_logs_error_has_none() -> None:
+    even = replace(BENCH, sensor=ForceSensor(white_sd=0.004))
     clean = observe_virtual(virtual_recording(even, seed=0)).source.clock
     assert clean is not None
     assert clean.found
-    assert clean.sd < 0.02  # no step is claimed where there is none
+    assert clean.sd < 0.02
 
 
 def changes_of(dip: float) -> list[LoadChange]:

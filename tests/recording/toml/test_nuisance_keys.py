@@ -134,6 +134,7 @@ def written(table: str, key: str, value: str) -> str:
         ("push", "at_sd_m", "0.5", "at_sd_m = 0.5 is more than a fifth"),
         ("tags", "turn_sd_deg", "90", "turn_sd_deg = 90 leaves the direction open"),
         ("force", "rotation_sd_deg", "90", "rotation_sd_deg = 90 leaves the direction open"),
+        ("gravity", "direction_sd_deg", "2000", "direction_sd_deg = 2000 leaves the direction open"),
         ("force", "gain_sd", "2", "gain_sd = 2 is 200 %: is it a share"),
     ],
 )

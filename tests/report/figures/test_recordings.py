@@ -264,5 +264,6 @@ def test_a_picture_is_the_one_that_matplotlib_lays_out_by_itself() -> None:
     for name in ("band", "markers", "residuals"):
         figure, again, stream = figures[name], others[name], io.BytesIO()
         with matplotlib.rc_context(style._LOOK):
-            again.savefig(stream, format="png", dpi=style.DPI, metadata={"Software": None})
+            packed = {"compress_level": style.PACKING}
+            again.savefig(stream, format="png", dpi=style.DPI, metadata={"Software": None}, pil_kwargs=packed)
         assert png_of(figure) == stream.getvalue(), name

@@ -91,7 +91,7 @@ class UncertainStiffness:
         """(S,) mean and sd of log k at `s`, the common scale apart."""
         basis = self.basis(s)
         mean = basis @ self.mean + (0.0 if self.offset is None else self.offset(s))
-        return mean, np.sqrt(np.einsum("si,ij,sj->s", basis, self.covariance, basis))
+        return mean, np.sqrt(np.sum((basis @ self.covariance) * basis, axis=1))
 
     @one_blas_thread
     def band(self, s: Array, level: float = 0.95) -> Band:

@@ -29,7 +29,7 @@ class GrowingBag:
 
     def __init__(self, path: Path, topic: str = "", field: str = "") -> None:
         """`topic`: empty: the only one whose force is known; `field`: where the force stands in its messages."""
-        self.name, self._path = f"the bag {path}", path
+        self.name, self._path, self.files = f"the bag {path}", path, (path,)
         self.timing = StampTiming(delay=0.01, delay_error=0.5)  # a recorder holds back what it writes
         self._entry = ForceEntry(path, topic=topic, field=field, damaged="keep")
         self._seen, self._due, self._heard = 0, -np.inf, 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import av
@@ -21,6 +22,7 @@ class AvCamera:
 
     def __init__(self, place: str, kind: str = "", options: dict[str, str] | None = None) -> None:
         self.name, self.timing = f"the camera {place}", TIMING
+        self.files = _file_at(place)
         self._place, self._kind, self._options = place, kind, dict(options or {})
         self._container: Any = None
         self._frames: Iterator[Any] = iter(())
@@ -63,3 +65,12 @@ class AvCamera:
         if self._container is not None:
             self._container.close()
             self._container = None
+
+
+def _file_at(place: str) -> tuple[Path, ...]:
+    """The file that is played, where the place is no camera."""
+    path = Path(place.removeprefix("file:"))
+    try:
+        return (path,) if path.is_file() else ()
+    except (OSError, ValueError):  # no name that a file can have
+        return ()

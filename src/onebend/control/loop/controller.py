@@ -3,7 +3,8 @@
 The model gives forces that lead from the beam's present state to the goal (feedforward), and the positions that belong
 to them (the reference). In every frame the measured position is compared with the reference at the time of exposure.
 The error is filtered, multiplied by the inverse compliance of the model at that working point, and integrated
-(integral action in task space). Where k(s) is wrong, the integral converges to the force that was missing.
+(integral action in task space). Where k(s) is wrong, the integral converges to the force that was missing. Where the
+force on the beam is felt as well, the robot is asked for more or less until it is the wanted one (`felt.py`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from onebend.beam.statics.continuation import equilibrium, follow
 from onebend.beam.statics.problem import Resolution
 from onebend.beam.statics.sensitivity import of_force, respond
 from onebend.blas import one_blas_thread
+from onebend.control.loop.felt import Felt, FeltFrame, Offset, felt_in
 from onebend.control.loop.margins import Gains, Margins, SampledLoop, Timing, margins
 from onebend.control.loop.plant import Plant, plant_at
 from onebend.control.loop.tuning import RequiredMargins, tuned
@@ -46,7 +48,8 @@ class ControllerSettings:
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest that keep the margins
     weak: float = 0.01  # a direction whose compliance is below this share of the largest is corrected slowly
-    most_force: float = inf  # N, the robot's bound on the force's size
+    most_force: float = inf  # N, the bound on the wanted force; `felt` adds to it what the robot lacks
+    force_sd: float = 0.2  # N, of how far the robot's force is off; counts where the force is felt
     rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
     feedforward: bool = True
     feedback: bool = True
@@ -57,6 +60,8 @@ class ControllerSettings:
                 "a loop needs a bound on the force and a share `weak` above zero, and a damping ratio between 0 and 1, "
                 f"got {self.most_force} N, {self.weak} and {self.damping_ratio}"
             )
+        if not (isfinite(self.force_sd) and self.force_sd > 0.0):
+            raise ControlError(f"a robot's force is off by a finite sd above zero, got {self.force_sd} N")
         if not isfinite(self.longest_delay) or self.longest_delay < 0.0:
             raise ControlError(f"the longest delay must be finite and not negative, got {self.longest_delay} s")
         if self.rise is not None and not (isfinite(self.rise) and self.rise > 0.0):
@@ -100,6 +105,7 @@ class ControllerState:
     correction: Array  # (2,) N: the integral
     filtered: Array  # (2, 2) m: the error behind the first filter, and behind both
     frame_at: float  # s: when the last frame that counted arrived
+    offset: Offset = field(default_factory=Offset)  # what the felt force adds to what is asked for
 
 
 @dataclass(frozen=True)
@@ -118,26 +124,38 @@ class Controller:
     settings: ControllerSettings
 
     @one_blas_thread
-    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0)) -> ControllerState:
-        """The state in which the way to the goal starts at `time` s."""
-        return ControllerState(time, np.asarray(correction, dtype=float), np.zeros((2, 2)), time)
+    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)) -> ControllerState:
+        """The state in which the way to the goal starts at `time` s; `offset` (2,) N: of the state before."""
+        carried = np.asarray(correction, dtype=float)
+        begun = Offset(np.asarray(offset, dtype=float), carried, frame_at=time)
+        return ControllerState(time, carried, np.zeros((2, 2)), time, begun)
 
     @one_blas_thread
-    def step(self, state: ControllerState, seen: ArrayLike | None, time: float) -> tuple[ControllerState, Array]:
-        """The force (2,) N to apply from `time` s on, and the state after it.
+    def step(
+        self, state: ControllerState, seen: ArrayLike | None, time: float, *, felt: Felt | None = None
+    ) -> tuple[ControllerState, Array]:
+        """The force (2,) N to ask for from `time` s on, and the state after it.
 
         `seen`: the point's position (2,) m in a frame that has just arrived; None where none has, NaN where the point
-        was hidden in it. Both leave the integral as it is. Call it as often as the force can be set.
+        was hidden in it. Both leave the integral as it is. `felt`: the force on the beam in a frame that has just
+        arrived, as a sensor or the beam's shape tells it. Call it as often as the force can be set.
         """
-        wished = self._wished(state, time)
+        shown = False
         if seen is not None and self.settings.feedback:
             position = np.asarray(seen, dtype=float)
             if position.shape != (2,):
                 raise ControlError(f"the loop sees one position (2,) [m], got shape {position.shape}")
-            if isfinite(position[0]) and isfinite(position[1]):
+            shown = isfinite(position[0]) and isfinite(position[1])
+            if shown:
                 state = self._corrected(state, position, time)
-                wished = self._wished(state, time)
-        return state, wished
+        if felt is not None:
+            timing = self.settings.timing
+            late = timing.delay + timing.lag
+            wanted = self._feedforward(time - state.began - late)
+            frame = FeltFrame(felt, wanted, state.correction, shown, time, late)
+            put_right = felt_in(state.offset, frame, self.gains, fps=timing.fps, sd=self.settings.force_sd)
+            state = replace(state, offset=put_right)
+        return state, self._wished(state, time)
 
     @one_blas_thread
     def margins(self) -> Margins:
@@ -182,7 +200,8 @@ class Controller:
         return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
     def _wished(self, state: ControllerState, time: float) -> Array:
-        return bounded(self._feedforward(time - state.began) + state.correction, self.settings.most_force)
+        wanted = self._feedforward(time - state.began) + state.correction
+        return bounded(wanted, self.settings.most_force) + state.offset.force
 
     def _feedforward(self, since: float) -> Array:
         return self.reference.force(since) if self.settings.feedforward else self.reference.begins

@@ -18,9 +18,11 @@ from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Scaled
 from onebend.blas import one_blas_thread
 from onebend.control.loop.controller import Controller
+from onebend.control.loop.felt import Exposure, ForceSense
 from onebend.records import Array
 
 TICK = 1.0 / 120.0  # s, between two forces
+AXIS_PLACES = np.linspace(0.0, 1.0, 41)  # s, of the beam's axis in `LoopSimulation`
 _METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as the strong damping up there does
 
 
@@ -68,6 +70,7 @@ class LoopSimulation:
     xy: Array  # (T, 2) m, where the point was
     asked: Array  # (T, 2) N, the force that the controller asked for
     force: Array  # (T, 2) N, the force on the beam
+    axis: Array  # (T, P, 2) m, the beam's axis at `AXIS_PLACES`
 
     @property
     def error(self) -> Array:
@@ -89,9 +92,16 @@ class LoopSimulation:
 
 @one_blas_thread
 def simulate_loop(
-    control: Controller, truth: TrueSystem, duration: float, *, seed: int = 0, tick: float = TICK
+    control: Controller,
+    truth: TrueSystem,
+    duration: float,
+    *,
+    seed: int = 0,
+    tick: float = TICK,
+    feel: ForceSense | None = None,
 ) -> LoopSimulation:
-    """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s.
+    """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s. `feel` tells the
+    force in every frame that arrives, hidden point or not; it may remember, so give each run its own.
 
     Raises:
         MechanicsError: the beam's mass is not known, or its motion could not be followed.
@@ -100,16 +110,28 @@ def simulate_loop(
     moving = _MovingBeam(truth, tick)
     state = control.begin(0.0)
     rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
+    axis, bent = np.zeros((len(rows), len(AXIS_PLACES), 2)), np.zeros((len(rows), moving.body.n))
     for i, row in enumerate(rows):
-        row[0], row[1:3], row[5:] = i * tick, moving.point, moving.force
+        row[1:3], axis[i] = moving.point_and_axis()
+        row[0], row[5:], bent[i] = i * tick, moving.force, moving.theta
         state, row[3:5] = control.step(state, None, row[0])
         while arrivals and arrivals[0][0] <= row[0] + 1e-9:
             _, exposed, noise = arrivals.popleft()
-            before = rows[max(0, int(exposed / tick)) : i + 1]
+            first = max(0, int(exposed / tick))
+            before = rows[first : i + 1]
             position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
-            state, row[3:5] = control.step(state, position, row[0])
+            felt = None if feel is None else feel(_exposure(moving, exposed, before, bent[first : i + 1]))
+            state, row[3:5] = control.step(state, position, row[0], felt=felt)
         moving.advance(row[3:5], row[0])
-    return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:])
+    return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:], axis)
+
+
+def _exposure(moving: _MovingBeam, exposed: float, rows: Array, bent: Array) -> Exposure:
+    """At `exposed` s, between the first two of the `rows` or at the only one, where the modes were `bent`."""
+    share = 0.0 if len(rows) < 2 else min((exposed - rows[0, 0]) / (rows[1, 0] - rows[0, 0]), 1.0)
+    last = min(1, len(rows) - 1)
+    force, theta = ((1.0 - share) * each[0] + share * each[last] for each in (rows[:, 5:], bent))
+    return Exposure(exposed, force, lambda s: moving.pose(theta, s))
 
 
 class _MovingBeam:
@@ -119,19 +141,26 @@ class _MovingBeam:
         self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
         self._numbers = tableau(_METHOD)
         self._stepper = Stepper(self.body, self._numbers, tick, tolerance=1e-8)
-        places = self.body.length * self.body.grid.integral_to(np.array([truth.push_s, truth.point_s]))
-        self._lever, self._point = places
+        places = np.array([truth.push_s, truth.point_s, *AXIS_PLACES])
+        levers = self.body.length * self.body.grid.integral_to(places)
+        self._lever, self._places = levers[0], levers[1:]
         weighed = Actions(gravity=truth.gravity)
         self._weight = acting(self.body, weighed, tick * self._numbers.c)
         start = settle(self.body, weighed)
-        self._theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
+        self.theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
         self._guess = np.zeros((self.body.n, len(self._numbers.c)))
 
-    @property
-    def point(self) -> Array:
-        """(2,) m, where the point is."""
-        alpha = self.body.rest_angle + self.body.to_angle @ self._theta
-        return np.array([self._point @ np.cos(alpha), self._point @ np.sin(alpha)])
+    def point_and_axis(self) -> tuple[Array, Array]:
+        """(2,) m, where the point is; (P, 2) m, the beam's axis."""
+        alpha = self.body.rest_angle + self.body.to_angle @ self.theta
+        found = self._places @ np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
+        return found[0], found[1:]
+
+    def pose(self, theta: Array, s: Array) -> Array:
+        """(m, 3) m, m, rad: the beam at `s` (m,) where its modes are `theta`."""
+        alpha, grid = self.body.rest_angle + self.body.to_angle @ theta, self.body.grid
+        along = self.body.length * grid.integral_to(s)
+        return np.column_stack([along @ np.cos(alpha), along @ np.sin(alpha), grid.value_at(s) @ alpha])
 
     def advance(self, asked: Array, now: float) -> None:
         """One tick with the force going to what is asked for, by the actuator's lag."""
@@ -140,8 +169,8 @@ class _MovingBeam:
         force = goes_to + decay[:, None] * (self.force - goes_to)
         pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
         acts = replace(self._weight, pull=pull, force=force[:-1])
-        step = self._stepper.advance(self._theta, self._momentum, self._guess, acts, now)
-        self._theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
+        step = self._stepper.advance(self.theta, self._momentum, self._guess, acts, now)
+        self.theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
         self._guess = step.velocity @ self._numbers.ahead.T
 
 

@@ -55,6 +55,10 @@ class PushedBeam:
         self.gravity: tuple[float, float] = (x, y)
         problem, nodes = self.problem, self.problem.grid.nodes
         self.count = n = len(nodes) if heavy else int(np.sum(nodes < push_s))
+        if n == 0:
+            raise ControlError(
+                f"a force at s = {push_s:g} is too near the clamp to bend the beam. Give s from 1e-6 to 1"
+            )
         self.b = np.asfortranarray(problem.to_nodes[:, :n])
         self.square = np.ascontiguousarray(problem.to_nodes[:n, :n])
         beyond = np.asarray(nodes[:n] < push_s, dtype=float)

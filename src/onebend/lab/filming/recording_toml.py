@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from onebend.recording.bags.recorded_topics import BAG_KEYS
-from onebend.recording.folder import FORMAT
+from onebend.recording.toml.description import FORMAT
 from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.schema import Key, keys_of
 

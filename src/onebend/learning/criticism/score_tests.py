@@ -196,7 +196,7 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
     log10_p = _log10(chdtrc(count, chi2))
     steps = [-response @ b for response in freed.response]
     every = zip(freed.numbers, freed.d, steps, strict=True)
-    changes = {number: d @ b + fit.rows[number].slopes.times(step) for number, d, step in every}
+    changes = {number: d @ b + fit.rows[number].moved_by(step) for number, d, step in every}
     ratio = 1.0
     if log10_p < _NEW_NOISE:
         ratio, numbers = _noise_left(fit, changes)
@@ -219,7 +219,7 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
     before, after, numbers = 0.0, 0.0, 0.0
     for number, change in changes.items():
         rows, noise = fit.rows[number], fit.optimum.hyperparameters.noise[number]
-        plain = rows.r - rows.slopes.times(fit.step[fit.known[number]])
+        plain = rows.r - rows.moved_by(fit.step[fit.known[number]])
         old, new = (split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
         time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)

@@ -140,7 +140,7 @@ class Instruments:
             entries["shared_covariance"] = entries["shared_covariance"].reshape(2 * (len(data["shared_slope"]),))
             entries["pushes"] = tuple(PlannedPush(**{k: float(v) for k, v in one.items()}) for one in data["pushes"])
             bench = Instruments(**entries)
-            _check_finite(bench)
+            _check(bench)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise LearningError(f"describes no bench ({error})") from error
         return bench
@@ -272,9 +272,20 @@ def _rests(observations: Observations) -> tuple[float, float]:
     return before, after
 
 
-def _check_finite(bench: Instruments) -> None:
+def _check(bench: Instruments) -> None:
+    """Raises `ValueError` for what no onebend writes."""
     for record in (bench, bench.force):
         for item in fields(record):
             value = getattr(record, item.name)
             if isinstance(value, float | int | np.ndarray) and not np.all(np.isfinite(value)):
                 raise ValueError(f"{item.name} is not finite")
+    for name, count, low, high in (
+        ("tags", len(bench.tags), 0.0, 1.0),
+        ("gravity", 2, -np.inf, np.inf),
+        ("discrepancy", 2, 0.0, np.inf),
+    ):
+        value = np.asarray(getattr(bench, name), dtype=float)
+        if value.shape != (count,) or not np.all(np.isfinite(value) & (low <= value) & (value <= high)):
+            raise ValueError(f"{name} is not as it must be")
+    if not set(bench.shared) <= set(SHARED):
+        raise ValueError("shared names no nuisances")

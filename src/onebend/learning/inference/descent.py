@@ -234,7 +234,7 @@ def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Arra
     x, layout = begin.x + step, here.problem.layout
 
     def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
-        left = residual - rows.slopes.times(step[layout.known_to(now.recording.number)])
+        left = residual - rows.moved_by(step[layout.known_to(now.recording.number)])
         own = split_off_force(rows, left, noise)[1]
         return predict(now.recording, layout, x, now.solved.q, own)
 

@@ -186,7 +186,8 @@ def _with_stiffness(covariance: Array, of_log_k: Array) -> Array:
 def _cubature(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[list[Hyperparameters], Array]:
     """Nodes over the sizes of the force error, and weights as the evidence says: exact to degree three."""
     middle, cost = evidence.place(hyperparameters), evidence.cost(hyperparameters)
-    values, vectors = np.linalg.eigh(_hessian(cost, middle, _CURVATURE_STEP))
+    lowest = cost(middle)
+    values, vectors = np.linalg.eigh(_hessian(cost, middle, lowest, _CURVATURE_STEP))
     sd = 1.0 / np.sqrt(np.maximum(values, 0.5))  # the prior alone has curvature one
     n = len(middle)
     radius = np.sqrt(n / (1.0 - _CENTRE_SHARE))
@@ -194,17 +195,18 @@ def _cubature(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[lis
     points = [middle + offset for offset in offsets]
     normal = 0.5 * radius**2 * np.concatenate([[0.0], np.ones(2 * n)])
     shares = np.array([_CENTRE_SHARE, *[(1.0 - _CENTRE_SHARE) / (2 * n)] * (2 * n)])
-    logs = np.log(shares) - np.array([cost(z) for z in points]) + normal
+    logs = np.log(shares) - np.array([lowest, *(cost(z) for z in points[1:])]) + normal
     weights = np.exp(logs - np.max(logs))
     return [evidence.hyperparameters_at(hyperparameters, z) for z in points], weights / np.sum(weights)
 
 
-def _hessian(cost: Callable[[Array], float], middle: Array, h: float) -> Array:
-    """Second derivatives by central differences."""
+def _hessian(cost: Callable[[Array], float], middle: Array, there: float, h: float) -> Array:
+    """Second derivatives by central differences; `there` is the cost in the middle."""
     n, e = len(middle), h * np.eye(len(middle))
     out = np.zeros((n, n))
     for i in range(n):
-        for j in range(i + 1):
+        out[i, i] = (cost(middle + 2.0 * e[i]) - 2.0 * there + cost(middle - 2.0 * e[i])) / (4.0 * h**2)
+        for j in range(i):
             pairs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
             terms = [a * b * cost(middle + a * e[i] + b * e[j]) for a, b in pairs]
             out[i, j] = out[j, i] = sum(terms) / (4.0 * h**2)

@@ -45,8 +45,12 @@ class ResidualRows:
 
     @property
     def slopes(self) -> Slopes:
-        """The rows' derivatives, weighted."""
+        """The rows' derivatives, weighted: a copy."""
         return replace(self.whitened, j=self.root_weight[..., None] * self.whitened.j, a=self.a)
+
+    def moved_by(self, step: Array) -> Array:
+        """(F, R): what a step (C,) of the parameters does to the rows."""
+        return np.asarray(self.root_weight * self.whitened.times(step))
 
     @cached_property
     def a(self) -> Array:
@@ -126,7 +130,7 @@ def tag_information(
     """
     mine, slopes = layout.known_to(number), rows.slopes
     (frames, k), variance = slopes.weights.shape, noise.marker**2
-    y = rows.r + slopes.times(x[mine])
+    y = rows.r + rows.moved_by(x[mine])
     shrinkage, ay = force_shrinkage(rows, noise), rows.by_force(y)
     aj = np.swapaxes(rows.a, 1, 2) @ slopes.j  # (F, 2, C - 2 K)
     j, count = slopes.j.reshape(-1, aj.shape[-1]), aj.shape[-1]
@@ -148,9 +152,9 @@ def tag_information(
 
 def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
     """(C,) `J' S^-1 r` of weighted residuals r (F, R) of one recording, over the parameters that it knows."""
-    slopes = rows.slopes
+    slopes = rows.whitened
     unexplained, force = split_off_force(rows, r, noise)
-    of_tags = slopes.j.reshape(-1, slopes.j.shape[-1]).T @ unexplained.ravel() / noise.marker**2
+    of_tags = (rows.root_weight * unexplained).ravel() @ slopes.j.reshape(-1, slopes.j.shape[-1]) / noise.marker**2
     of_knots = -slopes.weights.T @ (force @ slopes.axes) / noise.force**2
     return np.concatenate([of_tags, of_knots.ravel()])
 

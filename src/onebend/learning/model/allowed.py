@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from onebend.beam.grid import solve_each
 from onebend.beam.profiles.rectangular import RectangularSection
 from onebend.beam.statics.continuation import follow, refine
-from onebend.beam.statics.equilibrium import Equilibrium, balance
-from onebend.beam.statics.newton import solve_batch
+from onebend.beam.statics.equilibrium import Equilibrium, gradient, tangent
 from onebend.beam.statics.perturbation import Perturbation
 from onebend.beam.statics.problem import Problem
 from onebend.learning.allowances.allowance import Allowance, Entry
@@ -22,6 +22,7 @@ from onebend.learning.model.tag_jacobian import BentBeam, placed_by, pushed_by
 from onebend.records import Array
 
 _SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
+_FALLING = 0.2  # of the change before: one that is larger takes a new tangent
 _FARTHEST = 5.0  # rad, of the curvature in one update of Newton's method
 _MOST_PASSES = 16
 
@@ -52,23 +53,28 @@ def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, s
     """Of a free end; where the material relaxes, each shape hangs on those before it, and all are found together.
 
     `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q), where shapes are known about.
-    Newton's method on each shape and the shift of its rest take turns.
+    Newton's method on each shape and the shift of its rest take turns. The shift settles slowly and Newton's method
+    fast: the tangent's inverse of one pass does for the next ones, as long as they settle.
     """
     values = relaxation_values(recording, layout, x)
     if values is None or not remembers(recording, layout, x):
         return free_ends(problem, recording.poses, start)
     q = follow(problem).q if start is None else start
-    remembering, rest, full = memory(values, relaxation_time(recording)), problem.q0, np.ones(problem.size)
+    remembering, rest = memory(values, relaxation_time(recording)), problem.q0
+    nodes, inverse, before = q.shape[1], None, np.inf
     for _ in range(_MOST_PASSES):
-        shift = rest_shift(remembering, q - rest, problem.weights)
-        residual, matrices = balance(replace(problem, q0=rest + shift), q, full)
-        update = solve_batch(matrices, residual)
-        if not float(np.max(np.abs(update))) < _FARTHEST:  # from here Newton's method alone cannot be trusted
-            q = refine(replace(problem, q0=rest + shift), q).q
+        shifted = replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights))
+        if inverse is None:
+            inverse = solve_each(tangent(shifted, q), np.broadcast_to(np.eye(nodes), (*q.shape, nodes)))
+        update = (inverse @ gradient(shifted, q)[..., None])[..., 0]
+        size = float(np.max(np.abs(update)))
+        if not size < _FARTHEST:  # from here Newton's method alone cannot be trusted
+            q, inverse = refine(shifted, q).q, None
             continue
         q = q - update
-        if float(np.max(np.abs(update))) < _SETTLED:
+        if size < _SETTLED:
             break
+        inverse, before = (inverse if size < _FALLING * before else None), size
     return refine(replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights)), q)
 
 

@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
+from scipy.linalg.lapack import dtpqrt
 
 from onebend.recording.force.load_stages import displacement, load_changes
 from onebend.recording.signals import low_pass, low_pass_power
@@ -28,6 +29,7 @@ _MARGIN = 0.2  # s, kept away from contact when a rest is read
 _MOST_KNOTS = 100
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
+_PANEL = 8  # columns that LAPACK takes together where it adds rows to a QR factor
 _FINE = 4  # steps between knots, where the load's error is filtered
 LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
@@ -113,23 +115,32 @@ class ForceError:
         """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts: they may differ by many
         orders, and a factor of their sum would lose the small ones."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
-        own = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short)))
-        alike = np.ones((1, len(short)))
-        parts = [own.T, walk * self.noise.walk * self._walk_factor, self.level * alike]
-        parts += [load * self.load * factor for factor in (alike, self._stages_factor)]
-        return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r")).T
+        upper = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short))).T
+        level = np.full((1, len(short)), np.hypot(self.level, load * self.load))
+        upper = _below(upper, walk * self.noise.walk * self._walk_factor)
+        upper = _below(upper, load * self.load * self._stages_factor)
+        return _below(upper, level).T
 
     @cached_property
     def _walk_factor(self) -> Array:
-        """(K - 1, K) of a random walk of one unit per root second from the first knot on."""
+        """(K - 1, K), upper triangular, of a random walk of one unit per root second from the first knot on."""
         later = np.arange(len(self.knots)) > np.arange(len(self.knots) - 1)[:, None]
         return np.asarray(np.sqrt(np.diff(self.knots))[:, None] * later)
 
     @cached_property
     def _stages_factor(self) -> Array:
-        """(K, K) of `stages`."""
+        """(K, K), upper triangular, of `stages`."""
         values, vectors = np.linalg.eigh(self.stages)
-        return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+        return np.asarray(np.linalg.qr(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, mode="r"))
+
+
+def _below(upper: Array, more: Array) -> Array:
+    """(K, K) the upper triangular R of the QR factors of one such (K, K) and of rows (m, K) below it, upper triangular
+    themselves where they are more than one; what is known to be zero costs nothing."""
+    if not len(upper):
+        return upper
+    rows = len(more) if len(more) > 1 else 0
+    return np.triu(dtpqrt(rows, min(_PANEL, len(upper)), upper, more)[0])
 
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:

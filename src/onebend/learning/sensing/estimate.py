@@ -31,17 +31,24 @@ _MOST = 1e8  # damping: no step is left that lowers anything
 PLACE_PRIOR = (0.5, 0.29)  # mean and sd of a place of which nothing is known: those of an even spread over the beam
 
 
+def with_place(prior_sd: Array, seek_place: bool) -> tuple[Array, Array]:
+    """(d,) sds and means of a frame's unknowns, of a load with `prior_sd` (n,) and, where it is sought, its place."""
+    mean = np.zeros(len(prior_sd))
+    if not seek_place:
+        return prior_sd, mean
+    return np.append(prior_sd, PLACE_PRIOR[1]), np.append(mean, PLACE_PRIOR[0])
+
+
 @dataclass(frozen=True)
 class Estimates:
     """Forces of F frames. NaN where none was found."""
 
-    force: Array  # (F, 2) N
-    place: Array  # (F,) s
-    covariance: Array  # (F, d, d) of force and, where it was sought, place: N, s
-    common: Array  # (F, 2, r) N, of it what one sd of each way in which the bench is off does to the force
+    force: Array  # (F, n) N, the load (`bench.py`)
+    place: Array  # (F,) or (F, 2) s
+    covariance: Array  # (F, d, d) of load and, where it was sought, place: N, N m, s
+    common: Array  # (F, n, r) N, of it what one sd of each way in which the bench is off does to the load
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
     chi2: Array  # (F,) squared residuals, whitened
-    angle: Array  # (F,) rad, of the beam at the place
     pose: Array  # (F, m, 3) the tags that belong to it
 
     def take(self, rows: IntArray | BoolArray) -> Estimates:
@@ -62,7 +69,6 @@ class _SearchState:
     q: Array  # (F, Q)
     stands: BoolArray  # (F,) an equilibrium was found
     pose: Array  # (F, m, 3)
-    angle: Array  # (F,)
     root: Array  # (F, 3 m, 3 m): applied to residuals over the tags' noise
     residual: Array  # (F, 3 m) in units of all noise
     slopes: Array  # (F, 3 m, d) of the same with the unknowns over their priors' sd
@@ -79,14 +85,15 @@ def estimate(
     bench: Bench,
     frames: IntArray,
     place: Array,
-    prior_sd: float,
+    prior_sd: Array,
     *,
     seek_place: bool,
     force: Array | None = None,
     restarts: int = 4,
 ) -> Estimates:
     """The force in `frames` (F,), rising, from `force` (F, 2) N (default: that of `begin`) at `place` (F,), which is
-    where it acts or, with `seek_place`, where the search begins. `prior_sd`: N, of each component, mean zero."""
+    where it acts or, with `seek_place`, where the search begins; two places, (F, 2), are said. `prior_sd` (n,): of each
+    number of the load, mean zero."""
     first = first_forces(bench, frames, place, prior_sd) if force is None else force
     found = _searched(bench, frames, place, prior_sd, seek_place, first)
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
@@ -107,7 +114,7 @@ def estimate(
 
 
 def _searched(
-    bench: Bench, frames: IntArray, place: Array, prior_sd: float, seek_place: bool, force: Array
+    bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
 ) -> Estimates:
     parts = [
         _Search(bench, frames[i : i + CHUNK], place[i : i + CHUNK], prior_sd, seek_place).run(force[i : i + CHUNK])
@@ -119,25 +126,30 @@ def _searched(
 class _Search:
     """Gauss-Newton for one chunk of frames."""
 
-    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: float, seek_place: bool) -> None:
+    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
         o = bench.observations
         self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
         self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
         self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd = np.array([prior_sd, prior_sd, PLACE_PRIOR[1]][: 3 if seek_place else 2])
-        self.mean = np.array([0.0, 0.0, PLACE_PRIOR[0]][: len(self.sd)])
+        self.sd, self.mean = with_place(prior_sd, seek_place)
+        self.load = len(prior_sd)
         self.problem = problem_of(bench, frames, place)
-        self.longest = _STRIDE * float(np.mean(self.problem.k)) / bench.observations.length
+        stiff = _STRIDE * float(np.mean(self.problem.k))
+        self.longest = np.full(len(self.sd), stiff / bench.observations.length)
+        if self.load % 2:
+            self.longest[self.load - 1] = stiff
+        if seek_place:
+            self.longest[-1] = np.inf
 
     def run(self, force: Array) -> Estimates:
         """From `force` (F, 2)."""
-        unknown = np.concatenate([force, self.place[:, None]], axis=1)[:, : len(self.sd)]
+        unknown = np.column_stack([force, self.place]) if self.seek_place else force.copy()
         rows = np.arange(len(unknown))
         solved = self._solved(rows, unknown, None)
         for _ in range(_HALVINGS):
             if solved.converged.all():
                 break
-            unknown[~solved.converged, :2] *= 0.5
+            unknown[~solved.converged, : self.load] *= 0.5
             solved = self._solved(rows, unknown, None)
         state = self._state(rows, unknown, solved, None)
         for _ in range(_SEARCHES - 1):
@@ -175,28 +187,28 @@ class _Search:
         root = np.swapaxes(turn, 1, 2) / np.sqrt(1.0 + size[:, None] ** 2)
         covariance = self.sd[:, None] * (root @ np.swapaxes(root, 1, 2)) * self.sd
         known = np.where(state.stands[:, None], state.unknown, np.nan)
-        place = known[:, 2] if self.seek_place else np.where(state.stands, self.place, np.nan)
+        place = known[:, -1] if self.seek_place else np.where(state.stands, self.place.T, np.nan).T
         objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
         chi2 = np.sum(state.residual**2, axis=1)
         gain = self.sd[:, None] * (root @ np.swapaxes(state.slopes @ root, 1, 2))
-        common = -(gain @ state.shared)[:, :2]
-        return Estimates(known[:, :2], place, covariance, common, objective, chi2, state.angle, state.pose)
+        common = -(gain @ state.shared)[:, : self.load]
+        return Estimates(known[:, : self.load], place, covariance, common, objective, chi2, state.pose)
 
     def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
         """The beam in frames `rows` of the chunk."""
         if self.seek_place:
-            place, problem = unknown[:, 2], problem_apart(self.bench, self.frames[rows], unknown[:, 2])
+            place, problem = unknown[:, -1], problem_apart(self.bench, self.frames[rows], unknown[:, -1])
         else:
             place, problem = self.place[rows], self.problem.take(rows)
-        return solve(self.bench, problem, unknown[:, :2], place, start)
+        return solve(self.bench, problem, unknown[:, : self.load], place, start)
 
     def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
         """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
-        place = unknown[:, 2] if self.seek_place else self.place[rows]
-        tags = tags_of(self.bench, self.frames[rows], solved, unknown[:, :2], place, shared=root is None)
-        stands, own = solved.converged[:, None, None], tags.by_force
+        place = unknown[:, -1] if self.seek_place else self.place[rows]
+        tags = tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
+        stands, own = solved.converged[:, None, None], tags.by_load
         if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place[..., None]], axis=-1)
+            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
         shared = np.zeros((len(rows), 3 * self.seen.shape[1], 0))
         if root is None:
             shared = np.nan_to_num(np.where(stands, self._flat(rows, tags.by_shared @ self.bench.root), 0.0))
@@ -205,7 +217,7 @@ class _Search:
         slopes = root @ np.where(stands, self._flat(rows, own * self.sd), 0.0)
         residual = self._residual(rows, root, tags.pose)
         return _SearchState(
-            unknown.copy(), solved.q, solved.converged, tags.pose, tags.angle, root, residual, slopes, root @ shared
+            unknown.copy(), solved.q, solved.converged, tags.pose, root, residual, slopes, root @ shared
         )
 
     def _residual(self, rows: IntArray, root: Array, pose: Array) -> Array:
@@ -224,7 +236,7 @@ class _Search:
         size = np.sqrt(np.sum((1.0 + size**2) * step**2, axis=1))
         step = np.einsum("fed,fe->fd", turn, step)
         step = step * self.sd
-        longest = np.maximum(np.hypot(step[:, 0], step[:, 1]) / self.longest, 1.0)
+        longest = np.maximum(np.max(np.abs(step / self.longest), axis=1), 1.0)
         return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
 
     def _objective(self, residual: Array, unknown: Array) -> Array:
@@ -232,5 +244,5 @@ class _Search:
 
     def _inside(self, unknown: Array) -> Array:
         if self.seek_place:
-            unknown = np.column_stack([unknown[:, :2], np.clip(unknown[:, 2], INNERMOST, 1.0)])
+            unknown = np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], INNERMOST, 1.0)])
         return unknown

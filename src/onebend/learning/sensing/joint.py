@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from onebend.learning.model.frames import whitening
 from onebend.learning.sensing.bench import INNERMOST, Bench, problem_apart, problem_of, rest_problem, solve
-from onebend.learning.sensing.estimate import PLACE_PRIOR, Estimates
+from onebend.learning.sensing.estimate import Estimates, with_place
 from onebend.learning.sensing.tags import AT_REST, Tags, tags_of
 from onebend.records import Array, IntArray
 
@@ -34,6 +34,7 @@ class Misfit:
     chi2: float
     freedom: int  # numbers measured, less the frames' own unknowns
     frames: int
+    evidence: float  # log but for a constant (Laplace): the frames' own unknowns and all that they share integrated out
 
     @property
     def ratio(self) -> float:
@@ -68,11 +69,12 @@ def rested(bench: Bench) -> Bench:
     seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
     if not np.isfinite(seen).any():
         return bench
-    root, mean, none = bench.root, bench.mean, np.zeros((1, 2))
+    root, mean, forces = bench.root, bench.mean, len(bench.mean[bench.parts["place"]])
+    none, at = np.zeros((1, 2 * forces)), np.ones(1) if forces == 1 else np.ones((1, forces))
     whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
     for _ in range(_REST_ROUNDS):
         now = replace(bench, mean=mean)
-        tags = tags_of(now, AT_REST, solve(now, rest_problem(now), none, np.ones(1), None), none, np.ones(1))
+        tags = tags_of(now, AT_REST, solve(now, rest_problem(now), none, at, None), none, at)
         rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
         away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - bench.mean)
         inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
@@ -81,7 +83,7 @@ def rested(bench: Bench) -> Bench:
 
 
 def together(
-    bench: Bench, frames: IntArray, begin: Estimates, prior_sd: float, *, seek_place: bool
+    bench: Bench, frames: IntArray, begin: Estimates, prior_sd: Array, *, seek_place: bool
 ) -> tuple[Bench, Estimates, Misfit]:
     """The bench as the `frames` (F,), rising, show it besides; what is known of them then; how well it fits."""
     return _Joint(bench, frames, prior_sd, seek_place).run(begin)
@@ -90,17 +92,17 @@ def together(
 class _Joint:
     """Gauss-Newton, damped."""
 
-    def __init__(self, bench: Bench, frames: IntArray, prior_sd: float, seek_place: bool) -> None:
-        o, count = bench.observations, 3 if seek_place else 2
+    def __init__(self, bench: Bench, frames: IntArray, prior_sd: Array, seek_place: bool) -> None:
+        o = bench.observations
         self.bench, self.frames, self.seek_place = bench, frames, seek_place
         self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
         self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd = np.array([prior_sd, prior_sd, PLACE_PRIOR[1]][:count])
-        self.mean = np.array([0.0, 0.0, PLACE_PRIOR[0]][:count])
+        self.sd, self.mean = with_place(prior_sd, seek_place)
+        self.load = len(prior_sd)
 
     def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
         self.place = begin.place
-        own = np.concatenate([begin.force, begin.place[:, None]], axis=1)[:, : len(self.sd)]
+        own = np.column_stack([begin.force, begin.place]) if self.seek_place else begin.force
         now = self._at(np.zeros(self.bench.root.shape[1]), own)
         damping = 1e-4
         for _ in range(_ROUNDS):
@@ -135,17 +137,17 @@ class _Joint:
         return now
 
     def _there(self, bench: Bench, shared: Array, own: Array, near: Array | None) -> _At:
-        place = own[:, 2] if self.seek_place else self.place
+        place = own[:, -1] if self.seek_place else self.place
         problem = (problem_apart if self.seek_place else problem_of)(bench, self.frames, place)
         near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = solve(bench, problem, own[:, :2], place, near)
-        tags = tags_of(bench, self.frames, solved, own[:, :2], place, shared=False)
+        solved = solve(bench, problem, own[:, : self.load], place, near)
+        tags = tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
         residual = self._flat(np.nan_to_num(self.seen - tags.pose)[..., None])[..., 0]
         objectives = np.sum(residual**2, axis=1) + np.sum(((own - self.mean) / self.sd) ** 2, axis=1)
         return _At(shared, own, tags, residual, np.where(solved.converged, objectives, np.inf))
 
     def _inside(self, own: Array) -> Array:
-        return np.column_stack([own[:, :2], np.clip(own[:, 2], INNERMOST, 1.0)]) if self.seek_place else own
+        return np.column_stack([own[:, :-1], np.clip(own[:, -1], INNERMOST, 1.0)]) if self.seek_place else own
 
     def _bench(self, shared: Array) -> Bench:
         return replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
@@ -156,15 +158,15 @@ class _Joint:
 
     def _own_slopes(self, tags: Tags) -> Array:
         """(F, 3 m, d) with the frames' own unknowns, over their priors' sd."""
-        own = tags.by_force
+        own = tags.by_load
         if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place[..., None]], axis=-1)
+            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
         return self._flat(own * self.sd)
 
     def _slopes(self, now: _At) -> tuple[Array, Array]:
         """The same, and (F, 3 m, r) with what is shared."""
-        place = now.own[:, 2] if self.seek_place else self.place
-        tags = tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, :2], place)
+        place = now.own[:, -1] if self.seek_place else self.place
+        tags = tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
         return self._own_slopes(tags), self._flat(tags.by_shared @ self.bench.root)
 
     def _step(self, now: _At, damping: float) -> tuple[Array, Array]:
@@ -197,9 +199,12 @@ class _Joint:
         bench = replace(self._bench(now.shared), root=self.bench.root @ root)
         squares = np.sum(now.residual**2, axis=1)
         measured = int(np.sum(np.any(self.whiten != 0.0, axis=-1)))
-        fit = Misfit(float(np.sum(squares) + now.shared @ now.shared), measured - now.own.size, len(self.frames))
-        place = now.own[:, 2] if self.seek_place else self.place
+        spread = float(np.sum(np.log1p(size**2)) + np.sum(np.log1p(told**2)))
+        evidence = -0.5 * (now.objective + spread)
+        whole = float(np.sum(squares) + now.shared @ now.shared)
+        fit = Misfit(whole, measured - now.own.size, len(self.frames), evidence)
+        place = now.own[:, -1] if self.seek_place else self.place
         stands = np.where(now.tags.solved.converged, squares, np.inf)
-        common = -(self.sd[:, None] * (down @ root))[:, :2]
-        found = Estimates(now.own[:, :2], place, covariance, common, stands, squares, now.tags.angle, now.tags.pose)
+        common = -(self.sd[:, None] * (down @ root))[:, : self.load]
+        found = Estimates(now.own[:, : self.load], place, covariance, common, stands, squares, now.tags.pose)
         return bench, found, fit

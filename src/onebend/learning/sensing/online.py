@@ -33,7 +33,8 @@ _ONE = np.zeros(1, dtype=np.int64)
 
 @dataclass(frozen=True)
 class LiveForce:
-    """The force in one frame, beam's frame; NaN where the frame tells nothing."""
+    """The force in one frame, beam's frame; NaN where the frame tells nothing, or no force explains it: then `chi2` is
+    more than twenty times the count of what was measured."""
 
     time: float  # s
     force: Array  # (2,) N
@@ -99,9 +100,9 @@ class OnlineSense:
         if found is None or found[3] > _LOST * count:
             again = self._follow(self._anew(time, seen, covariance), seen, whiten)
             found = again if found is None or (again is not None and again[3] < found[3]) else found
-        if found is None:
+        if found is None or not found[3] <= _LOST * count:
             self._shape, none = None, np.full((2, 2), np.nan)
-            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan)
+            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan if found is None else found[3])
         self._shape, unknown, spread, chi2 = found
         axes = self._bench.axes
         force, part = axes @ unknown[:2], axes @ spread[:2, :2] @ axes.T
@@ -139,9 +140,9 @@ class OnlineSense:
         """(3 m, d) slopes over the priors' sds, and (3 m,) residuals, in units of all noise."""
         tags, count = shape.tags, seen.size
         shared = (whiten @ shape.noise).reshape(count, -1)
-        own = tags.by_force[0]
+        own = tags.by_load[0]
         if self._place is None:
-            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0][..., None]], axis=-1)
+            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0]], axis=-1)
         both = np.concatenate([own * self._sd, np.nan_to_num(seen - tags.pose[0])[..., None]], axis=-1)
         root = np.linalg.cholesky(np.eye(count) + shared @ shared.T)
         out = np.linalg.solve(root, (whiten @ both).reshape(count, -1))
@@ -188,7 +189,7 @@ class OnlineSense:
         )
         bench = replace(self._bench, observations=alone)
         place = None if self._place is None else np.array([self._place])
-        found, _ = first(bench, _ONE, place, float(self._sd[0]))
+        found, _ = first(bench, _ONE, place, self._sd[:2])
         unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(self._sd)]
         edge = self._place if self._place is not None else float(found.place[0])
         here, at = self._at(unknown, edge)

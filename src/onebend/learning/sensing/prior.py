@@ -53,11 +53,11 @@ def shared_prior(
     instruments: Instruments | None,
     *,
     tags_as_learned: bool,
-    place_sd: float,
+    place_sd: float | tuple[float, ...],
 ) -> SharedPrior:
-    """As the recording states it, with the discrepancy of `instruments`, and the contact's place to `place_sd` [m];
-    with `tags_as_learned`, rest curvature and
-    tags are those that were learned, with what their errors have in common with those of k(s)."""
+    """As the recording states it, with the discrepancy of `instruments`, and the place of the contact, or of each, to
+    `place_sd` [m]; with `tags_as_learned`, rest curvature and tags are those that were learned, with what their errors
+    have in common with those of k(s)."""
     o, priors = observations, Priors()
     m, stated = len(o.marker_s), o.stated
     ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
@@ -75,7 +75,7 @@ def shared_prior(
         "scale": np.full(1, scale_sd(o, priors)),
         "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
         "picture": picture_sd,
-        "place": np.full(1, place_sd),
+        "place": np.atleast_1d(np.asarray(place_sd, dtype=float)),
     }
     ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
     parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}

@@ -16,7 +16,7 @@ from onebend.records import Array, BoolArray, IntArray
 LEVEL = 0.95
 TOUCH = float(chi2.ppf(LEVEL, 2))
 _TOGETHER = 24  # frames that are taken together: so far apart that the tags' errors are each one's own
-_MOVED = 0.2  # of the largest displacement of the tags: frames that move less tell the bench nothing
+MOVED = 0.2  # of the largest displacement of the tags: frames that move less tell the bench nothing
 _ODD = 5.0  # times the usual squared residual: such a frame has a wrong tag, and tells the bench nothing either
 _SCAN = np.linspace(0.2, 1.0, 9)  # places where the search for the contact begins
 _AS_WELL = float(chi2.ppf(LEVEL, 1))  # of the objective: two places explain a frame about as well
@@ -33,7 +33,7 @@ class Searched:
     misfit: Misfit | None  # None: no frame shows a force
 
 
-def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float) -> Searched:
+def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> Searched:
     """Of `frames` (F,), rising; `place` (F,) where the force acts, None: it is sought."""
     some = _together(bench, frames)
     begin, other = first(bench, frames[some], None if place is None else place[some], prior_sd)
@@ -59,29 +59,30 @@ def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float)
 
 
 def touches(found: Estimates) -> BoolArray:
-    """(F,) whether zero force lies outside the 95 % region."""
+    """(F,) whether no load at all lies outside the 95 % region."""
+    n = found.force.shape[1]
     known: BoolArray = np.asarray(np.isfinite(found.force).all(axis=1))
     out: BoolArray = np.zeros(len(known), dtype=np.bool_)
-    solved = np.linalg.solve(found.covariance[known, :2, :2], found.force[known][..., None])[..., 0]
-    out[known] = np.einsum("tc,tc->t", found.force[known], solved) > TOUCH
+    solved = np.linalg.solve(found.covariance[known, :n, :n], found.force[known][..., None])[..., 0]
+    out[known] = np.einsum("tc,tc->t", found.force[known], solved) > chi2.ppf(LEVEL, n)
     return out
 
 
 def _together(bench: Bench, frames: IntArray) -> IntArray:
     """Which of the frames tell the bench: evenly spread among those in which the tags moved."""
     moved = np.nan_to_num(moved_by(bench.observations)[frames])
-    rows = np.flatnonzero(moved >= _MOVED * np.max(moved))
+    rows = np.flatnonzero(moved >= MOVED * np.max(moved))
     return np.asarray(rows[np.linspace(0, len(rows) - 1, min(_TOGETHER, len(rows))).astype(int)])
 
 
-def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: float) -> tuple[Estimates, Array]:
+def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> tuple[Estimates, Array]:
     """Each frame by itself, and another place that does about as well."""
     if place is not None:
         return estimate(bench, frames, place, prior_sd, seek_place=False), np.full(len(frames), np.nan)
     return _at_unknown_place(bench, frames, prior_sd)
 
 
-def _at_unknown_place(bench: Bench, frames: IntArray, prior_sd: float) -> tuple[Estimates, Array]:
+def _at_unknown_place(bench: Bench, frames: IntArray, prior_sd: Array) -> tuple[Estimates, Array]:
     """From the place of a scan that explains a frame best; and (F,) another that does about as well, NaN: none."""
     scan = [estimate(bench, frames, np.full(len(frames), s), prior_sd, seek_place=False, restarts=0) for s in _SCAN]
     objective = np.stack([one.objective for one in scan])  # (places, F)
@@ -90,7 +91,7 @@ def _at_unknown_place(bench: Bench, frames: IntArray, prior_sd: float) -> tuple[
     found = estimate(bench, frames, _SCAN[best], prior_sd, seek_place=True, force=force)
     padded = np.pad(objective, ((1, 1), (0, 0)), constant_values=np.inf)
     valley = (objective <= padded[:-2]) & (objective <= padded[2:])
-    far = np.abs(_SCAN[:, None] - found.place) > np.maximum(_APART, 2.0 * np.sqrt(found.covariance[:, 2, 2]))
+    far = np.abs(_SCAN[:, None] - found.place) > np.maximum(_APART, 2.0 * np.sqrt(found.covariance[:, -1, -1]))
     rivals = np.where(valley & far, objective, np.inf)
     second = np.argmin(rivals, axis=0)
     as_well = rivals[second, every] < found.objective + _AS_WELL

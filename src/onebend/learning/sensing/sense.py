@@ -9,25 +9,36 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.rod import has_mass
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.design.instruments import Instruments
-from onebend.learning.model.mass import NEEDS_MASS, weighs
-from onebend.learning.sensing.bench import Bench
+from onebend.learning.model.force_error import force_error
+from onebend.learning.sensing.bench import Bench, check_recording
+from onebend.learning.sensing.edges import edges_of, frames_at_edges, runs_of, within
+from onebend.learning.sensing.estimate import PLACE_PRIOR
+from onebend.learning.sensing.frame_forces import read
 from onebend.learning.sensing.joint import rested
 from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.search import Searched, search, touches
-from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch
-from onebend.learning.sensing.sensor import SensorCheck, check_sensor
-from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+from onebend.learning.sensing.sensed import (
+    SecondForce,
+    Sensed,
+    SenseSettings,
+    ToldMoment,
+    Touch,
+    check_settings,
+    logged_forces,
+    sensed_remarks,
+)
+from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
+from onebend.learning.sensing.smooth import Smoothed, smoothed
+from onebend.learning.sensing.two import STRIDE, Benches, TwoContacts, both_touch, two_said, two_sought
+from onebend.records import Array, BoolArray, IntArray, Observations
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
 _NOTHING = 1e-4  # of the prior's sd: a force that is none
-_RUN = 3  # frames in a row that show a force, before it is a contact
 _PLACE_KNOWN = 0.1  # sd of s beyond which the place of the contact is not told
-_TOO_FAR, _UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which it is a warning
-_FROM_PRIOR = 0.25  # share of a component's variance left by the data from which it is said
+_PRIORS = (1e-9, 1e9)  # of the usual sd of a force: beyond, it is none of a beam
 
 
 @one_blas_thread
@@ -53,19 +64,72 @@ def sense(
         MechanicsError: k(s) is not positive somewhere.
     """
     o = observations
-    bench, prior = bench_of(beam, o, stiffness, instruments, settings), prior_of(beam, settings)
+    bench, priors = bench_of(beam, o, stiffness, instruments, settings), priors_of(beam, settings)
     tells: BoolArray = np.sum(np.isfinite(o.xy), axis=(1, 2)) >= 2
     frames = np.flatnonzero(tells).astype(np.int64)
     if not frames.size:
         raise LearningError(f"{o.source.name}: no frame shows a tag of the beam, so no force can be told")
     place = places_of(o, frames, settings) if settings.place == "known" else None
-    return _sensed(search(bench, frames, place, prior), frames, prior, settings)
+
+    def benches(place_sds: tuple[float, ...]) -> Bench:
+        return bench_of(beam, o, stiffness, instruments, settings, place_sds)
+
+    try:
+        return _told(benches, bench, frames, place, priors, settings)
+    except np.linalg.LinAlgError as error:
+        raise LearningError(
+            f"{o.source.name}: the equations of the force cannot be solved ({error}). Check that the model is of this "
+            "beam and as `onebend learn` wrote it"
+        ) from error
+
+
+def _told(
+    benches: Benches, bench: Bench, frames: IntArray, place: Array | None, priors: Array, settings: SenseSettings
+) -> Sensed:
+    """By one force, or by two where they are asked for or the evidence is for them."""
+    two = None
+    if settings.contacts != "1":
+        prior = float(priors[0])
+        two, sds = _compared(benches, frames, place, prior, settings)
+        if settings.contacts == "2" or two.found:
+            bench, place = benches(sds), np.tile(two.places, (len(frames), 1))
+            priors = np.full(4, prior)
+    return _sensed(search(bench, frames, place, priors), frames, priors, settings, two)
+
+
+def _compared(
+    benches: Benches, frames: IntArray, place: Array | None, prior: float, settings: SenseSettings
+) -> tuple[TwoContacts, tuple[float, float]]:
+    """One contact against two, and what is known of the places of two before the frames [m]."""
+    o = benches((0.0,)).observations
+    if place is None:
+        two = two_sought(benches, frames, prior)
+        near, far = (o.length * min(max(STRIDE, 3.0 * sd), PLACE_PRIOR[1]) for sd in two.place_sds)
+        return two, (near, far)
+    assert settings.second_s is not None
+    place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
+    said = np.array([float(np.median(place)), settings.second_s])
+    return two_said(benches, frames, said, (place_sd, place_sd), prior), (place_sd, place_sd)
+
+
+def priors_of(beam: Beam, settings: SenseSettings) -> Array:
+    """(n,) N, N, and N m where a moment is asked for: one sd of each before any shape is seen."""
+    force = prior_of(beam, settings)
+    moment = force * beam.length if settings.moment_prior is None else settings.moment_prior
+    return np.array([force, force, moment][: 3 if settings.moment else 2])
 
 
 def prior_of(beam: Beam, settings: SenseSettings) -> float:
-    """N, one sd of each component of the force before any shape is seen."""
+    """N, one sd of each component of the force before any shape is seen.
+
+    Raises:
+        LearningError: what is asked for is beyond any force on this beam.
+    """
     mean_k = float(np.mean(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, 101)))))
-    return PRIOR_SHARE * mean_k / beam.length if settings.force_prior is None else settings.force_prior
+    usual, given = PRIOR_SHARE * mean_k / beam.length, settings.force_prior
+    if given is not None and not _PRIORS[0] < given / usual < _PRIORS[1]:
+        raise LearningError(f"a force prior of {given:g} N is beyond any force on this beam; usual is {usual:.3g} N")
+    return usual if given is None else given
 
 
 def bench_of(
@@ -74,41 +138,21 @@ def bench_of(
     stiffness: UncertainStiffness | None,
     instruments: Instruments | None,
     settings: SenseSettings,
+    place_sds: tuple[float, ...] | None = None,
 ) -> Bench:
-    """The bench as the beam at rest leaves it.
+    """The bench as the beam at rest leaves it; `place_sds`: m, of the place of each contact, None: as the settings and
+    the recording have it for one.
 
     Raises:
         LearningError: as `sense`.
     """
-    _check(beam, o, settings)
+    check_settings(settings, o.source.name, o.length)
+    check_recording(beam, o)
     place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
-    sought = settings.place == "unknown"
+    sds = place_sds if place_sds is not None else (0.0 if settings.place == "unknown" else place_sd,)
     as_learned = settings.tags == "learned"
-    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=0.0 if sought else place_sd)
+    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=sds)
     return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
-
-
-def _check(beam: Beam, o: Observations, settings: SenseSettings) -> None:
-    if abs(beam.length - o.length) > 1e-6 * o.length:
-        raise LearningError(
-            f"{o.source.name}: the model's beam is {1e3 * beam.length:.6g} mm long, the recording's "
-            f"{1e3 * o.length:.6g} mm. Give the model of this beam"
-        )
-    if o.held is not None:
-        raise LearningError(
-            f"{o.source.name}: the end of the beam is held; a force is told from the shape of a beam that is free there"
-        )
-    if weighs(o) and not has_mass(beam):
-        raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
-    if settings.at_s is not None and not 0.0 < settings.at_s <= 1.0:
-        raise LearningError(f"a force acts at s in (0, 1], got {settings.at_s}")
-    if settings.place == "unknown" and not (settings.at_s is None and settings.at_sd is None):
-        raise LearningError("the place of the contact is either said or sought: leave out where it is, or 'unknown'")
-    for what, value in (("the place's sd", settings.at_sd), ("the force's prior sd", settings.force_prior)):
-        if value is not None and not (math.isfinite(value) and value >= 0.0):
-            raise LearningError(f"{what} must be a finite number above zero, got {value}")
-    if settings.force_prior == 0.0:
-        raise LearningError("a force prior of 0 N says that there is no force: give the size of forces to be expected")
 
 
 def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
@@ -124,93 +168,115 @@ def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Arr
     return np.where(np.isfinite(said), said, np.nanmedian(said))
 
 
-def _sensed(searched: Searched, frames: IntArray, prior: float, settings: SenseSettings) -> Sensed:
-    bench, found, other = searched.bench, searched.found, searched.other_place
-    o, sought, axes = bench.observations, settings.place == "unknown", bench.axes
-    force, covariance = found.force @ axes.T, axes @ found.covariance[:, :2, :2] @ axes.T
-    covariance = np.where(np.isfinite(found.force[:, :1, None]), covariance, np.nan)
-    values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
-    known = np.isfinite(found.force[:, 0])
+def _sensed(
+    searched: Searched, frames: IntArray, priors: Array, settings: SenseSettings, two: TwoContacts | None
+) -> Sensed:
+    bench, found, other, prior = searched.bench, searched.found, searched.other_place, float(priors[0])
+    n = len(priors)
+    o, axes = bench.observations, bench.axes_of_loads(n)
+    load, covariance = found.force @ axes.T, axes @ found.covariance[:, :n, :n] @ axes.T
+    known: BoolArray = np.asarray(np.isfinite(found.force[:, 0]))
+    covariance = np.where(known[:, None, None], covariance, np.nan)
+    values, vectors = np.linalg.eigh(np.nan_to_num(covariance[:, :2, :2]))
     touched = touches(found)
-    place_sd = np.sqrt(found.covariance[:, 2, 2]) if sought else np.full(len(frames), bench.place_sd / o.length)
-    told = known & (place_sd < _PLACE_KNOWN) & np.isnan(other) if sought else known
-    place = found.place if sought else bench.placed(found.place)
+    contacts, smooth = _over_time(searched, frames, touched, priors, settings)
+    place, place_sd = _places(searched, n, settings, two, known)
+    share = np.einsum("tcc->tc", covariance) / priors**2
     out = Sensed(
         name=o.source.name,
         settings=settings,
         prior_sd=prior,
         frame=o.frame[frames],
         time=o.time[frames],
-        force=force,
-        covariance=covariance,
-        prior_share=np.stack([covariance[:, c, c] for c in range(2)], axis=1) / prior**2,
-        place=np.where(told, place, np.nan),
-        place_sd=np.where(known, place_sd, np.nan),
+        force=load[:, :2],
+        covariance=covariance[:, :2, :2],
+        prior_share=share[:, :2],
+        place=place,
+        place_sd=place_sd,
         other_place=np.where(known & touched, other, np.nan),
         weak_angle=np.where(known, np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]) % np.pi, np.nan),
         weak_sd=np.where(known, np.sqrt(values[:, 1]), np.nan),
         strong_sd=np.where(known, np.sqrt(values[:, 0]), np.nan),
         chi2=np.where(known, found.chi2, np.nan),
         touched=touched,
-        contacts=_contacts(touched, o.time[frames]),
+        contacts=contacts,
         misfit=searched.misfit,
-        logged=_logged(o, frames),
-        common=axes @ found.common,
+        logged=logged_forces(o)[frames],
+        common=(axes @ found.common)[:, :2],
+        smoothed=None if smooth is None else smooth.turned(bench.axes),
+        two=two,
     )
-    sensor = None if _unexplained(out) else _judged(out, o, frames)
-    return replace(out, sensor=sensor, remarks=_remarks(out, bench))
+    if n == 3:
+        moment = ToldMoment(
+            load[:, 2], np.sqrt(covariance[:, 2, 2]), covariance[:, :2, 2], float(priors[2]), share[:, 2]
+        )
+        out = replace(out, moment=moment)
+    if n == 4:
+        out = replace(out, second=_second(load, covariance, share, searched, two))
+    sensor = None if n > 3 or not out.explained else _judged(out, o, frames)
+    return replace(out, sensor=sensor, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
 
 
-def _unexplained(out: Sensed) -> bool:
-    """Whether no force explains the shapes."""
-    return out.misfit is not None and out.misfit.ratio > _TOO_FAR and out.misfit.probability < _UNLIKELY
+def _places(
+    searched: Searched, n: int, settings: SenseSettings, two: TwoContacts | None, known: BoolArray
+) -> tuple[Array, Array]:
+    """(T,) s of the first force and one sd each; NaN where it was sought and not found."""
+    bench, found = searched.bench, searched.found
+    sought = settings.place == "unknown"
+    if sought and n != 4:
+        place_sd = np.sqrt(found.covariance[:, -1, -1])
+        told = known & (place_sd < _PLACE_KNOWN) & np.isnan(searched.other_place)
+        return np.where(told, found.place, np.nan), np.where(known, place_sd, np.nan)
+    place_sd = np.full(len(known), bench.place_sd / bench.observations.length)
+    place = bench.placed(found.place).reshape(len(known), -1)[:, 0]
+    told = known & (not sought or (two is not None and not two.others)) & (place_sd < _PLACE_KNOWN)
+    return np.where(told, place, np.nan), np.where(known, place_sd, np.nan)
+
+
+def _second(load: Array, covariance: Array, share: Array, searched: Searched, two: TwoContacts | None) -> SecondForce:
+    bench = searched.bench
+    place_sd = float(np.linalg.norm(bench.root[bench.parts["place"]][1])) / bench.observations.length
+    told = place_sd < _PLACE_KNOWN and not (two is not None and two.others)
+    place = float(np.nanmedian(bench.placed(searched.found.place)[:, 1]))
+    return SecondForce(
+        force=load[:, 2:],
+        covariance=covariance[:, 2:, 2:],
+        with_first=covariance[:, :2, 2:],
+        prior_share=share[:, 2:],
+        place=place if told else math.nan,
+        place_sd=place_sd,
+        touched=both_touch(searched.found)[1],
+    )
 
 
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
     """The log by the force; where nothing touches the beam, that is none, in every direction."""
+    if np.sum(np.isfinite(out.logged).all(axis=1)) < FEWEST:
+        return None
     bare = ~(o.loaded[frames] | out.touched) & np.isfinite(out.force).all(axis=1)
     force, covariance = np.where(bare[:, None], 0.0, out.force), out.covariance.copy()
     covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)
     common = np.where(bare[:, None, None], 0.0, out.common)
-    return check_sensor(out.time, force, covariance, common, out.logged, o.source.clean_force)
+    told = ToldForces(out.time, force, covariance, common, out.prior_sd)
+    return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force)
 
 
-def _logged(o: Observations, frames: IntArray) -> Array:
-    if o.source.clean_force is None and not np.any(o.force):
-        return np.full((len(frames), 2), np.nan)
-    return o.force[frames]
-
-
-def _contacts(touched: BoolArray, time: Array) -> tuple[Touch, ...]:
-    """Stretches of at least `_RUN` frames in a row that show a force."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], touched, [False]]).astype(int)))
-    runs = zip(edges[::2], edges[1::2], strict=True)
-    return tuple(Touch(float(time[a]), float(time[b - 1])) for a, b in runs if b - a >= _RUN)
-
-
-def _remarks(sensed: Sensed, bench: Bench) -> tuple[Remark, ...]:
-    out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
-    if fit is not None and _unexplained(sensed):
-        text = (
-            f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
-            "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "
-            "it stands in its clamp as it did then, where the force acts, and that the push is slow"
-        )
-        out.append(Remark("warning", text, about="sensed misfit"))
-    if bench.stiffness is None:
-        out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
-    if not np.isfinite(bench.observations.rest_xy).any():
-        out.append(Remark("note", "No frame shows the beam at rest: the mounting is known only as stated."))
-    if not bench.observations.sd_known:
-        out.append(Remark("note", "The tags' noise is a guess, and the regions are as good as it is."))
-    if lost:
-        out.append(Remark("note", f"In {lost} frames no equilibrium was found that explains the tags."))
-    if np.any(sensed.touched):
-        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
-        weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > _FROM_PRIOR]
-        if weak:
-            text = (
-                f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
-            )
-            out.append(Remark("note", text))
-    return tuple(out)
+def _over_time(
+    searched: Searched, frames: IntArray, touched: BoolArray, priors: Array, settings: SenseSettings
+) -> tuple[tuple[Touch, ...], Smoothed | None]:
+    """When each contact began and ended, and the force as a process where that is asked for."""
+    runs, time, prior = runs_of(touched), searched.bench.observations.time[frames], float(priors[0])
+    some = np.arange(len(frames)) if settings.smooth else frames_at_edges(runs, len(frames))
+    if not runs:
+        return (), smoothed(time, searched.found, [], prior, 1.0) if settings.smooth else None
+    found, inside = searched.found.take(some), within(runs, len(frames))[some]
+    force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
+    seek_place = settings.place == "unknown" and len(priors) < 4
+    readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
+    both = zip(runs, edges_of(readings, some, runs, len(frames), prior), strict=True)
+    contacts = tuple(Touch(float(time[a]), float(time[b]), begin, end) for (a, b), (begin, end) in both)
+    if not settings.smooth:
+        return contacts, None
+    spans = [np.searchsorted(time, one.span) for one in contacts]
+    runs = [(int(a), int(b) - 1) for a, b in spans if b > a]
+    return contacts, smoothed(time, searched.found, runs, prior, readings.widened)

@@ -1,25 +1,39 @@
 """The force log beside the film, judged by the force that the shape tells: gain, direction, bias, drift and delay.
 
-The log is taken to be `(1 + g) R(d) F(t - tau) + b + c (t - t0)`, F being the force that the shape tells, whose errors
-are `S_t e` in common to all frames, e normal of sd one, and one of each frame. Gauss-Newton for the seven numbers and e
-together; what is left of the log, with its correlation from frame to frame, is the noise of it.
+The log is taken to be `(1 + g) R(d) F(t - tau) + b + c (t - t0) + w(t)`. The force F that the shape tells has errors
+`S_t e`, which the frames have in common, e normal of sd one, and one of each frame. The log's own error w is that of
+the fit of k(s) (`model/force_error.py`): coloured noise behind the low-pass, a walk, and what comes with the load; the
+sizes of its parts are those of greatest evidence. A slow error of a few hundredths of the force looks like axes that
+are turned, so it must not be taken for noise that averages out over the frames. Gauss-Newton for the seven numbers,
+e and w being integrated out.
+
+The told forces are means of a posterior, drawn towards a prior of mean zero, alike in all frames: that prior is divided
+out first.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
 
-from onebend.records import Array, CleanForce
+from onebend.learning.inference.hyperparameters import SPREAD
+from onebend.learning.model.force_error import ForceError
+from onebend.records import Array, CleanForce, IntArray
 
-_ROUNDS = 12
-_FEWEST = 12  # frames
-_WINDOW = 9  # frames, for the slope of the force in time
+_ROUNDS, _CHOICES = 6, 2
+_MOST = 240  # frames: the log behind its low-pass has no more to say
+FEWEST = 12  # frames
+_MEMORIES = (0.1, 0.2, 0.4, 0.8, 1.6)  # s, of the force in time
 _DIRECTION_SD = 0.05  # rad, of the log's axes before the film: by hand and eye
-_LEAST = 1e-4  # of the largest force: the least noise of a log
+_LEAST = 1e-2  # of the largest force: the shape's errors, taken as linear, tell no frame's force more exactly
+_TOLD = 1e-3  # of the prior's information: what a frame tells less of in a direction, it does not tell
+_FRAME = 0.3  # noise of each frame over the coloured part that is expected
+_FARTHEST = 4.0  # sd of their logs from what is expected
 START = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # a log that is right
+_LOOSE = np.array([1e-12, _DIRECTION_SD**-2, *np.full(5, 1e-12)])
 
 
 @dataclass(frozen=True)
@@ -35,47 +49,57 @@ class SensorCheck:
     frames: int
 
 
-def check_sensor(
-    time: Array, force: Array, covariance: Array, common: Array, logged: Array, clean: CleanForce | None
-) -> SensorCheck | None:
-    """Of the log (T, 2) [N] at the frames' `time` (T,) [s], by the `force` (T, 2) [N] that the shape tells, its
-    `covariance` (T, 2, 2), and `common` (T, 2, r), what one sd of each error in common does to it; None where too few
-    frames have both."""
-    good = np.isfinite(force).all(axis=1) & np.isfinite(logged).all(axis=1)
-    if np.sum(good) < _FEWEST:
+@dataclass(frozen=True)
+class ToldForces:
+    """The force in T frames as the shape tells it, beam's frame."""
+
+    time: Array  # (T,) s
+    force: Array  # (T, 2) N
+    covariance: Array  # (T, 2, 2) N^2
+    common: Array  # (T, 2, r) N, of it what one sd of each error does that the frames have in common
+    prior_sd: float  # N, of each component before the shape was seen, mean zero
+
+    def take(self, rows: IntArray) -> ToldForces:
+        """Of some frames."""
+        return replace(
+            self,
+            time=self.time[rows],
+            force=self.force[rows],
+            covariance=self.covariance[rows],
+            common=self.common[rows],
+        )
+
+    def without_prior(self) -> ToldForces:
+        """As the data alone tell it, each frame by itself; where they tell nothing the covariance is large."""
+        information = np.linalg.inv(self.covariance)
+        size, way = np.linalg.eigh(information)
+        before = self.prior_sd**-2
+        left = np.maximum(size - before, _TOLD * before)
+        grown = (way * (size / left)[:, None]) @ np.swapaxes(way, 1, 2)
+        return replace(
+            self,
+            force=(grown @ self.force[..., None])[..., 0],
+            covariance=(way / left[:, None]) @ np.swapaxes(way, 1, 2),
+            common=grown @ self.common,
+        )
+
+
+def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: CleanForce | None) -> SensorCheck | None:
+    """Of the log (T, 2) [N] at the frames of `told`, with the `error` that is expected of it at these T frames; None
+    where too few frames have both."""
+    good = np.flatnonzero(np.isfinite(told.force).all(axis=1) & np.isfinite(logged).all(axis=1)).astype(np.int64)
+    if len(good) < FEWEST:
         return None
-    time, force, covariance, common, logged = (x[good] for x in (time, force, covariance, common, logged))
-    middle = 0.5 * (time[0] + time[-1])
-    rate = savgol_filter(force, _WINDOW, 2, deriv=1, delta=float(np.median(np.diff(time))), axis=0)
-    own = covariance - common @ np.swapaxes(common, 1, 2)
-    x, shared = START.copy(), np.zeros(common.shape[-1])
-    largest = float(np.max(np.abs(logged)))
-    loose = np.full(len(x), 1e-12)
-    loose[1] = _DIRECTION_SD**-2
-    noise, likeness = 0.05 * largest, 0.0
-    spread = np.eye(len(x))
-    for _ in range(_ROUNDS):
-        cos, sin = np.cos(x[1]), np.sin(x[1])
-        turn, turned = np.array([[cos, -sin], [sin, cos]]), np.array([[-sin, -cos], [cos, -sin]])
-        seen = force - common @ shared
-        moved = seen - x[2] * rate
-        later = (time - middle)[:, None]
-        away = logged - (x[0] * moved @ turn.T + x[3:5] + later * x[5:7])
-        slopes = np.zeros((len(time), 2, len(x)))
-        slopes[..., 0], slopes[..., 1] = moved @ turn.T, x[0] * moved @ turned.T
-        slopes[..., 2] = -x[0] * rate @ turn.T
-        slopes[:, [0, 1], [3, 4]] = 1.0
-        slopes[:, [0, 1], [5, 6]] = later
-        by = np.concatenate([slopes, -x[0] * turn @ common], axis=-1)
-        weight = np.linalg.inv(x[0] ** 2 * turn @ own @ turn.T + noise**2 * np.eye(2))
-        weight = weight * (1.0 - likeness) / (1.0 + likeness)
-        normal = np.einsum("tcn,tcd,tdk->nk", by, weight, by)
-        normal += np.diag(np.concatenate([loose, np.ones(len(shared))]))
-        right = np.einsum("tcn,tcd,td->n", by, weight, away) - np.concatenate([loose * (x - START), shared])
-        step = np.linalg.solve(normal, right)
-        x, shared = x + step[: len(x)], shared + step[len(x) :]
-        spread = np.linalg.inv(normal)[: len(x), : len(x)]
-        noise, likeness = _noise_of(away - by @ step, own, largest)
+    some = np.linspace(0, len(good) - 1, min(_MOST, len(good))).astype(int)
+    rows = good[some]
+    check = _Check(told.take(rows), logged[rows], error, error.weights[rows])
+    x, sizes = START, np.zeros(len(check.spread))
+    for _ in range(_CHOICES):
+        check.see(x, sizes)
+        x, _ = check.settled(x, sizes)
+        sizes = check.chosen(x, sizes)
+    check.see(x, sizes)
+    x, spread = check.settled(x, sizes)
     sd = np.sqrt(np.diag(spread))
     zero, slope = (np.zeros(2), np.zeros(2)) if clean is None else (clean.tare, np.nan_to_num(clean.drift))
     return SensorCheck(
@@ -84,20 +108,148 @@ def check_sensor(
         delay=(float(x[2]), float(sd[2])),
         bias=(x[3:5] + zero, sd[3:5]),
         drift=(x[5:7] + slope, sd[5:7]),
-        noise=noise,
-        frames=len(time),
+        noise=check.noise(x, sizes),
+        frames=len(good),
     )
 
 
-def _noise_of(left: Array, own: Array, largest: float) -> tuple[float, float]:
-    """N of each component, beyond the frames' own errors where these are small, and the likeness of neighbours."""
-    weak = np.trace(own, axis1=1, axis2=2)
-    sure = weak <= np.quantile(weak, 0.5)
-    values, vectors = np.linalg.eigh(own)
-    best = np.einsum("tc,tc->t", vectors[..., 0], left)
-    squares = best[sure] ** 2 - values[sure, 0]
-    noise = np.sqrt(max(float(np.mean(squares)), (_LEAST * largest) ** 2))
-    centred = left - left.mean(axis=0)
-    scale = np.sqrt(np.maximum(np.mean(centred**2, axis=0), np.finfo(float).tiny))
-    alike = np.mean(centred[1:] * centred[:-1] / scale**2)
-    return float(noise), float(np.clip(alike, 0.0, 0.98))
+class _Check:
+    """Generalised least squares of T frames; `sizes` of the log's error: sds of their logs from what is expected.
+
+    The slopes are those at a force that is smooth in time, and told by the log where the shape tells little: what the
+    shape tells there is noise, and noise in a slope counts as information.
+    """
+
+    def __init__(self, told: ToldForces, logged: Array, error: ForceError, weights: Array) -> None:
+        data = told.without_prior()
+        self.force, self.common, self.logged = data.force, data.common, logged
+        size, way = np.linalg.eigh(data.covariance - data.common @ np.swapaxes(data.common, 1, 2))
+        self.own = (way * np.maximum(size, 0.0)[:, None]) @ np.swapaxes(way, 1, 2)
+        self.later = told.time - 0.5 * (told.time[0] + told.time[-1])
+        self.error, self.weights = error, weights
+        self.spread = SPREAD if weights.size else np.zeros(0)
+        self.frame = max(_FRAME * error.size, _LEAST * float(np.max(np.abs(logged))))
+        self.smooth = _smooth(told.time, self.force, self.common, self.own + self.frame**2 * np.eye(2))
+        self.seen, self.common = self.smooth.force, self.smooth.common
+        self.rate = self.smooth.rate
+
+    def see(self, x: Array, sizes: Array) -> None:
+        """Take the slopes at the force as it is most likely by the shape and, where that tells little, by the log."""
+        common = self.common.reshape(2 * len(self.force), -1)
+        before = self.smooth.covariance + common @ common.T
+        whole = before.copy()
+        self._add_log(whole, sizes)
+        put_right = (self.logged - x[3:5] - self.later[:, None] * x[5:7]) @ _turn(x[1]) / x[0]
+        pull = np.linalg.solve(whole, (put_right - self.smooth.force).ravel())
+        self.seen = self.smooth.force + (before @ pull).reshape(-1, 2)
+
+    def chosen(self, x: Array, sizes: Array) -> Array:
+        """The sizes of greatest evidence of the model that is linear about `x` (7,), which is integrated out."""
+        if not len(sizes):
+            return sizes
+        slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
+        before = _LOOSE * (x - START)
+
+        def cost(z: Array) -> float:
+            factor = cho_factor(self._covariance(x, z), lower=True)
+            weighed = cho_solve(factor, np.column_stack([slopes, away]))
+            normal, right = slopes.T @ weighed[:, :-1] + np.diag(_LOOSE), slopes.T @ weighed[:, -1] - before
+            misfit = float(away @ weighed[:, -1] - right @ np.linalg.solve(normal, right))
+            told = 2.0 * float(np.sum(np.log(np.diag(factor[0])))) + float(np.linalg.slogdet(normal)[1])
+            return 0.5 * (float(z @ z) + misfit + told)
+
+        options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
+        bounds = [(-_FARTHEST, _FARTHEST)] * len(sizes)
+        return np.asarray(minimize(cost, sizes, method="L-BFGS-B", bounds=bounds, options=options).x)
+
+    def settled(self, x: Array, sizes: Array) -> tuple[Array, Array]:
+        """The seven numbers (7,) after Gauss-Newton from `x`, and their covariance (7, 7)."""
+        for _ in range(_ROUNDS):
+            slopes = self._slopes(x).reshape(-1, len(x))
+            weighed = cho_solve(cho_factor(self._covariance(x, sizes), lower=True), slopes)
+            normal = slopes.T @ weighed + np.diag(_LOOSE)
+            x = x + np.linalg.solve(normal, weighed.T @ self._away(x).ravel() - _LOOSE * (x - START))
+        return x, np.linalg.inv(normal)
+
+    def noise(self, x: Array, sizes: Array) -> float:
+        """N, RMS of each component of the log's own error, as likely as all errors are."""
+        left = self._away(x) - x[0] * self._off(x, sizes) @ _turn(x[1]).T
+        return float(np.sqrt(np.mean(left**2)))
+
+    def _off(self, x: Array, sizes: Array) -> Array:
+        """(T, 2) N, what is to be added to the force that is told, as likely as all errors are."""
+        pull = np.linalg.solve(self._covariance(x, sizes), self._away(x).ravel()).reshape(-1, 2) @ _turn(x[1])
+        shared = np.einsum("tcr,tc->r", self.common, pull)
+        return np.asarray((self.own @ pull[..., None])[..., 0] + self.common @ shared)
+
+    def _away(self, x: Array) -> Array:
+        """(T, 2) N, the log less what the seven numbers make of the force that is told."""
+        moved = self.force - x[2] * self.rate
+        return np.asarray(self.logged - (x[0] * moved @ _turn(x[1]).T + x[3:5] + self.later[:, None] * x[5:7]))
+
+    def _covariance(self, x: Array, sizes: Array) -> Array:
+        """(2 T, 2 T) N^2 of all errors in that, in the log's axes; as large as in a log whose gain is right."""
+        turn, count = _turn(x[1]), len(self.force)
+        common = (turn @ self.common).reshape(2 * count, -1)
+        whole = common @ common.T
+        blocks, every = whole.reshape(count, 2, count, 2), np.arange(count)
+        blocks[every, :, every, :] += turn @ self.own @ turn.T
+        self._add_log(whole, sizes)
+        return whole
+
+    def _add_log(self, whole: Array, sizes: Array) -> None:
+        """To a covariance (2 T, 2 T) N^2 that of the log's own error and of what no frame's force is told better."""
+        slow = self.frame**2 * np.eye(len(self.force))
+        if self.weights.size:
+            factors = np.exp(self.spread * np.clip(sizes, -_FARTHEST, _FARTHEST))
+            root = self.weights @ self.error.root(*factors)
+            slow += root @ root.T
+        whole[::2, ::2] += slow
+        whole[1::2, 1::2] += slow
+
+    def _slopes(self, x: Array) -> Array:
+        """(T, 2, 7) of the log with the seven numbers."""
+        turn, turned = _turn(x[1]), _turn(x[1] + 0.5 * np.pi)
+        moved = self.seen - x[2] * self.rate
+        slopes = np.zeros((len(moved), 2, len(x)))
+        slopes[..., 0], slopes[..., 1] = moved @ turn.T, x[0] * moved @ turned.T
+        slopes[..., 2] = -x[0] * self.rate @ turn.T
+        slopes[:, [0, 1], [3, 4]] = 1.0
+        slopes[:, [0, 1], [5, 6]] = self.later[:, None]
+        return slopes
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """Forces as a Gaussian process in time has them."""
+
+    force: Array  # (T, 2) N
+    rate: Array  # (T, 2) N/s
+    covariance: Array  # (2 T, 2 T) N^2
+    common: Array  # (T, 2, r) N, of what the frames have in common, which stands at each frame's own force
+
+
+def _smooth(time: Array, force: Array, common: Array, covariance: Array) -> _Smooth:
+    """Through forces (T, 2) of `covariance` (T, 2, 2), of the memory that fits them best."""
+    apart, every, count = time[:, None] - time, np.arange(len(time)), len(time)
+    size = float(np.quantile(np.linalg.norm(force, axis=1), 0.9))
+    columns = np.concatenate([force[..., None], common], axis=-1).reshape(2 * count, -1)
+    best = np.inf
+    for memory in _MEMORIES:
+        one = size**2 * np.exp(-0.5 * (apart / memory) ** 2)
+        whole = np.kron(one, np.eye(2))
+        before = whole.copy()
+        whole.reshape(count, 2, count, 2)[every, :, every, :] += covariance
+        factor = cho_factor(whole, lower=True)
+        pull = cho_solve(factor, columns)
+        cost = 0.5 * float(columns[:, 0] @ pull[:, 0]) + float(np.sum(np.log(np.diag(factor[0]))))
+        if cost < best:
+            best = cost
+            rate = np.kron(-apart / memory**2 * one, np.eye(2)) @ pull[:, 0]
+            smooth = (before @ pull).reshape(count, 2, -1)
+            left = before - before @ cho_solve(factor, before)
+    return _Smooth(smooth[..., 0], rate.reshape(count, 2), left, smooth[..., 1:])
+
+
+def _turn(angle: float) -> Array:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -9,10 +9,11 @@ import numpy as np
 from onebend.beam.grid import apply
 from onebend.beam.statics.equilibrium import Equilibrium
 from onebend.beam.statics.perturbation import Perturbation
+from onebend.beam.statics.problem import Problem
 from onebend.beam.statics.sensitivity import of_clamp_angle, of_rest_curvature, of_stiffness, respond
 from onebend.learning.model.fit_data import REST_MODES, share_farther
 from onebend.learning.model.tag_jacobian import TagRide, tag_blocks
-from onebend.learning.sensing.bench import Bench
+from onebend.learning.sensing.bench import Bench, places_in
 from onebend.records import Array, IntArray
 
 AT_REST = np.array([-1], dtype=np.int64)  # the frame that shows the beam at rest
@@ -25,10 +26,9 @@ class Tags:
 
     solved: Equilibrium
     pose: Array  # (F, m, 3)
-    by_force: Array  # (F, m, 3, 2) per N
-    by_place: Array  # (F, m, 3) per metre that the force acts farther out
+    by_load: Array  # (F, m, 3, n) per N, and per N m
+    by_place: Array  # (F, m, 3, c) per metre that the force, or each of both, acts farther out
     by_shared: Array  # (F, m, 3, n) per unit of what the frames share
-    angle: Array  # (F,) rad, of the beam where the force acts
 
 
 def poses_of(bench: Bench, frames: IntArray, solved: Equilibrium) -> tuple[Array, TagRide, Array]:
@@ -45,22 +45,20 @@ def poses_of(bench: Bench, frames: IntArray, solved: Equilibrium) -> tuple[Array
 
 
 def tags_of(
-    bench: Bench, frames: IntArray, solved: Equilibrium, force: Array, place: Array, *, shared: bool = True
+    bench: Bench, frames: IntArray, solved: Equilibrium, load: Array, place: Array, *, shared: bool = True
 ) -> Tags:
-    """Of `frames` (F,) under `force` (F, 2) N at `place` (F,), the equilibria being `solved`; without `shared`, the
-    derivatives with what the frames share are left out.
+    """Of `frames` (F,) under `load` (F, n) at `place` (F,) or (F, 2), the equilibria being `solved`; without `shared`,
+    the derivatives with what the frames share are left out.
 
-    The force is of the clamp's axes: it turns with the clamp.
+    Forces are of the clamp's axes: they turn with the clamp.
     """
     problem, nodes = solved.problem, solved.problem.grid.nodes
     pose, ride, s = poses_of(bench, frames, solved)
-    angle = solved.angle(place[:, None])[:, 0]
-    by_both = bench.beyond(problem, place)[..., None, None] * np.eye(2)
-    farther = share_farther(problem, place)[..., None] * force[:, None]
-    own = Perturbation(np.concatenate([by_both, farther[..., None]], axis=-1), None, None, np.zeros(3))
+    own, n = _of_own(bench, problem, load, place), load.shape[1]
+    ends = own.clamp.size
     if not shared:
         moved = ride.carry(respond(solved, own).poses(s))
-        return Tags(solved, pose, moved[..., :2], moved[..., 2], moved[..., 3:], angle)
+        return Tags(solved, pose, moved[..., :n], moved[..., n:], moved[..., ends:])
     level = problem.k[..., None]
     functions = level
     if bench.stiffness is not None:
@@ -68,14 +66,32 @@ def tags_of(
     changes = own + of_stiffness(solved, functions) + of_clamp_angle(problem)
     changes = changes + of_rest_curvature(problem, REST_MODES.curvature(nodes))
     moved = ride.carry(respond(solved, changes).poses(s))
-    turned = bench.parts["clamp"].start + 3
-    moved[..., turned] += moved[..., 1] * force[:, :1, None] - moved[..., 0] * force[:, 1:, None]
+    turned = bench.parts["clamp"].start + ends
+    for x in range(0, n - 1, 2):
+        moved[..., turned] += moved[..., x + 1] * load[:, x, None, None]
+        moved[..., turned] -= moved[..., x] * load[:, x + 1, None, None]
     xy = ride.offset + solved.xy(s)
     bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
     riding = tag_blocks(ride.motion(xy, bend))
-    blocks = [moved[..., 3:], *(riding[name] for name in _RIDING), _left(bench, pose[..., :2])]
-    blocks += [bench.prior.picture[frames], moved[..., 2:3]]
-    return Tags(solved, pose, moved[..., :2], moved[..., 2], np.concatenate(blocks, axis=-1), angle)
+    blocks = [moved[..., ends:], *(riding[name] for name in _RIDING), _left(bench, pose[..., :2])]
+    blocks += [bench.prior.picture[frames], moved[..., n:ends]]
+    return Tags(solved, pose, moved[..., :n], moved[..., n:ends], np.concatenate(blocks, axis=-1))
+
+
+def _of_own(bench: Bench, problem: Problem, load: Array, place: Array) -> Perturbation:
+    """n of the load, and as many as there are places of these."""
+    every, (count, n) = places_in(place), load.shape
+    size = n + len(every)
+    shape = (count, problem.to_nodes.shape[-1])
+    force, moment = np.zeros((*shape, 2, size)), np.zeros((*shape, size))
+    for which, at in enumerate(every):
+        beyond, farther = bench.beyond(problem, at, which), share_farther(problem, at)
+        for c in range(2):
+            force[..., c, 2 * which + c] = beyond
+            force[..., c, n + which] = farther * load[:, 2 * which + c, None]
+        if n % 2:
+            moment[..., n - 1], moment[..., n] = beyond, farther * load[:, -1:]
+    return Perturbation(force, moment if n % 2 else None, None, np.zeros(size))
 
 
 def _left(bench: Bench, xy: Array) -> Array:

@@ -125,7 +125,8 @@ def most_errors(codes: int, bits: int) -> int:
 
 def side_of(corners: Array) -> float:
     """Mean side of a tag with corners (4, 2), px."""
-    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+    side = corners - corners[[-1, 0, 1, 2]]
+    return float(np.hypot(side[:, 0], side[:, 1]).mean())
 
 
 def margin_of(corners: Array, share: float) -> float:

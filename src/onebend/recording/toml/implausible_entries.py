@@ -79,12 +79,16 @@ def unit_remarks(beam: BeamEntry, tags: TagsEntry, entries: dict[str, Any]) -> t
         for name, size in sizes
         if size > length
     ]
-    push, force = entries["push"], entries["force"]
+    push, force, gravity = entries["push"], entries["force"], entries["gravity"]
     sds = [("placement_sd_m", tags.placement_sd), ("at_sd_m", math.nan if push is None else push.at_sd)]
     for name, sd in sds:
         if sd > NOWHERE * length:
             warnings.append(f"{name} = {sd:g} is more than a fifth of the beam's length: is it in metres?")
-    turns = [("turn_sd_deg", tags.turn_sd), ("rotation_sd_deg", math.nan if force is None else force.rotation_sd)]
+    turns = [
+        ("turn_sd_deg", tags.turn_sd),
+        ("rotation_sd_deg", math.nan if force is None else force.rotation_sd),
+        ("direction_sd_deg", math.nan if gravity is None else gravity.direction_sd),
+    ]
     open_turns = [
         f"{name} = {math.degrees(sd):g} leaves the direction open: is it right?" for name, sd in turns if sd > TURNED
     ]

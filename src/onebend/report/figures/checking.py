@@ -14,8 +14,8 @@ from onebend.recording.preview import Preview, bent
 from onebend.recording.signals import runs
 from onebend.recording.toml.entries import Recording
 from onebend.records import Array, BoolArray, ForceLog, View
-from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, PINK, blank, styled
-from onebend.report.overview import Overview, tared
+from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, PINK, blank, png_of, styled
+from onebend.report.overview import SOFTWARE, Overview, tared
 from onebend.report.wording import significant
 
 ROWS = 4000  # of the log that are drawn
@@ -29,6 +29,12 @@ def check_picture(found: Overview) -> Figure | None:
     Of tracks and poses, which have no picture, the tags in the plane. None where there is nothing to draw.
     """
     return None if found.preview is None and found.observations is None else _drawn(found)
+
+
+def check_png(found: Overview) -> bytes | None:
+    """`check_picture` as PNG."""
+    figure = check_picture(found)
+    return None if figure is None else png_of(figure, software=SOFTWARE)
 
 
 @styled

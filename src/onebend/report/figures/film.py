@@ -163,7 +163,7 @@ def _window(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int_], ND
 
 def _small(pictures: list[NDArray[np.uint8]], size: tuple[int, ...]) -> list[bytes]:
     """JPEGs of this size, of the best quality with which they stay below `LARGEST` together."""
-    images = [Image.fromarray(one).resize((size[0], size[1]), Image.Resampling.LANCZOS) for one in pictures]
+    images = [Image.fromarray(one).resize((size[0], size[1]), Image.Resampling.HAMMING) for one in pictures]
     jpegs: list[bytes] = []
     for quality in QUALITIES:
         jpegs = [_jpeg(image, quality) for image in images]

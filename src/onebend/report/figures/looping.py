@@ -19,10 +19,13 @@ LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
     """One curve a beam."""
     figure, (away, force) = blank(5.0, 2, 1)
-    for trial, (colour, dash) in zip(trials, LINES, strict=False):
+    for i, trial in enumerate(trials):
         if trial.run is None:
             continue
+        colour, dash = LINES[1 if trial.beam.drawn else i]
         name = "k(s) as the model" if trial.factor == 1.0 else f"k(s) times {trial.factor:.3g}"
+        if trial.beam.drawn:  # one entry of the legend stands for all
+            name = "k(s) drawn from its band" if i == 1 else ""
         away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash, label=name)
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")

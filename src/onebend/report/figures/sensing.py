@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from onebend.learning.sensing.search import TOUCH
 from onebend.learning.sensing.sensed import Sensed
+from onebend.records import Array
 from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, styled
 
 _WIDE = 1.96  # sds of a 95 % band
@@ -19,8 +20,16 @@ _BEYOND = 1.6  # of the largest force: the axes show no more of a band
 
 @styled
 def sensing(found: Sensed) -> Figure:
-    """Both components with their bands over time, and the log's; the place; the misfit of each frame."""
-    figure, (x, y, place, misfit) = blank(8.0, 4, 1, sharex=True)
+    """Both components with their bands over time, and the log's; the moment and the second force, where they were asked
+    for; the place; the misfit of each frame; when contacts begin and end."""
+    more = (found.moment is not None) + 2 * (found.second is not None)
+    figure, (x, y, *others, place, misfit) = blank(8.0 + 1.6 * more, 4 + more, 1, sharex=True)
+    if found.moment is not None:
+        _band(others[0], found.time, found.moment.moment, found.moment.sd, "moment [N m]")
+    if found.second is not None:
+        for c, axes in enumerate(others):
+            sd = np.sqrt(found.second.covariance[:, c, c])
+            _band(axes, found.time, found.second.force[:, c], sd, f"second along {'xy'[c]} [N]")
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
     x.set_title("Force from the shape, 95 % bands")
@@ -33,10 +42,20 @@ def sensing(found: Sensed) -> Figure:
     place.set(ylabel="place s", ylim=(0.0, 1.05))
     misfit.plot(found.time, found.chi2, ".", color=INK, markersize=2.5)
     misfit.set(ylabel="squared misfit", xlabel="time [s]", ylim=(0.0, None))
-    for axes in (x, y, place, misfit):
+    for axes in (x, y, *others, place, misfit):
         for one in found.contacts:
-            axes.axvspan(one.begin, one.end, color=MUTED, alpha=0.08, lw=0.0)
+            axes.axvspan(one.first, one.last, color=MUTED, alpha=0.08, lw=0.0)
+            for edge in (one.begin, one.end):
+                if np.isfinite(edge.sd):
+                    half = _WIDE * edge.sd
+                    axes.axvspan(edge.time - half, edge.time + half, color=ORANGE, alpha=0.2, lw=0.0)
     return figure
+
+
+def _band(axes: Axes, time: Array, middle: Array, sd: Array, name: str) -> None:
+    axes.fill_between(time, middle - _WIDE * sd, middle + _WIDE * sd, color=ORANGE, alpha=0.25, lw=0.0)
+    axes.plot(time, middle, color=ORANGE)
+    axes.set_ylabel(name)
 
 
 def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> None:
@@ -49,6 +68,11 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
         )
     axes.fill_between(found.time, middle - _WIDE * sd, middle + _WIDE * sd, color=colour, alpha=0.25, lw=0.0)
     axes.plot(found.time, middle, color=colour, label="from the shape")
+    if found.smoothed is not None:
+        smooth, spread = found.smoothed.force[:, c], np.sqrt(found.smoothed.covariance[:, c, c])
+        low, high = smooth - _WIDE * spread, smooth + _WIDE * spread
+        axes.fill_between(found.time, low, high, color=ORANGE, alpha=0.35, lw=0.0)
+        axes.plot(found.time, smooth, color=ORANGE, lw=1.0, label="smoothed")
     axes.plot(found.time, found.logged[:, c], "--", color=INK, lw=1.0, label="log")
     axes.set_ylabel(f"force along {name} [N]")
     size = np.linalg.norm(found.force[found.touched], axis=1)

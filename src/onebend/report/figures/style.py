@@ -15,6 +15,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 DPI = 150
+PACKING = 3  # of 9, of the PNGs: half the time of the usual 6, and a tenth more bytes
 WIDTH = 7.2  # inches: 1080 px, the width of a page's text
 INK = "#1b2430"
 MUTED = "#667085"
@@ -85,7 +86,8 @@ def png_of(figure: Figure, *, software: str | None = None) -> bytes:
             engine.execute(figure)
             figure.set_layout_engine("none")
         canvas = figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
-        canvas.print_png(stream, metadata={"Software": software})  # type: ignore[no-untyped-call]
+        packed = {"compress_level": PACKING}
+        canvas.print_png(stream, metadata={"Software": software}, pil_kwargs=packed)  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 

@@ -3,10 +3,16 @@ import { h } from "./dom.js";
 import { learn } from "./learn.js";
 import { connect, say } from "./net.js";
 import { leave, params, roomName } from "./place.js";
-const ROOMS = { bend: ["Bend", bend], learn: ["Learn", learn] };
+const ROOMS = {
+    record: ["Record", async () => (await import("./record.js")).record],
+    recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
+    learn: ["Learn", async () => learn],
+    bend: ["Bend", async () => bend],
+    rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
+};
 const place = document.getElementById("room"), nav = document.querySelector("nav");
-let shown = null;
-function show() {
+let shown = null, turn = 0;
+async function show() {
     const name = roomName(), room = name in ROOMS ? name : "bend";
     for (const link of nav.querySelectorAll("a")) {
         if (link.dataset.room === room)
@@ -21,13 +27,15 @@ function show() {
     place.replaceChildren();
     place.className = room;
     document.title = `${ROOMS[room][0]} · onebend studio`;
-    ROOMS[room][1](place, params());
+    const mine = ++turn, begin = await ROOMS[room][1]();
+    if (mine === turn)
+        begin(place, params());
 }
 for (const [room, [words]] of Object.entries(ROOMS))
     nav.append(h("a", { href: `#${room}`, "data-room": room }, words));
-window.addEventListener("hashchange", show);
+window.addEventListener("hashchange", () => { void show(); });
 window.addEventListener("unhandledrejection", (event) => {
     say(event.reason instanceof Error ? event.reason.message : String(event.reason));
 });
 connect((words) => { document.getElementById("link").textContent = words; });
-show();
+void show();

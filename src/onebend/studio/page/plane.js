@@ -1,5 +1,6 @@
 import { arrow, label, ticks, trace } from "./draw.js";
 import { digits, fixed } from "./dom.js";
+import { drawEdge, drawReach } from "./reach.js";
 export function telling(ellipse, opened) {
     return ellipse.lost < 0.01 && ellipse.semi_axes_m[0] < 0.25 * opened.length_m;
 }
@@ -25,7 +26,7 @@ export class Plane {
             below.font = context.font;
             this.axes(below, width, height, tint);
             if (opened.mode === "point" && map)
-                this.reach(below, tint, map);
+                drawReach(below, tint, this.px, map);
         }
         context.drawImage(this.still, 0, 0, width, height);
         if (opened.mode === "hand")
@@ -102,33 +103,7 @@ export class Plane {
         context.globalAlpha = 0.1;
         context.fill();
         context.globalAlpha = 1;
-        edge.forEach(([end, limit], i) => this.side(context, tint, [end, edge[(i + 1) % edge.length][0]], limit));
-    }
-    reach(context, tint, map) {
-        const path = new Path2D(), at = map.points_m.map(this.px);
-        for (const [i, j, k] of map.triangles) {
-            const [a, b, c] = [at[i], at[j], at[k]];
-            const turned = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0]);
-            path.moveTo(...a);
-            path.lineTo(...(turned ? c : b));
-            path.lineTo(...(turned ? b : c));
-            path.closePath();
-        }
-        context.fillStyle = tint.blue;
-        context.globalAlpha = 0.11;
-        context.fill(path);
-        context.globalAlpha = 1;
-        for (const { limit, line_m } of map.edges)
-            this.side(context, tint, line_m, limit);
-    }
-    side(context, tint, line, limit) {
-        const stable = limit !== "stability";
-        context.strokeStyle = stable ? tint.blue : tint.orange;
-        context.lineWidth = stable ? 1.2 : 2;
-        context.setLineDash(stable ? [] : [6, 5]);
-        trace(context, line.map(this.px));
-        context.stroke();
-        context.setLineDash([]);
+        edge.forEach(([end, limit], i) => drawEdge(context, tint, this.px, [end, edge[(i + 1) % edge.length][0]], limit));
     }
     clamp(context, tint) {
         const [x, y] = this.px([0, 0]);

@@ -1,0 +1,274 @@
+"""The room Record: the recording that is under way in a process of its own, and what the page asks of it."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from onebend.errors import OnebendError, StudioError
+from onebend.studio.commands import record_line
+from onebend.studio.places import RECORDING, StudioFolder
+
+_PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
+_LONGEST_LINE = 2**22  # bytes: a picture is in it
+_KEPT = 8  # pictures
+_LONGEST_SPEC = 1000
+_FILES = ("film", "log", "csv", "bag")  # kinds of sources that are files
+_CAMERA_FORMATS = ("avfoundation", "dshow")
+_STREAMS = ("rtsp://", "rtsps://", "rtmp://", "http://", "https://", "udp://", "tcp://", "srt://")
+_GOING = ("starting", "recording", "stopping", "checking")
+_DEVICES = ("video*", "serial/by-id/*", "ttyUSB*", "ttyACM*")
+
+
+@dataclass
+class MadeRecording:
+    """One recording that is being made, or was."""
+
+    wanted: dict[str, Any]
+    length: float = 0.0  # m, of the beam
+    phase: str = "starting"  # recording, stopping, checking, done, failed
+    state: dict[str, Any] = field(default_factory=dict)  # as `recorder.state_data` says
+    curve: dict[str, Any] | None = None  # k(s) so far
+    picture: int = 0  # the number of the newest
+    outcome: dict[str, Any] | None = None
+    check: dict[str, Any] | None = None
+    error: str = ""
+
+    @property
+    def goes_on(self) -> bool:
+        return self.phase in _GOING
+
+    def shown(self) -> dict[str, Any]:
+        """For the page."""
+        return {
+            "out": self.wanted["out"],
+            "length_m": self.length,
+            "command": self.wanted["command"],
+            "phase": self.phase,
+            "state": self.state,
+            "curve": self.curve,
+            "picture": self.picture,
+            "outcome": self.outcome,
+            "check": self.check,
+            "error": self.error,
+        }
+
+
+class RecorderProcess:
+    """At most one recording at a time. All methods run in the server's loop."""
+
+    def __init__(self, tell: Callable[[dict[str, Any], bool], None]) -> None:
+        """`tell`: a message to all tabs, and whether a slow one may do without it."""
+        self._tell = tell
+        self.made: MadeRecording | None = None
+        self._pictures: dict[int, bytes] = {}
+        self._count = 0
+        self._process: asyncio.subprocess.Process | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    def shown(self) -> dict[str, Any] | None:
+        """For the page; None before the first recording."""
+        return None if self.made is None else self.made.shown()
+
+    def picture(self, number: int) -> bytes:
+        """A picture as JPEG; where that is no more, the newest. Raises `StudioError` before the first."""
+        if not self._pictures:
+            raise StudioError("no picture came yet")
+        return self._pictures.get(number) or self._pictures[max(self._pictures)]
+
+    async def start(self, wanted: dict[str, Any]) -> None:
+        """Begin. Raises `StudioError` while another recording goes on."""
+        if self.made is not None and self.made.goes_on:
+            raise StudioError(f"{self.made.wanted['out']} is being recorded. Stop it, or wait")
+        self.made = made = MadeRecording(wanted)
+        self._pictures.clear()
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            *("-m", "onebend.studio.recorder"),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+            limit=_LONGEST_LINE,
+            start_new_session=True,  # it ends when it is told to, not when the terminal is
+            env=environment,
+        )
+        self._write(json.dumps(wanted))
+        self._task = asyncio.create_task(self._follow(made, self._process))
+        self._changed()
+
+    def begin(self) -> None:
+        """Begin the film in spite of what is wrong with the picture."""
+        if self.made is not None and self.made.goes_on:
+            self._write("begin")
+
+    def stop(self) -> None:
+        """End the film; what there is stays."""
+        if self.made is not None and self.made.phase in ("starting", "recording"):
+            self.made.phase = "stopping"
+            self._write("stop")
+            self._changed()
+
+    async def end(self) -> None:
+        """The studio ends: stop, and wait until all there is is on disk; a recorder that does not end is killed."""
+        process = self._process
+        if process is None or process.returncode is not None:
+            return
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            await asyncio.wait_for(process.wait(), _PATIENCE)
+        except TimeoutError:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+
+    def _write(self, line: str) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError, RuntimeError):  # it ended by itself
+            self._process.stdin.write(f"{line}\n".encode())
+
+    async def _follow(self, made: MadeRecording, process: asyncio.subprocess.Process) -> None:
+        assert process.stdout is not None
+        async for line in process.stdout:
+            with contextlib.suppress(ValueError):
+                self._hear(made, json.loads(line))
+        code = await process.wait()
+        if made.phase in _GOING:
+            failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
+            made.phase = "failed" if failed else "done"
+        if made.outcome is None and not made.error:
+            kept = f"What it wrote by then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
+            made.error = f"the recorder ended with {code}. {kept}"
+        self._changed()
+        self._tell({"what": "places"}, False)
+
+    def _hear(self, made: MadeRecording, said: dict[str, Any]) -> None:
+        """One line of the process."""
+        if "picture" in said:
+            self._count += 1
+            made.picture, self._pictures[self._count] = self._count, base64.b64decode(said["picture"])
+            for number in sorted(self._pictures)[:-_KEPT]:
+                del self._pictures[number]
+        if "state" in said:
+            made.state, made.curve = said["state"], said.get("curve", made.curve)
+            if made.phase == "starting":
+                made.phase = "recording"
+        made.length = said.get("length_m", made.length)
+        if "outcome" in said:
+            made.outcome = said["outcome"]
+            made.phase = "checking" if made.outcome["begun"] else made.phase
+        made.check = said.get("check", made.check)
+        made.error = said.get("error", made.error)
+        self._changed(passing="state" in said)
+
+    def _changed(self, *, passing: bool = False) -> None:
+        self._tell({"what": "recording", "recording": self.shown()}, passing)
+
+
+def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page asked for, as the recorder takes it.
+
+    Raises `StudioError` where something is missing, has no meaning, or leads out of the studio's folder.
+    """
+    out, like, camera, force = (_text(asked, key) for key in ("out", "like", "camera", "force"))
+    if not camera:
+        raise StudioError("name a camera: /dev/video0, or film:REC to play a recording")
+    if not out or places.path(out) == places.root:
+        raise StudioError("a recording goes to a folder of its own: name it")
+    if (places.path(out) / RECORDING).exists():
+        places.recording(out)
+    if like:
+        places.recording(like)
+    for spec in (camera, force):
+        check_source(places, spec)
+    flags = {key: asked.get(key) is True for key in ("now", "no_learning", "fast", "overwrite")}
+    wanted = {
+        "folder": str(places.root),
+        "out": _plain_word(out),
+        "like": _plain_word(like),
+        "camera": camera,
+        "force": force,
+        "until_percent": None if asked.get("until_percent") is None else _number(asked, "until_percent", 0, 0.01, 100),
+        "longest_s": _number(asked, "longest_s", 600.0, 1.0, 1e5),
+        "crf": round(_number(asked, "crf", 18.0, 0.0, 40.0)),
+        **flags,
+    }
+    return {**wanted, "command": record_line(wanted)}
+
+
+def check_source(places: StudioFolder, spec: str) -> None:
+    """Raises `StudioError` for a source that is a file out of the studio's folder, or no camera's or sensor's device.
+
+    What FFmpeg opens may be a camera or a stream of the network alone; it would open any file besides.
+    """
+    head, *options = spec.split(",")
+    kind, _, place = ("v4l2", ":", head) if head.startswith("/") else head.partition(":")
+    how = next((one.partition("=")[2] for one in options if one.startswith("format=")), "")
+    if kind == "v4l2" or (kind == "av" and how == "v4l2"):
+        if not re.fullmatch(r"/dev/video\d+", place):
+            raise StudioError(f"{place[:100]} is no camera. Cameras of Linux are named as /dev/video0")
+    elif kind in _FILES:
+        places.path(place)
+    elif kind == "serial":
+        if not re.fullmatch(r"/dev/[\w./-]+|COM\d+", place) or ".." in PurePosixPath(place).parts:
+            raise StudioError(f"{place[:100]} is no serial port. They are named as /dev/ttyUSB0 or COM3")
+    elif kind == "av" and how not in _CAMERA_FORMATS and not (how == "" and place.startswith(_STREAMS)):
+        raise StudioError(
+            f"{spec[:100]}: here FFmpeg opens cameras, by format={' or '.join(_CAMERA_FORMATS)}, and streams, as "
+            "rtsp://HOST. A file is played by film:NAME"
+        )
+
+
+def sources_data(places: StudioFolder) -> dict[str, Any]:
+    """Kinds of cameras and force sensors, those that are plugged in, and the recordings that can be played."""
+    from onebend.capture.specs import CAMERAS, FORCES
+    from onebend.recording.folder import read_recording
+
+    films, logs, begun = [], [], []
+    for one in places.found():
+        if one.kind != "recording":
+            continue
+        try:
+            rec = read_recording(places.recording(one.name), filmed=False)
+        except OnebendError:
+            continue
+        if rec.video is None or rec.video.topic:
+            continue
+        begun += [] if rec.video.file.exists() else [one.name]
+        films += [one.name] if rec.video.file.exists() else []
+        logs += [one.name] if rec.force is not None and rec.force.file.exists() else []
+    plugged = sorted(str(path) for pattern in _DEVICES for path in Path("/dev").glob(pattern))
+    kinds = {
+        name: [{"example": one.example, "says": one.says, "keys": list(one.keys)} for one in table.values()]
+        for name, table in (("cameras", CAMERAS), ("forces", FORCES))
+    }
+    return {**kinds, "devices": plugged, "films": films, "logs": logs, "begun": begun}
+
+
+def _text(asked: Mapping[str, Any], key: str) -> str:
+    found = asked.get(key) or ""
+    if not isinstance(found, str) or len(found) > _LONGEST_SPEC or not found.isprintable():
+        raise StudioError(f"{key}: give it as text, in at most {_LONGEST_SPEC} characters")
+    return found.strip()
+
+
+def _plain_word(name: str) -> str:
+    """A name that no command takes for an option."""
+    return f"./{name}" if name.startswith("-") else name
+
+
+def _number(asked: Mapping[str, Any], key: str, default: float, low: float, high: float) -> float:
+    found = asked.get(key, default)
+    if isinstance(found, bool) or not isinstance(found, int | float) or not low <= found <= high:
+        raise StudioError(f"{key}: a number from {low:g} to {high:g}")
+    return float(found)

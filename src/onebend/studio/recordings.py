@@ -1,0 +1,247 @@
+"""The room Recordings: `recording.toml` checked as it is typed and saved whole, the film's first frame, and `check`.
+
+Nothing here decides what is right: the mistakes are those of `recording.folder.check_text`, the findings those of
+`report.overview`. As a process (`python -m onebend.studio.recordings`) it does what `onebend check` does.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import sys
+import threading
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from onebend.errors import RecordingError, ResultsError, StudioError
+from onebend.files.single_file import check_replaceable, replace_file, write_file
+from onebend.recording.folder import check_text
+from onebend.recording.tags.finder import Finder
+from onebend.recording.template import write_template
+from onebend.recording.toml.entries import FAMILIES
+from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.video import pictures_at
+from onebend.report.overview import SOFTWARE, overview
+from onebend.studio.commands import check_line
+from onebend.studio.jobs import process, tell
+from onebend.studio.places import RECORDING, StudioFolder
+from onebend.text_files import MOST_TOML
+
+PICTURE = "check.png"
+LARGEST_PICTURE = 16 * 2**20  # bytes
+WIDEST = 1100  # px of the first frame as it is shown
+QUALITY = 82  # of its JPEG
+MOST_SHOWN = 200  # mistakes
+_saving = threading.Lock()  # of this studio's tabs; other programs are met by `replace_file`
+
+
+def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page asks of this room. Raises an `OnebendError` where it cannot be had."""
+    name = str(asked.get("name", ""))
+    try:
+        if what == "read":
+            return read(places, name)
+        if what == "check":
+            return checked(places.recording(name), _text(asked))
+        if what == "save":
+            return save(places.recording(name), _text(asked), str(asked.get("version", "")))
+        if what == "new":
+            return begun(places, name)
+        if what == "frame":
+            return first_frame(places, name, *(str(asked.get(key, "")) for key in ("file", "topic", "family")))
+    except OSError as error:
+        raise StudioError(f"{error.filename or name}: {error.strerror or error}") from error
+    raise StudioError(f"a recording is read, checked, saved and begun; there is no {what[:100]!r}")
+
+
+def _text(asked: Mapping[str, Any]) -> str:
+    text = asked.get("text")
+    if not isinstance(text, str) or len(text) > MOST_TOML:
+        raise StudioError(f"the text of {RECORDING} has at most {MOST_TOML} characters")
+    return text
+
+
+def read(places: StudioFolder, name: str) -> dict[str, Any]:
+    """The text of a recording's file, its version, and what a check says of it.
+
+    Raises `StudioError` where it is no text, or longer than one can be.
+    """
+    folder = places.recording(name)
+    data = (folder / RECORDING).read_bytes()[: MOST_TOML + 1]
+    text = as_text(data)
+    return {
+        "name": name,
+        "text": text,
+        "version": version_of(data),
+        "command": check_line(name),
+        **checked(folder, text),
+    }
+
+
+def as_text(data: bytes) -> str:
+    """With one kind of line end, as a page has it."""
+    if len(data) > MOST_TOML:
+        raise StudioError(f"{RECORDING} is longer than {MOST_TOML} bytes: is it the right file?")
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as wrong:
+        line = data[: wrong.start].count(b"\n") + 1
+        raise StudioError(f"{RECORDING}, line {line}: no UTF-8. Save it as UTF-8 with another program") from None
+
+
+def as_bytes(text: str, before: bytes) -> bytes:
+    """As the file has it: with its line ends, and with its mark at the beginning where it had one."""
+    lines = text.replace("\r\n", "\n")
+    try:
+        data = (lines.replace("\n", "\r\n") if b"\r\n" in before else lines).encode()
+    except UnicodeEncodeError:
+        raise StudioError("the text holds half a character, which no file can hold. Type it anew") from None
+    mark = b"\xef\xbb\xbf"
+    return mark + data if before.startswith(mark) else data
+
+
+def version_of(data: bytes) -> str:
+    """What tells one content of a file from another."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def checked(folder: Path, text: str) -> dict[str, Any]:
+    """What is wrong with the text, line by line, and what the page needs to draw of it."""
+    found = check_text(folder, text)
+    tags, video = _table(found.data, "tags"), _table(found.data, "video")
+    return {
+        "mistakes": [{"line": line, "text": words} for line, words in found.mistakes[:MOST_SHOWN]],
+        "remarks": [one.as_dict() for one in found.remarks],
+        "tags": [
+            {"id": one["id"], "base": group == "on_base", "s": one.get("s")}
+            for group in ("on_base", "on_beam")
+            for one in _rows(tags.get(group))
+        ],
+        "family": tags.get("family", FAMILIES[0]),
+        "file": video.get("file", ""),
+        "topic": video.get("topic", ""),
+    }
+
+
+def _table(data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    found = data.get(name, {})
+    return found if isinstance(found, dict) else {}
+
+
+def _rows(found: Any) -> list[dict[str, Any]]:
+    rows = found if isinstance(found, list) else []
+    return [one for one in rows if isinstance(one, dict) and isinstance(one.get("id"), int)]
+
+
+def save(folder: Path, text: str, version: str) -> dict[str, Any]:
+    """Put the text in the place of a recording's file, if that is of this version.
+
+    Returns:
+        The new "version"; or, where the file changed meanwhile, "conflict" with the "text" and "version" that it has.
+    """
+    path = folder / RECORDING
+    with _saving:
+        before = path.read_bytes()
+        found: bytes | None = before
+        data = as_bytes(text, before)
+        if version_of(before) == version:
+            found = replace_file(path, data, before)
+    if found is None:
+        return {"version": version_of(data)}
+    return {"conflict": True, "text": as_text(found[: MOST_TOML + 1]), "version": version_of(found)}
+
+
+def begun(places: StudioFolder, name: str) -> dict[str, Any]:
+    """A new file from the template, in a folder that has none."""
+    folder = places.path(name)
+    if not folder.is_dir():
+        raise StudioError(f"there is no folder {name}")
+    write_template(folder)
+    return {"name": name}
+
+
+def first_frame(places: StudioFolder, name: str, file: str, topic: str, family: str) -> dict[str, Any]:
+    """The film's first frame as a picture, and the tags that are found in it, in its pixels.
+
+    Raises `StudioError` where the film lies elsewhere than in the studio's folder, `RecordingError` where it has none.
+    """
+    path = places.beside(name, file)
+    if family not in FAMILIES:
+        raise StudioError(f"{family[:100]!r} is no family of tags")
+    try:
+        stamp = path.stat()
+    except OSError:
+        raise StudioError(f"there is no file {file[:200]}") from None
+    return _frame(path, topic, family, stamp.st_mtime_ns, stamp.st_size)
+
+
+@lru_cache(maxsize=8)
+def _frame(path: Path, topic: str, family: str, _changed: int, _size: int) -> dict[str, Any]:
+    video = VideoEntry(file=path, topic=topic, damaged="keep" if topic else "refuse")
+    found = next(iter(pictures_at(video, [0], colour=True)), None)
+    if found is None:
+        raise RecordingError(f"{path.name} holds no frame. Copy it again from the camera")
+    image = Image.fromarray(found[1])
+    seen = Finder(family).look(np.asarray(image.convert("L")))
+    small = image.copy()
+    small.thumbnail((WIDEST, WIDEST))
+    stream = io.BytesIO()
+    small.save(stream, format="JPEG", quality=QUALITY)
+    return {
+        "width": image.width,
+        "height": image.height,
+        "picture": "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii"),
+        "tags": [{"id": one.tag_id, "corners": one.corners.round(1).tolist()} for one in seen],
+    }
+
+
+def check_picture_of(places: StudioFolder, name: str) -> bytes:
+    """The picture that a check left in the recording's folder. Raises `StudioError` where there is none."""
+    places.recording(name)
+    path = places.path(f"{name}/{PICTURE}")
+    try:
+        if path.stat().st_size > LARGEST_PICTURE:
+            raise StudioError(f"{PICTURE} is larger than any that is drawn here")
+        data = path.read_bytes()
+    except OSError:
+        raise StudioError(f"there is no {PICTURE} in {name}: check it first") from None
+    if not data.startswith(b"\x89PNG") or SOFTWARE.encode() not in data[:200]:
+        raise StudioError(f"{PICTURE} in {name} was not drawn by a check")
+    return data
+
+
+def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """What the process is told. Raises `StudioError` where there is no such recording."""
+    name = str(asked.get("name", ""))
+    places.recording(name)
+    return {"folder": str(places.root), "name": name, "command": check_line(name)}
+
+
+def work(wanted: Mapping[str, Any]) -> None:
+    """Check a recording, and draw `check.png` into its folder."""
+    folder = Path(wanted["name"])
+    tell({"stage": "reading the files, looking for tags", "done": 0, "total": None})
+    found = overview(folder)
+    said = {"name": wanted["name"], **found.as_dict(), "faults": list(found.faults), "picture": False, "unwritten": ""}
+    tell({"stage": "drawing the picture", "done": 0, "total": None})
+    from onebend.report.figures.checking import check_png  # here: Matplotlib is for pictures alone
+
+    drawn = check_png(found)
+    try:
+        if drawn is not None:
+            check_replaceable(folder / PICTURE, SOFTWARE, overwrite=False)
+            write_file(folder / PICTURE, drawn, overwrite=True)
+            said["picture"] = True
+    except ResultsError as error:
+        said["unwritten"] = str(error)
+    tell({"found": said})
+
+
+if __name__ == "__main__":
+    sys.exit(process(work, alone=False))

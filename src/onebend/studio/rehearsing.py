@@ -1,0 +1,174 @@
+"""The room Rehearse: the closed loop on beams that are not the model, as `onebend loop` simulates it.
+
+As a process (`python -m onebend.studio.rehearsing`) it simulates one beam after the other, and tells each when it is
+done.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.beam.statics.rod import has_mass
+from onebend.control.loop.controller import Controller, controller
+from onebend.control.loop.robustness import (
+    SETTLED,
+    LoopTrial,
+    drawn_beams,
+    simulate_trials,
+    trial_settings,
+    wrong_beams,
+)
+from onebend.control.loop.simulation import AXIS_PLACES, LoopCamera
+from onebend.errors import StudioError
+from onebend.results.model import read_model
+from onebend.studio.commands import loop_line
+from onebend.studio.jobs import process, tell
+from onebend.studio.places import StudioFolder
+from onebend.terminal.looping import trial_name
+
+MOST_MOMENTS = 600  # of one beam that are shown
+MOST_DRAWN = 8  # beams on one picture
+_BEGIN_TURN = 0.35  # rad, about, by which the tip is turned at the first goal
+_LARGEST_TIMES = 2.0  # times `bending_force`: what is shown of the reachable set where the force has no bound
+FORCES = (1e-6, 1e6)  # N
+NUMBERS = {  # what may be asked for: least, most, and what is taken where nothing is said
+    "push_s": (0.05, 1.0, 1.0),
+    "point_s": (0.05, 1.0, 1.0),
+    "k_error": (0.0, 0.95, 0.3),
+    "delay_ms": (0.0, 10_000.0, 50.0),
+    "fps": (0.1, 1000.0, 30.0),
+    "noise_mm": (0.0, 1000.0, 0.05),
+    "duration_s": (2.0, 600.0, 8.0),
+}
+
+
+def beam_data(name: str, folder: Path) -> dict[str, Any]:
+    """What the page draws before anything is rehearsed: the beam at rest, and a goal to begin with.
+
+    Raises `ResultsError` where the model cannot be read.
+    """
+    stored = read_model(folder)
+    beam = stored.beam
+    force = _BEGIN_TURN * bending_force(beam)
+    return {
+        "name": name,
+        "length_m": beam.length,
+        "rest_m": np.round(beam.equilibrium((0.0, 0.0)).xy(AXIS_PLACES), 6).tolist(),
+        "goal_m": np.round(beam.equilibrium((force, 2.0 * force)).xy(1.0), 4).tolist(),
+        "band": stored.uncertain is not None,
+        "mass": has_mass(beam),
+        "doubts": [] if stored.uncertain is None else list(stored.uncertain.doubts),
+    }
+
+
+def bending_force(beam: Beam) -> float:
+    """N, across the tip: would turn it by about a radian if the turn grew in proportion."""
+    s = np.linspace(0.0, 1.0, 201)
+    return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
+
+
+def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, float, float, float]:
+    """Of what the map of the reachable set is made: the beam as JSON, the two places, the largest force [N].
+
+    Raises `StudioError` where the page asked for what has no meaning.
+    """
+    beam = read_model(places.result(str(asked.get("model", "")))).beam
+    push_s, point_s = (_number(asked, key, *NUMBERS[key]) for key in ("push_s", "point_s"))
+    most = asked.get("max_force_N")
+    bound = _LARGEST_TIMES * bending_force(beam) if most is None else _number(asked, "max_force_N", *FORCES, 1.0)
+    return json.dumps(beam.as_dict(), sort_keys=True), push_s, point_s, bound
+
+
+def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """What the process is told. Raises `StudioError` where the page asked for what has no meaning."""
+    model = str(asked.get("model", ""))
+    places.result(model)
+    goal = asked.get("goal_m")
+    if not isinstance(goal, list) or len(goal) != 2:
+        raise StudioError("a goal is (x, y) in m")
+    wanted: dict[str, Any] = {key: _number(asked, key, *bounds) for key, bounds in NUMBERS.items()}
+    draws = int(_number(asked, "draws", 0, MOST_DRAWN, 0))
+    most = asked.get("max_force_N")
+    wanted |= {
+        "folder": str(places.root),
+        "model": model,
+        "goal_m": [_number({"goal": one}, "goal", -1e3, 1e3, 0.0) for one in goal],
+        "draws": draws,
+        "max_force_N": None if most is None else _number(asked, "max_force_N", *FORCES, 1.0),
+    }
+    return {**wanted, "command": loop_line(wanted)}
+
+
+def _number(asked: Mapping[str, Any], key: str, least: float, most: float, usual: float) -> float:
+    value = asked.get(key, usual)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+        raise StudioError(f"{key} is a number from {least:g} to {most:g}")
+    return float(value)
+
+
+def work(wanted: Mapping[str, Any]) -> None:
+    """Make the controller, and run it on one beam after the other."""
+    tell({"stage": "gains and margins", "done": 0, "total": None})
+    stored = read_model(Path(wanted["model"]))
+    draws, k_error = wanted["draws"], wanted["k_error"]
+    beam, delay = stored.beam, 1e-3 * wanted["delay_ms"]
+    most = math.inf if wanted["max_force_N"] is None else wanted["max_force_N"]
+    beams = drawn_beams(beam, stored.uncertain, draws) if draws else wrong_beams(beam, k_error)
+    settings = trial_settings(wanted["fps"], delay, 0.3 if draws else k_error, most)
+    where = {"push_s": wanted["push_s"], "point_s": wanted["point_s"]}
+    control = controller(beam, wanted["goal_m"], **where, settings=settings)
+    tell({"found": {"control": control_data(control)}})
+    eye = LoopCamera(fps=wanted["fps"], delay=delay, noise=1e-3 * wanted["noise_mm"])
+    tell({"stage": "simulating", "done": 0, "total": len(beams)})
+    for i, trial in enumerate(simulate_trials(control, beams, eye=eye, duration=wanted["duration_s"]), start=1):
+        tell({"found": {"trial": trial_data(trial)}})
+        tell({"stage": "simulating", "done": i, "total": len(beams)})
+
+
+def control_data(control: Controller) -> dict[str, Any]:
+    """Force, gains and margins; infinite where there is no limit."""
+    known = control.margins()
+    return {
+        "force_N": control.reference.ends.tolist(),
+        "rise_s": control.reference.rise,
+        "rate_per_s": control.gains.rate,
+        "gain": known.gain,
+        "phase_rad": known.phase,
+        "delay_s": known.delay,
+        "softest": known.softest,
+    }
+
+
+def trial_data(trial: LoopTrial) -> dict[str, Any]:
+    """One beam's run for the page, at no more than `MOST_MOMENTS` moments, evenly spread."""
+    said: dict[str, Any] = {
+        "name": trial_name(trial),
+        "factor": trial.factor,
+        "drawn": trial.beam.drawn,
+        "steady_m": trial.steady,
+        "settled_s": trial.settled(SETTLED),
+    }
+    if trial.run is None:
+        return said
+    run = trial.run
+    shown = np.unique(np.linspace(0, len(run.time) - 1, min(MOST_MOMENTS, len(run.time))).round().astype(int))
+    return {
+        **said,
+        "time_s": run.time[shown].round(4),
+        "error_m": run.error[shown].round(7),
+        "force_N": run.force[shown].round(6),
+        "axis_m": run.axis[shown, ::2].round(5),
+        "point_m": run.xy[shown].round(6),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(process(work, alone=False))

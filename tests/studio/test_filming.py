@@ -1,0 +1,230 @@
+"""The room Record: what the page may ask for, the process that records, and what it leaves however it ends."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shlex
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from PIL import Image
+from starlette.testclient import TestClient
+
+from onebend.capture.film_writer import FilmWriter
+from onebend.capture.state import CaptureState
+from onebend.cli.recordings import record
+from onebend.errors import StudioError
+from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
+from onebend.studio.places import StudioFolder
+from onebend.studio.recorder import WIDEST, Talk, check_data, settings_of, small_jpeg, state_data, work
+from tests.recording.filmed import HEIGHT, WIDTH
+from tests.streaming.streamed import frames, log, toml
+from tests.studio.conftest import own
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> StudioFolder:
+    """A folder with a recording to play, one that is only begun, and links and a recording beside it."""
+    root = tmp_path_factory.mktemp("filming")
+    played, begun, out = root / "studio" / "played", root / "studio" / "begun", root / "secret"
+    for folder in (played, begun, out):
+        folder.mkdir(parents=True)
+        (folder / "recording.toml").write_text(toml(), encoding="utf-8")
+    film = FilmWriter(played / "video.mp4", (WIDTH, HEIGHT))
+    for frame in frames():
+        film.write(frame.luma, frame.time)
+    film.close()
+    rows = np.column_stack([log().time, log().force])
+    np.savetxt(played / "force.csv", rows, "%.5f", ",", header="time_s,fx_N,fy_N", comments="")
+    (root / "studio" / "link").symlink_to(out)
+    return StudioFolder.of(root / "studio")
+
+
+def asked(**more: Any) -> dict[str, Any]:
+    """What the page sends."""
+    return {"out": "new", "like": "played", "camera": "film:played", "force": "log:played", **more}
+
+
+@pytest.mark.parametrize("name", ["..", "../secret", "/tmp/x", "link", "link/inner", "a/../../b", "", ".", "x\\y", 3])
+def test_nothing_is_recorded_out_of_the_folder(places: StudioFolder, name: Any) -> None:
+    with pytest.raises(StudioError):
+        wanted_recording(places, asked(out=name))
+    if name not in ("", "."):
+        with pytest.raises(StudioError):
+            wanted_recording(places, asked(like=name))
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "film:../secret", "film:/etc", "film:link", "log:link/force.csv", "csv:/var/log/syslog", "bag:../x.mcap",
+        "/etc/passwd", "/dev/video0/../mem", "/dev/mem", "v4l2:/dev/mem", "serial:/etc/passwd", "serial:/dev/../etc/x",
+        "av:/etc/passwd", "av:file:/etc/passwd", "av:played/video.mp4", "av:concat:a|b", "av:movie=/etc/x,format=lavfi",
+        "av:/etc/passwd,format=v4l2", "av:http:x", "av:list.txt,format=concat",
+    ],
+)  # fmt: skip
+def test_no_source_is_a_file_out_of_the_folder(places: StudioFolder, spec: str) -> None:
+    for key in ("camera", "force"):
+        with pytest.raises(StudioError):
+            wanted_recording(places, asked(**{key: spec}))
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "/dev/video12,size=640x480", "film:played,lost=0.1", "av:0,format=avfoundation", "av:video=A B,format=dshow",
+        "av:/dev/video0,format=v4l2", "av:rtsp://10.0.0.2/live", "serial:/dev/serial/by-id/usb-1,columns=fx_N",
+        "serial:COM3,columns=fx_N", "ati:192.168.1.1", "ur:robot", "lsl:F,columns=fx_N", "csv:played/force.csv", "",
+    ],
+)  # fmt: skip
+def test_cameras_and_sensors_are_taken(places: StudioFolder, spec: str) -> None:
+    check_source(places, spec)
+
+
+def test_what_is_missing_or_no_number_is_said(places: StudioFolder) -> None:
+    for more, says in (
+        ({"camera": ""}, "name a camera"), ({"camera": 5}, "as text"), ({"camera": "film:\x07"}, "as text"),
+        ({"until_percent": 0}, "until_percent: a number"), ({"until_percent": "5"}, "a number"), ({"crf": 41}, "crf"),
+        ({"longest_s": 0.5}, "longest_s"), ({"longest_s": True}, "longest_s"), ({"camera": "x" * 2000}, "as text"),
+    ):  # fmt: skip
+        with pytest.raises(StudioError, match=says):
+            wanted_recording(places, asked(**more))
+
+
+def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None:
+    every = {
+        "until_percent": 5,
+        "longest_s": 20,
+        "crf": 14,
+        "now": True,
+        "no_learning": True,
+        "fast": True,
+        "overwrite": True,
+    }
+    words = shlex.split(wanted_recording(places, asked(out="my push", **every))["command"])
+    assert words[:3] == ["onebend", "record", "my push"]
+    alone = typer.Typer()
+    alone.command()(record)
+    known = {name for one in typer.main.get_command(alone).params for name in one.opts}
+    assert {word for word in words if word.startswith("--")} <= known
+    assert words[words.index("--until") + 1] == "5%"
+    plain = wanted_recording(places, asked(like="", force=""))
+    assert plain["command"] == "onebend record new --camera film:played"
+    assert wanted_recording(places, asked(out="-x"))["out"] == "./-x"
+    assert settings_of(wanted_recording(places, asked(**every))).until == pytest.approx(0.05)
+    assert np.isnan(settings_of(plain).until)
+
+
+def test_the_sources_are_the_recorders(places: StudioFolder) -> None:
+    found = sources_data(places)
+    assert (found["films"], found["logs"], found["begun"]) == (["played"], ["played"], ["begun"])
+    assert {"example", "says", "keys"} == set(found["cameras"][0])
+    assert "log:REC" in [one["example"] for one in found["forces"]]
+
+
+def lines_of(memory: io.BytesIO) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in memory.getvalue().splitlines()]
+
+
+def test_what_is_recorded_is_told_with_pictures_tags_and_advice(
+    places: StudioFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(places.root)
+    monkeypatch.setattr("onebend.studio.recorder.OFTEN", 0.0)
+    memory = io.BytesIO()
+    wanted = wanted_recording(places, asked(fast=True, no_learning=True, out="told"))
+    outcome = work(wanted, Talk(memory), threading.Event(), threading.Event())
+    assert outcome.film is not None
+    said = lines_of(memory)
+    assert said[0]["length_m"] > 0.0
+    states = [one["state"] for one in said if "state" in one]
+    assert states[-1] == json.loads(json.dumps(states[-1]))
+    assert {"first rest", "push"} <= {one["stages"][one["stage"]] for one in states}
+    assert any("touch nothing" in one["advice"][0] for one in states)
+    pictures = [one for one in said if "picture" in one]
+    assert len(pictures) > 3
+    first = Image.open(io.BytesIO(base64.b64decode(pictures[0]["picture"])))
+    assert first.size == (WIDTH, HEIGHT) == tuple(pictures[0]["state"]["size_px"])
+    tag = next(one for one in states[-1]["tags"] if one["corners_px"])
+    corners = np.array(tag["corners_px"])
+    assert corners.shape == (4, 2)
+    assert np.hypot(*(corners[1] - corners[0])) == pytest.approx(tag["side_px"], rel=0.2)
+    assert states[-1]["frames"] == outcome.state.frames
+    assert check_data(outcome.folder)["faults"] == ()
+    assert check_data(places.root)["faults"][0].endswith("fill it in.")
+
+
+def test_the_last_state_is_told_and_a_studio_that_stands_still_holds_nothing_up() -> None:
+    free, memory = threading.Event(), io.BytesIO()
+
+    class Stuck(io.BytesIO):
+        def write(self, data: Any) -> int:
+            free.wait(10.0)
+            return memory.write(data)
+
+    talk, begun = Talk(Stuck()), time.monotonic()
+    for seconds in range(50):
+        talk.watch(CaptureState("push", seconds=float(seconds)))
+    assert time.monotonic() - begun < 1.0
+    free.set()
+    talk.end()
+    assert lines_of(memory)[-1]["state"]["seconds"] == 49.0
+
+
+def test_a_large_picture_is_made_small() -> None:
+    image = Image.open(io.BytesIO(small_jpeg(np.zeros((1000, 2500), np.uint8))))
+    assert image.width <= WIDEST
+    assert image.width / image.height == pytest.approx(2.5, rel=0.01)
+    assert state_data(CaptureState("exposure"))["size_px"] is None
+
+
+def told() -> tuple[RecorderProcess, list[tuple[dict[str, Any], bool]]]:
+    messages: list[tuple[dict[str, Any], bool]] = []
+    return RecorderProcess(lambda message, passing: messages.append((message, passing))), messages
+
+
+def test_the_newest_pictures_are_kept_and_slow_tabs_miss_states_alone() -> None:
+    filming, messages = told()
+    filmed = filming.made = MadeRecording({"out": "new", "command": ""})
+    with pytest.raises(StudioError, match="no picture"):
+        filming.picture(1)
+    for i in range(20):
+        filming._hear(filmed, {"state": {"stage": 0, "frames": 0}, "picture": base64.b64encode(b"%d" % i).decode()})
+    assert filming.picture(20) == filming.picture(3) == b"19"
+    assert filming.picture(15) == b"14"
+    assert (filmed.phase, filmed.picture) == ("recording", 20)
+    filming._hear(filmed, {"outcome": {"begun": True, "fault": False}})
+    assert filmed.phase == "checking"
+    filming._hear(filmed, {"check": {"rows": [], "remarks": [], "faults": []}})
+    assert [passing for _, passing in messages] == [True] * 20 + [False] * 2
+    assert messages[-1][0]["recording"]["check"] is not None
+
+
+def test_the_routes_say_what_there_is(client: TestClient) -> None:
+    assert client.get("/api/record").json() == {"recording": None}
+    assert "no picture" in client.get("/api/record/picture?n=1").json()["error"]
+    for what in ("begin", "stop"):
+        assert client.post(f"/api/record/{what}", json={}, headers=own()).status_code == 200
+    assert client.post("/api/record/burn", json={}, headers=own()).status_code == 422
+    refused = client.post("/api/record/start", json={"out": "../x", "camera": "film:x"}, headers=own())
+    assert refused.status_code == 422
+    assert "no name in this folder" in refused.json()["error"]
+
+
+def test_the_first_picture_does_without_the_recorder() -> None:
+    """Cameras, films and mechanics are loaded when the page is there."""
+    call = "import sys, onebend.studio.server; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True)
+    found = {name for name in done.stdout.split() if name.partition(".")[0] in ("onebend", "av", "scipy", "PIL")}
+    assert {name.split(".")[1] for name in found if name.startswith("onebend.")} <= {
+        "crash", "errors", "escaping", "files", "lazy", "strict_json", "studio", "workers",
+    }  # fmt: skip
+    assert not found & {"av", "scipy", "PIL"}

@@ -1,0 +1,74 @@
+"""What `onebend sense` writes, and what it refuses before any work."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from onebend.cli import app, motion
+from onebend.export.force_bag import FORCE_TOPIC
+from onebend.recording.bags.force_topic import read_bag_force
+from onebend.recording.toml.entries import ForceEntry
+from onebend.records import Observations
+from onebend.results.model import save_model
+from tests.learning.bench import SOFT, forces, observed
+
+SEEN = observed(SOFT, forces(14), noise=(3e-5, 1e-3))
+
+
+@pytest.fixture
+def sense(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
+    """The command on a recording that is read already."""
+    save_model(tmp_path / "model.json", SOFT, written_by="a test")
+
+    def observe(*_: object) -> Observations:
+        return SEEN
+
+    def no_files(_: object) -> list[object]:
+        return []
+
+    monkeypatch.setattr(motion, "_observed", observe)
+    monkeypatch.setattr(motion, "recording_files", no_files)
+
+    def run(*options: str) -> Result:
+        model, recording = str(tmp_path / "model.json"), str(tmp_path)
+        return CliRunner().invoke(app, ["sense", model, recording, "--quiet", *options])
+
+    return run
+
+
+def test_the_bag_holds_the_forces_of_the_table(sense: Callable[..., Result], tmp_path: Path) -> None:
+    done = sense("-o", str(tmp_path / "out"), "--bag", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["output"] == str(tmp_path / "out")
+    rows = np.genfromtxt(tmp_path / "out" / "force.csv", delimiter=",", names=True)
+    log = read_bag_force(ForceEntry(file=tmp_path / "out" / "force.mcap", topic=FORCE_TOPIC))
+    np.testing.assert_allclose(log.force, np.column_stack([rows["fx_N"], rows["fy_N"]]), rtol=1e-8)
+    assert "force.mcap" in json.loads((tmp_path / "out" / "summary.json").read_text())["files"]
+    again = sense("-o", str(tmp_path / "out"), "--overwrite", "--quiet")
+    assert again.exit_code == 0, again.output
+    assert not (tmp_path / "out" / "force.mcap").exists()
+
+
+def test_a_bad_folder_is_refused_before_the_recording_is_read(
+    sense: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_soon(*_: object) -> Observations:
+        raise AssertionError("the recording is read")
+
+    monkeypatch.setattr(motion, "_observed", too_soon)
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "thesis.tex").write_text("three years")
+    for options, said in (((), "is not empty"), (("--overwrite",), "are not replaced")):
+        done = sense("-o", str(tmp_path / "taken"), *options)
+        assert done.exit_code == 2
+        assert said in " ".join(done.output.split())
+        assert ("--force" in done.output) == (not options)
+    done = sense("--bag")
+    assert done.exit_code == 2
+    assert "-o OUT" in done.output

@@ -1,0 +1,96 @@
+// Curves over time, one a beam, with a line at the moment that is shown.
+import { digits, h } from "./dom.js";
+import { Canvas, Colours, label, Point, ticks, trace } from "./draw.js";
+
+export interface Line { time: number[]; values: number[]; tint: keyof Colours; thin: boolean }
+export interface Level { value: number; words: string }
+
+const LEFT = 52, RIGHT = 12, TOP = 12, BOTTOM = 24;
+
+export class TimeChart {
+  readonly element: HTMLElement;
+  private readonly node: HTMLCanvasElement;
+  private readonly canvas: Canvas;
+  private lines: Line[] = [];
+  private levels: Level[] = [];
+  private until = 1;
+  private now = 0;
+
+  constructor(private readonly words: string, private readonly log: boolean, to: (time: number) => void) {
+    this.node = h("canvas", { role: "img", "aria-label": words });
+    this.element = h("figure", { class: "chart" }, this.node);
+    this.canvas = new Canvas(this.node, this.paint);
+    const point = (event: PointerEvent): void => {
+      if (event.type === "pointermove" && event.buttons === 0) return;
+      const box = this.node.getBoundingClientRect();
+      to(Math.min(Math.max((event.clientX - box.left - LEFT) / (box.width - LEFT - RIGHT), 0), 1) * this.until);
+    };
+    this.node.addEventListener("pointerdown", point);
+    this.node.addEventListener("pointermove", point);
+  }
+
+  end(): void {
+    this.canvas.end();
+  }
+
+  set(lines: Line[], levels: Level[], until: number): void {
+    [this.lines, this.levels, this.until] = [lines, levels, until];
+    this.canvas.redraw();
+  }
+
+  at(now: number): void {
+    this.now = now;
+    this.canvas.redraw();
+  }
+
+  private range(): [number, number] {
+    const every = [...this.lines.flatMap((one) => one.values), ...this.levels.map((one) => one.value)].filter(Number.isFinite);
+    if (!every.length) return this.log ? [0.01, 10] : [0, 1];
+    const most = Math.max(...every, 1e-9);
+    return this.log ? [Math.max(Math.min(...every.filter((one) => one > 0), 0.5 * most), 1e-4 * most, 0.005), 1.5 * most] : [0, 1.25 * most];
+  }
+
+  private readonly paint = ({ context, width, height }: Canvas, tint: Colours): void => {
+    const [low, high] = this.range(), [right, bottom] = [width - RIGHT, height - BOTTOM], scale = (one: number): number => this.log ? Math.log(Math.max(one, low)) : one;
+    const x = (time: number): number => LEFT + time / this.until * (right - LEFT);
+    const y = (one: number): number => bottom - (bottom - TOP) * (scale(one) - scale(low)) / (scale(high) - scale(low));
+    const decades = [-3, -2, -1, 0, 1, 2, 3, 4].map((power) => 10 ** power).filter((one) => one >= low && one <= high);
+    context.strokeStyle = tint.line;
+    context.fillStyle = tint.muted;
+    context.lineWidth = 1;
+    context.textAlign = "right";
+    for (const mark of this.log ? decades : ticks(low, high, 3)) {
+      trace(context, [[LEFT, y(mark)], [right, y(mark)]]);
+      context.stroke();
+      context.fillText(digits(mark, 2).replace(/\.0$/, ""), LEFT - 7, y(mark) + 4);
+    }
+    context.textAlign = "center";
+    for (const time of ticks(0, this.until, width < 480 ? 4 : 8)) {
+      trace(context, [[x(time), TOP], [x(time), bottom]]);
+      context.stroke();
+      context.fillText(`${digits(time, 3).replace(/\.0+$/, "")} s`, Math.min(x(time), right - 10), bottom + 16);
+    }
+    for (const { value } of this.levels) {
+      context.setLineDash([3, 4]);
+      context.strokeStyle = tint.muted;
+      trace(context, [[LEFT, y(value)], [right, y(value)]]);
+      context.stroke();
+      context.setLineDash([]);
+    }
+    for (const { time, values, tint: colour, thin } of this.lines) {
+      context.strokeStyle = tint[colour];
+      context.lineWidth = thin ? 1.2 : 2;
+      trace(context, time.map((one, i): Point => [x(one), y(values[i]!)]));
+      context.stroke();
+    }
+    context.textAlign = "left";
+    for (const { value, words } of this.levels) label(context, words, LEFT + 6, y(value) + 13, tint.muted, tint.paper);
+    context.textAlign = "right";
+    label(context, this.words, right - 6, TOP + 12, tint.muted, tint.paper);
+    if (!this.lines.length) return;
+    context.strokeStyle = tint.ink;
+    context.lineWidth = 1;
+    trace(context, [[x(this.now), TOP], [x(this.now), bottom]]);
+    context.stroke();
+  };
+}
