@@ -147,7 +147,7 @@ def _placed(benches: Benches, some: IntArray, places: Array, sd: Array) -> _Plac
 
 
 def both_touch(found: Estimates) -> tuple[BoolArray, BoolArray]:
-    """(F,) of each of two forces: whether none lies outside its 95 % region."""
+    """(F,) of each of two forces: whether zero lies outside its 95 % region."""
     each = []
     for c in (slice(0, 2), slice(2, 4)):
         alone = Estimates(
