@@ -55,6 +55,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     }
     if (!there) name = at.has("name") ? "" : known[0]?.name ?? "";
     if (name) await open(name);
+    else nothing.textContent = "Choose a recording.";
   }
 
   async function begin(folder: string): Promise<void> {
@@ -70,6 +71,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
       found = await post<Read>("/api/recordings/read", { name: wanted });
     } catch (error) {
       if (desk.hidden || wanted !== name) unreadable(wanted, (error as Error).message);
+      else say((error as Error).message);
       return;
     }
     const draft = draftOf(wanted);

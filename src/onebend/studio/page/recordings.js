@@ -41,6 +41,8 @@ export function recordings(place, at) {
             name = at.has("name") ? "" : known[0]?.name ?? "";
         if (name)
             await open(name);
+        else
+            nothing.textContent = "Choose a recording.";
     }
     async function begin(folder) {
         await post("/api/recordings/new", { name: folder });
@@ -57,6 +59,8 @@ export function recordings(place, at) {
         catch (error) {
             if (desk.hidden || wanted !== name)
                 unreadable(wanted, error.message);
+            else
+                say(error.message);
             return;
         }
         const draft = draftOf(wanted);
