@@ -54,7 +54,7 @@ KError = Annotated[
         min=0.0,
         max=0.95,
         metavar="SHARE",
-        help="Gains for beams this share softer and stiffer; rehearsed on them.",
+        help="Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
     ),
 ]
 Draws = Annotated[
