@@ -110,6 +110,50 @@ def test_a_recording_is_mended_while_it_is_checked_and_saved(page: Page, own_fol
 
 
 @pytest.mark.slow
+def test_what_is_open_stays_open_and_what_cannot_be_opened_says_why(address: str, own_folder: Path) -> None:
+    with browsed(address, refused=("413", "422")) as page:
+        stays_open(page, own_folder)
+
+
+def stays_open(page: Page, own_folder: Path) -> None:
+    for name in ("away", "bare"):
+        (own_folder / name).mkdir()
+        shutil.copy(TRAIN / "video.mp4", own_folder / name)
+    (own_folder / "bare" / "recording.toml").write_text('format = 1\n[video]\nfile = "video.mp4"\n', encoding="utf-8")
+    shutil.copy(TRAIN / "recording.toml", own_folder / "away")
+    opened(page, "recordings?name=away")
+    page.locator(".first figcaption", has_text=re.compile(r"0, 1, 2, 3\.$")).wait_for()
+    page.locator(".pick", has_text="bare").click()
+    page.locator(".first figcaption", has_text="Not in recording.toml: 0, 1, 2, 3.").wait_for()
+    page.locator(".pick", has_text="away").click()
+    page.locator("h1", has_text="away").wait_for()
+    area = page.locator(".code textarea")
+    area.fill("x" * 300_000)
+    page.locator(".state", has_text="not checked: At most 262144 bytes").wait_for()
+    area.fill("# mine\n")
+    shutil.rmtree(own_folder / "away")
+    before = {path: path.read_bytes() for path in own_folder.rglob("recording.toml")}
+    (own_folder / "bare" / "recording.toml").rename(own_folder / "kept.toml")
+    new = "fetch('/api/recordings/new', {method: 'POST', headers: {'Content-Type': 'application/json'}, body: "
+    page.evaluate(f"""{new} '{{"name": "bare"}}'}})""")
+    page.locator(".state", has_text="its folder is gone: nothing can be saved").wait_for()
+    (own_folder / "kept.toml").rename(own_folder / "bare" / "recording.toml")
+    area.press("End")
+    area.press("y")
+    area.press("Control+s")
+    page.wait_for_timeout(200)
+    assert (page.locator("h1").inner_text(), area.input_value()) == ("away", "# mine\ny")
+    assert {path: path.read_bytes() for path in own_folder.rglob("recording.toml")} == before
+    (own_folder / "bare" / "recording.toml").write_bytes(b"format = 1\n# \xff\n")
+    page.locator(".pick", has_text="bare").click()
+    page.locator(".empty", has_text="bare cannot be opened here. recording.toml, line 2: no UTF-8").wait_for()
+    (own_folder / "bare" / "recording.toml").write_bytes(b"format = 1\n")
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    page.locator("h1", has_text="bare").wait_for()
+    shutil.rmtree(own_folder / "bare")
+
+
+@pytest.mark.slow
 def test_two_tabs_agree_on_what_was_saved(page: Page, own_folder: Path) -> None:
     path = own_folder / "train" / "recording.toml"
     before = path.read_text(encoding="utf-8")

@@ -58,6 +58,7 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
     const ending = JSON.stringify([now.out, now.phase, now.outcome, now.check, now.error]);
     if (ending === told) return;
     told = ending;
+    if (!on && now.outcome?.begun) form.used(now.out);
     ended.replaceChildren(...(on && now.phase !== "checking" ? [] : outcome(now)));
   }
 

@@ -40,7 +40,7 @@ def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, rep
 
 def check_line(name: str) -> str:
     """What checks the same."""
-    return line("check", _word(name), "--output", f"{_word(name)}/check.png")
+    return line("check", plain_word(name), "--output", f"{plain_word(name)}/check.png")
 
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
@@ -52,11 +52,11 @@ def loop_line(wanted: Mapping[str, Any]) -> str:
     timing = ["--delay-ms", number(wanted["delay_ms"]), "--fps", number(wanted["fps"])]
     timing += ["--noise-mm", number(wanted["noise_mm"]), "--duration-s", number(wanted["duration_s"])]
     goal = [number(one) for one in wanted["goal_m"]]
-    return line("loop", _word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
+    return line("loop", plain_word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
 
 
-def _word(name: str) -> str:
-    """A name that is no option."""
+def plain_word(name: str) -> str:
+    """A name that no command takes for an option."""
     return f"./{name}" if name.startswith("-") else name
 
 

@@ -55,6 +55,8 @@ export function record(place, at) {
         if (ending === told)
             return;
         told = ending;
+        if (!on && now.outcome?.begun)
+            form.used(now.out);
         ended.replaceChildren(...(on && now.phase !== "checking" ? [] : outcome(now)));
     }
     function outcome(one) {
