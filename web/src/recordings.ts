@@ -61,7 +61,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     const found = await post<Read>("/api/recordings/read", { name: wanted }), draft = draftOf(wanted);
     name = wanted;
     film = "";
-    remember({ name });
+    remember("recordings", { name });
     title.textContent = name;
     desk.hidden = false;
     nothing.hidden = true;

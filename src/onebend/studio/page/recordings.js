@@ -44,7 +44,7 @@ export function recordings(place, at) {
         const found = await post("/api/recordings/read", { name: wanted }), draft = draftOf(wanted);
         name = wanted;
         film = "";
-        remember({ name });
+        remember("recordings", { name });
         title.textContent = name;
         desk.hidden = false;
         nothing.hidden = true;
