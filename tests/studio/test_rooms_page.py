@@ -166,6 +166,17 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.locator(".stage > canvas").focus()
     page.keyboard.press("ArrowRight")
     assert float(goal.input_value()) > first
+    run = page.locator(".toolbar button.main")
+    for label, wrong, right in (("frames a second", "-1", "30"), ("largest force in N", "-0.2", ""), ("goal, x in mm", "", None),
+                                ("goal, x in mm", "5000", None)):  # fmt: skip
+        field = page.get_by_label(label)
+        before = field.input_value() if right is None else right
+        field.fill(wrong)
+        assert field.get_attribute("aria-invalid") == "true"
+        assert run.is_disabled()
+        assert label in run.inner_text()
+        field.fill(before)
+        assert not run.is_disabled()
     page.get_by_label("duration in s").fill("2")
     command = page.locator(".rehearse .command code").inner_text()
     assert command.startswith("onebend loop beam --goal ")

@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-
 MOST_DIGITS = 12  # behind the point, of a goal in metres
 
 
