@@ -184,6 +184,7 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.get_by_role("button", name="Rehearse", exact=True).click()
     page.locator(".outcome tr").nth(3).wait_for(timeout=90_000)
     page.locator(".clock", has_text="2.00 s").wait_for()  # it played by itself
+    page.locator(".job").wait_for(state="detached")  # until then the table is made anew
     rows = page.locator(".outcome tr").all_inner_texts()
     lines[-1].close()
     page.locator("#link", has_text="reconnecting").wait_for()
