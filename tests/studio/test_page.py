@@ -117,6 +117,10 @@ def test_drag_the_tip_read_the_force_reload_and_go_on(page: Page) -> None:
     assert page.locator(".bend .command code").inner_text() != command
     page.keyboard.press("Escape")
     page.locator(".big b", has_text=re.compile("^0$")).wait_for()
+    largest = page.get_by_label("largest force in N")
+    for wrong, marked in (("-1", "true"), ("0", "true"), ("", "true"), ("2", "false")):
+        largest.fill(wrong)
+        assert largest.get_attribute("aria-invalid") == marked
     page.set_viewport_size({"width": 390, "height": 800})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.locator("nav a", has_text="Learn").click()

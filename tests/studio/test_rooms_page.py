@@ -210,6 +210,18 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.locator(".stage > canvas").focus()
     page.keyboard.press("ArrowRight")
     assert float(goal.input_value()) > first
+    run = page.locator(".toolbar button.main")
+    for label, wrong in (
+        ("frames a second", "-1"), ("largest force in N", "-0.2"), ("goal, x in mm", ""), ("goal, x in mm", "5000"),
+    ):  # fmt: skip
+        field = page.get_by_label(label)
+        before = field.input_value()
+        field.fill(wrong)
+        assert field.get_attribute("aria-invalid") == "true"
+        assert run.is_disabled()
+        assert label in run.inner_text()
+        field.fill(before)
+        assert not run.is_disabled()
     page.get_by_label("duration in s").fill("2")
     command = page.locator(".rehearse .command code").inner_text()
     assert command.startswith("onebend loop beam --goal ")
@@ -217,6 +229,7 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.get_by_role("button", name="Rehearse", exact=True).click()
     page.locator(".outcome tr").nth(3).wait_for(timeout=90_000)
     page.locator(".clock", has_text="2.00 s").wait_for()  # it played by itself
+    page.locator(".job").wait_for(state="detached")  # until then the table is made anew
     rows = page.locator(".outcome tr").all_inner_texts()
     lines[-1].close()
     page.locator("#link", has_text="reconnecting").wait_for()

@@ -21,7 +21,7 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
   place.append(h("aside", { class: "side" }, form.element, live.numbers), h("section", { class: "filming" }, doing.element, hint, title, live.stages, live.advice, orders, live.picture, live.curve.element, ended));
 
   function changed(choice: Choice, command: string): void {
-    remember({ ...choice });
+    remember("record", { ...choice });
     if (!going(recording)) doing.set(command);
   }
 

@@ -77,7 +77,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     const draft = draftOf(wanted);
     name = wanted;
     [film, gone, unchecked] = ["", false, ""];
-    remember({ name });
+    remember("recordings", { name });
     title.textContent = name;
     desk.hidden = false;
     nothing.hidden = true;

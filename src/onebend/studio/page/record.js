@@ -15,7 +15,7 @@ export function record(place, at) {
     let recording = null, told = "";
     place.append(h("aside", { class: "side" }, form.element, live.numbers), h("section", { class: "filming" }, doing.element, hint, title, live.stages, live.advice, orders, live.picture, live.curve.element, ended));
     function changed(choice, command) {
-        remember({ ...choice });
+        remember("record", { ...choice });
         if (!going(recording))
             doing.set(command);
     }
