@@ -105,7 +105,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     name = wanted;
     number += 1;
     clearTimeout(waiting);
-    remember({ name });
+    remember("recordings", { name });
     desk.hidden = true;
     nothing.hidden = false;
     nothing.classList.add("warning");

@@ -66,7 +66,7 @@ export function recordings(place, at) {
         const draft = draftOf(wanted);
         name = wanted;
         [film, gone, unchecked] = ["", false, ""];
-        remember({ name });
+        remember("recordings", { name });
         title.textContent = name;
         desk.hidden = false;
         nothing.hidden = true;
@@ -93,7 +93,7 @@ export function recordings(place, at) {
         name = wanted;
         number += 1;
         clearTimeout(waiting);
-        remember({ name });
+        remember("recordings", { name });
         desk.hidden = true;
         nothing.hidden = false;
         nothing.classList.add("warning");
