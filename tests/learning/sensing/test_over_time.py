@@ -117,10 +117,10 @@ def test_smooth_regions_and_times_hold_the_truth() -> None:
 
 
 def test_contacts_that_overlap_are_one() -> None:
-    known, unknown = (lambda time: Edge(time, 0.01)), Edge(np.nan, np.inf)
-    first, second = Touch(1.0, 2.0, known(0.9), known(2.2)), Touch(2.3, 3.0, known(2.1), unknown)
+    unknown = Edge(np.nan, np.inf)
+    first, second = Touch(1.0, 2.0, Edge(0.9, 0.01), Edge(2.2, 0.01)), Touch(2.3, 3.0, Edge(2.1, 0.01), unknown)
     assert joined([first, second]) == (Touch(1.0, 3.0, first.begin, unknown),)
-    apart = replace(second, begin=known(2.25))
+    apart = replace(second, begin=Edge(2.25, 0.01))
     assert joined([first, apart]) == (first, apart)
 
 
