@@ -236,7 +236,8 @@ def show(done: Sequence[Outcome]) -> None:
         print(counts(f"said {way}", (one for one in done if one.mistaken and one.seed % len(WAYS) == i)))
     right = [one for one in done if not one.mistaken]
     print(counts("all mistakes", (one for one in done if one.mistaken)))
-    print(counts("said rightly", right))
+    print(counts("said rightly, ideal benches", (one for one in right if not one.seed % 2)))
+    print(counts("said rightly, real benches", (one for one in right if one.seed % 2)))
     accused = sum(one.accused for one in right)
     print(f"\nRight places accused: {accused} of {len(right)} ({at_most(accused, len(right))} of all, at 95 %).")
     print("\nSilently wrong, and rightly said but refused, in doubt, warned of or outside the band:\n")

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.capture.folder import GrowingTable, places_for, retimed, state_start, with_values
+from onebend.capture.folder import GrowingTable, copy_description, places_for, retimed, state_start, with_values
 from onebend.capture.sources import files_of
 from onebend.capture.specs import camera_of, force_of
 from onebend.errors import RecordingError
+from onebend.recording.folder import read_recording
 from onebend.recording.template import template
 from tests.streaming.streamed import toml
 
@@ -156,3 +157,20 @@ def test_times_made_anew_rise_and_keep_their_rows(tmp_path: Path) -> None:
     rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
     assert [name for _, name in rows] == ["first", "second", "third", "same"]
     assert np.all(np.diff([float(time) for time, _ in rows]) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "left"), [('name = "first"  # mine\n', ""), ("'name' = 'first'\r\n", ""), ('name = """\nfirst"""\n', None)]
+)
+def test_another_push_of_a_beam_has_the_name_of_its_own_folder(tmp_path: Path, line: str, left: str | None) -> None:
+    rest = toml().partition("\n")[2]
+    (first := tmp_path / "first").mkdir()
+    (first / "recording.toml").write_bytes(f"format = 1\n{line}{rest}".encode())
+    for _ in range(2):  # the second is after a start that failed
+        copy_description(first, tmp_path / "second")
+        kept = line if left is None else left
+        assert (tmp_path / "second" / "recording.toml").read_bytes() == f"format = 1\n{kept}{rest}".encode()
+    assert read_recording(tmp_path / "second", filmed=False).name == ("first" if left is None else "second")
+    (tmp_path / "second" / "recording.toml").write_text("format = 1\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match="exists already"):
+        copy_description(first, tmp_path / "second")

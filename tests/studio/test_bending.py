@@ -65,6 +65,28 @@ def test_the_command_beside_it_gives_the_same_force(folder: Path, monkeypatch: p
     assert np.allclose(json.loads(done.stdout)["force_N"], answer["force_N"], rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.parametrize("force", [(0.0, 0.05), (0.3, 0.01), (0.01, 0.1), (0.05, 0.2)])
+def test_the_command_is_exact_where_a_micrometre_takes_much_force(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, force: tuple[float, float]
+) -> None:
+    bending = Bending.of("beam", folder / "beam")
+    bending.point.under(force)
+    command = bending.still()["command"]
+    assert len(command.split("--goal ")[1].split()[0]) > len("0.150000")
+    monkeypatch.chdir(folder)
+    done = CliRunner().invoke(app, [*shlex.split(command)[1:], "--json"])
+    assert done.exit_code == 0, done.output
+    off = np.linalg.norm(np.subtract(json.loads(done.stdout)["force_N"], force))
+    assert off <= max(1e-2 * np.hypot(*force), 1e-4)
+
+
+def test_at_rest_no_command_is_shown(folder: Path) -> None:
+    bending = Bending.of("beam", folder / "beam")
+    assert bending.still()["command"]
+    bending.change({"rest": True})
+    assert bending.still()["command"] == ""
+
+
 def test_two_tabs_agree_and_a_returning_one_finds_the_beam_as_it_was(working: TestClient) -> None:
     with opened(working) as one, opened(working) as other:
         for socket in (one, other):

@@ -99,6 +99,13 @@ def test_what_is_missing_or_no_number_is_said(places: StudioFolder) -> None:
             wanted_recording(places, asked(**more))
 
 
+@pytest.mark.parametrize("name", ["a" * 300, "a/" + "\u00e9" * 128 + "/b"])
+def test_a_name_that_no_folder_can_have_is_refused_in_words(places: StudioFolder, name: str) -> None:
+    with pytest.raises(StudioError, match="too long a name: a folder's has at most 255 bytes"):
+        wanted_recording(places, asked(out=name))
+    assert wanted_recording(places, asked(out="a" * 255))["out"] == "a" * 255
+
+
 def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None:
     every = {
         "until_percent": 5,
@@ -118,7 +125,8 @@ def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None
     assert words[words.index("--until") + 1] == "5%"
     plain = wanted_recording(places, asked(like="", force=""))
     assert plain["command"] == "onebend record new --camera film:played"
-    assert wanted_recording(places, asked(out="-x"))["out"] == "./-x"
+    dashed = wanted_recording(places, asked(out="-x"))
+    assert (dashed["out"], dashed["command"].split()[2]) == ("./-x", "./-x")
     assert settings_of(wanted_recording(places, asked(**every))).until == pytest.approx(0.05)
     assert np.isnan(settings_of(plain).until)
 

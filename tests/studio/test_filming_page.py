@@ -46,7 +46,9 @@ def filled(page: Page, out: str, film: str) -> None:
     page.locator("nav a[data-room=record]").click()
     page.locator(f"option[value='{film}']").first.wait_for(state="attached")
     page.get_by_label("folder to record into").fill(out)
-    page.get_by_label("the beam is that of").select_option(film)
+    for one in ("train", "fast", film):
+        page.get_by_label("the beam is that of").select_option(one)
+        assert page.get_by_label("the beam is that of").input_value() == one
     page.get_by_label("camera", exact=True).fill(f"film:{film}")
     page.get_by_label("force sensor").fill(f"log:{film}")
 
@@ -70,6 +72,7 @@ def test_record_learn_drag_read_reload_and_go_on(page: Page, lab: Path) -> None:
     page.locator("h1", has_text="Recorded push").wait_for(timeout=60_000)
     page.locator(".ended .words dt", has_text="force log").wait_for(timeout=60_000)
     assert overview(lab / "push").faults == ()
+    assert page.get_by_label("folder to record into").input_value() == "push-2"
     page.locator("a", has_text="Learn it").click()
     assert page.locator(".choice li", has_text="push").locator("input").first.is_checked()
     assert page.locator(".learn .command code").inner_text() == "onebend learn push --output push-results"
@@ -108,6 +111,8 @@ def test_a_recording_goes_on_whoever_looks_and_ends_by_the_keyboard(page: Page, 
     filled(page, "slowly", "train")
     page.locator("summary", has_text="more").click()
     page.get_by_label("learn no k(s) meanwhile").check()
+    command = page.locator(".record .command code").inner_text()
+    assert command == "onebend record slowly --camera film:train --force log:train --like train --no-learning"
     page.locator(".record button[type=submit]").press("Enter")
     page.locator(".stages .now", has_text="push").wait_for(timeout=30_000)
     picture = painted(page)

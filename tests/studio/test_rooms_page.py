@@ -110,6 +110,50 @@ def test_a_recording_is_mended_while_it_is_checked_and_saved(page: Page, own_fol
 
 
 @pytest.mark.slow
+def test_what_is_open_stays_open_and_what_cannot_be_opened_says_why(address: str, own_folder: Path) -> None:
+    with browsed(address, refused=("413", "422")) as page:
+        stays_open(page, own_folder)
+
+
+def stays_open(page: Page, own_folder: Path) -> None:
+    for name in ("away", "bare"):
+        (own_folder / name).mkdir()
+        shutil.copy(TRAIN / "video.mp4", own_folder / name)
+    (own_folder / "bare" / "recording.toml").write_text('format = 1\n[video]\nfile = "video.mp4"\n', encoding="utf-8")
+    shutil.copy(TRAIN / "recording.toml", own_folder / "away")
+    opened(page, "recordings?name=away")
+    page.locator(".first figcaption", has_text=re.compile(r"0, 1, 2, 3\.$")).wait_for()
+    page.locator(".pick", has_text="bare").click()
+    page.locator(".first figcaption", has_text="Not in recording.toml: 0, 1, 2, 3.").wait_for()
+    page.locator(".pick", has_text="away").click()
+    page.locator("h1", has_text="away").wait_for()
+    area = page.locator(".code textarea")
+    area.fill("x" * 300_000)
+    page.locator(".state", has_text="not checked: At most 262144 bytes").wait_for()
+    area.fill("# mine\n")
+    shutil.rmtree(own_folder / "away")
+    before = {path: path.read_bytes() for path in own_folder.rglob("recording.toml")}
+    (own_folder / "bare" / "recording.toml").rename(own_folder / "kept.toml")
+    new = "fetch('/api/recordings/new', {method: 'POST', headers: {'Content-Type': 'application/json'}, body: "
+    page.evaluate(f"""{new} '{{"name": "bare"}}'}})""")
+    page.locator(".state", has_text="its folder is gone: nothing can be saved").wait_for()
+    (own_folder / "kept.toml").rename(own_folder / "bare" / "recording.toml")
+    area.press("End")
+    area.press("y")
+    area.press("Control+s")
+    page.wait_for_timeout(200)
+    assert (page.locator("h1").inner_text(), area.input_value()) == ("away", "# mine\ny")
+    assert {path: path.read_bytes() for path in own_folder.rglob("recording.toml")} == before
+    (own_folder / "bare" / "recording.toml").write_bytes(b"format = 1\n# \xff\n")
+    page.locator(".pick", has_text="bare").click()
+    page.locator(".empty", has_text="bare cannot be opened here. recording.toml, line 2: no UTF-8").wait_for()
+    (own_folder / "bare" / "recording.toml").write_bytes(b"format = 1\n")
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    page.locator("h1", has_text="bare").wait_for()
+    shutil.rmtree(own_folder / "bare")
+
+
+@pytest.mark.slow
 def test_two_tabs_agree_on_what_was_saved(page: Page, own_folder: Path) -> None:
     path = own_folder / "train" / "recording.toml"
     before = path.read_text(encoding="utf-8")
@@ -166,6 +210,18 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.locator(".stage > canvas").focus()
     page.keyboard.press("ArrowRight")
     assert float(goal.input_value()) > first
+    run = page.locator(".toolbar button.main")
+    for label, wrong in (
+        ("frames a second", "-1"), ("largest force in N", "-0.2"), ("goal, x in mm", ""), ("goal, x in mm", "5000"),
+    ):  # fmt: skip
+        field = page.get_by_label(label)
+        before = field.input_value()
+        field.fill(wrong)
+        assert field.get_attribute("aria-invalid") == "true"
+        assert run.is_disabled()
+        assert label in run.inner_text()
+        field.fill(before)
+        assert not run.is_disabled()
     page.get_by_label("duration in s").fill("2")
     command = page.locator(".rehearse .command code").inner_text()
     assert command.startswith("onebend loop beam --goal ")
@@ -173,6 +229,7 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.get_by_role("button", name="Rehearse", exact=True).click()
     page.locator(".outcome tr").nth(3).wait_for(timeout=90_000)
     page.locator(".clock", has_text="2.00 s").wait_for()  # it played by itself
+    page.locator(".job").wait_for(state="detached")  # until then the table is made anew
     rows = page.locator(".outcome tr").all_inner_texts()
     lines[-1].close()
     page.locator("#link", has_text="reconnecting").wait_for()

@@ -1,5 +1,5 @@
 // The room Bend: drag a point of the learned beam, or a hand at its end.
-import { commandLine, h } from "./dom.js";
+import { coded, commandLine, h } from "./dom.js";
 import { Canvas, Point } from "./draw.js";
 import { ask, listen, Message, onReturn, say, send, whoAmI } from "./net.js";
 import { atEnd, remember } from "./place.js";
@@ -21,19 +21,23 @@ export function bend(place: HTMLElement, at: URLSearchParams): void {
   });
   const canvas = new Canvas(element, plane.paint), command = commandLine(), panel = new Panel(change);
   const choice = h("select", { "aria-label": "learned beam", change: () => open(choice.value) });
+  const broken = h("p", { class: "warning", role: "alert", hidden: true });
   let model = at.get("model") ?? "", grab: Grab = null, number = 0, wanted: number[] | null = null, waiting = 0;
   const asked = new Map<number, number>();  // when each drag began
 
   place.append(
-    h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, panel.modes, panel.status), element, command.element),
+    h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, panel.modes, panel.status), broken, element, command.element),
     panel.element,
   );
   command.set("");
 
   function open(name: string): void {
     model = name;
+    broken.hidden = true;
+    command.set("");
+    panel.clear();
     Object.assign(scene, { opened: null, answer: null, map: null, edge: null, goal: null });
-    remember({ model });
+    remember("bend", { model });
     send({ do: "open", model });
     canvas.redraw();
   }
@@ -62,13 +66,18 @@ export function bend(place: HTMLElement, at: URLSearchParams): void {
 
   function hear(message: Message): void {
     if (message.what === "places") void fill(false);
-    if (message.what === "error") say(message.text as string);
+    if (message.what === "error") {
+      if (scene.opened) say(message.text as string);
+      broken.hidden = scene.opened !== null;  // of a beam that cannot be opened it stays
+      broken.replaceChildren(...coded(message.text as string));
+    }
     if (message.model !== model) return;
     if (message.what === "forgotten" && !document.hidden) open(model);
     if (message.what === "beam") {
       const opened = message.opened as Opened;
       if (opened.version !== scene.opened?.version) scene.map = null;
       scene.opened = opened;
+      broken.hidden = true;
       take(message.answer as Answer);
       panel.opened(opened);
     } else if (message.what === "answer") {

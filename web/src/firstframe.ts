@@ -58,7 +58,6 @@ export class FirstFrame {
   }
 
   expect(tags: Tag[]): void {
-    if (!tags.length && this.tags.length && !this.frame) return;
     this.tags = tags;
     this.say();
   }

@@ -32,17 +32,24 @@ export function learn(place: HTMLElement, at: URLSearchParams): void {
     h("h2", {}, "Recordings"), recordings, h("label", { class: "wide" }, h("span", {}, "result in"), out),
     h("label", { class: "check" }, replace, "replace an earlier result there"), start);
   place.append(h("aside", { class: "side" }, form, progress, h("section", {}, h("h2", {}, "Results"), results)), shown);
-  out.addEventListener("input", () => { out.dataset.own = "yes"; command(); });
+  out.addEventListener("change", command);
+  out.addEventListener("input", () => {
+    if (out.value.trim()) out.dataset.own = "yes";
+    else delete out.dataset.own;
+    command();
+  });
   replace.addEventListener("change", command);
 
   function keep(): void {
-    remember({ results: chosen.join(","), from: from.join(","), check: check.join(","), frame: chosen.length === 1 && shownFrame !== null ? String(shownFrame) : "" });
+    remember("learn", { results: chosen.join(","), from: from.join(","), check: check.join(","), frame: chosen.length === 1 && shownFrame !== null ? String(shownFrame) : "" });
   }
 
   function command(): void {
-    if (!out.dataset.own) out.value = from[0] ? `${from[0] === "." ? "beam" : from[0].replace(/\/$/, "")}-results` : "";
+    const usual = from[0] ? `${from[0] === "." ? "beam" : from[0].replace(/\/$/, "")}-results` : "";
+    out.placeholder = usual;  // what an emptied field means
+    if (!out.dataset.own && document.activeElement !== out) out.value = usual;
     const quoted = (word: string): string => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
-    const line = ["onebend", "learn", ...from, "--output", out.value, ...check.flatMap((one) => ["--validate", one]), ...(replace.checked ? ["--force"] : [])];
+    const line = ["onebend", "learn", ...from, "--output", out.value.trim() || usual, ...check.flatMap((one) => ["--validate", one]), ...(replace.checked ? ["--force"] : [])];
     doing.set(from.length ? line.map(quoted).join(" ") : "");
     start.disabled = !from.length || job?.state === "running" || job?.state === "stopping";
     keep();
@@ -51,7 +58,7 @@ export function learn(place: HTMLElement, at: URLSearchParams): void {
   async function begin(): Promise<void> {
     say("");
     try {
-      await post("/api/learn", { recordings: from, validate: check, out: out.value, replace: replace.checked });
+      await post("/api/learn", { recordings: from, validate: check, out: out.value.trim() || out.placeholder, replace: replace.checked });
     } catch (error) {
       say((error as Error).message);
     }
@@ -66,7 +73,7 @@ export function learn(place: HTMLElement, at: URLSearchParams): void {
       h("input", { type: "checkbox", checked: from.includes(name), change: (event: Event) => toggle(event, name, true) }), h("span", {}, name)),
       h("label", { class: "check quiet", title: "compare the learned beam with this recording" },
         h("input", { type: "checkbox", checked: check.includes(name), "aria-label": `check on ${name}`, change: (event: Event) => toggle(event, name, false) }), "check"))));
-    if (!films.length) recordings.append(h("li", { class: "quiet" }, "No folder with a recording.toml here. Begin one with ", h("code", {}, "onebend new"), "."));
+    if (!films.length) recordings.append(h("li", { class: "quiet" }, h("span", {}, "No folder with a recording.toml here. Begin one with ", h("code", {}, "onebend new"), ".")));
     if (!chosen.length && beams[0]) chosen = [beams[0].name];
     chosen = chosen.filter((name) => beams.some((one) => one.name === name));
     results.replaceChildren(...beams.map((one) => h("li", {}, h("label", { class: "check" },
@@ -97,9 +104,17 @@ export function learn(place: HTMLElement, at: URLSearchParams): void {
   }
 
   async function draw(): Promise<void> {
-    for (const name of chosen) if (!known.has(name)) known.set(name, await ask<Result>("/api/result", { name }));
+    const broken: string[] = [];
+    for (const name of chosen) {
+      if (known.has(name)) continue;
+      try {
+        known.set(name, await ask<Result>("/api/result", { name }));
+      } catch (error) {
+        broken.push((error as Error).message);
+      }
+    }
     const seen = chosen.map((name) => known.get(name)).filter((one): one is Result => one !== undefined);
-    shown.replaceChildren(doing.element, ...(seen.length ? [] : [h("p", { class: "empty quiet" }, "Choose a recording and learn it, or a result to look at.")]));
+    shown.replaceChildren(doing.element, ...broken.map((text) => h("p", { class: "warning", role: "alert" }, ...coded(text))), ...(seen.length || broken.length ? [] : [h("p", { class: "empty quiet" }, "Choose a recording and learn it, or a result to look at.")]));
     if (!seen.length) return;
     shown.append(h("h1", {}, seen.length === 1 ? ["k(s) of ", seen[0]!.name].join("") : `${seen.length} results compared`), curve.element, words, film.element);
     curve.set(seen.map((one) => ({ name: one.name, curve: one.curve, length_m: one.length_m, tags: one.training[0]?.s ?? [] })));

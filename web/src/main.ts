@@ -2,7 +2,7 @@
 import { bend } from "./bend.js";
 import { h } from "./dom.js";
 import { learn } from "./learn.js";
-import { connect, say } from "./net.js";
+import { connect, onReturn, say, SILENT } from "./net.js";
 import { leave, params, roomName } from "./place.js";
 
 // What the first picture does not need is loaded with its room.
@@ -16,7 +16,7 @@ const ROOMS = {
 type Room = keyof typeof ROOMS;
 
 const place = document.getElementById("room")!, nav = document.querySelector("nav")!;
-let shown: Room | null = null, turn = 0;
+let shown: Room | null = null, turn = 0, missed = false;
 
 async function show(): Promise<void> {
   const name = roomName(), room: Room = name in ROOMS ? name as Room : "bend";
@@ -30,8 +30,11 @@ async function show(): Promise<void> {
   place.replaceChildren();
   place.className = room;
   document.title = `${ROOMS[room][0]} · onebend studio`;
-  const mine = ++turn, begin = await ROOMS[room][1]();
-  if (mine === turn) begin(place, params());  // another may have been chosen meanwhile
+  const mine = ++turn, begin = await ROOMS[room][1]().catch(() => null);  // nothing where the studio does not answer
+  if (mine !== turn) return;  // another may have been chosen meanwhile
+  missed = begin === null;
+  if (begin) begin(place, params());
+  else place.replaceChildren(h("p", { class: "warning away", role: "alert" }, `${SILENT} The room ${ROOMS[room][0]} opens when it is back.`));
 }
 
 for (const [room, [words]] of Object.entries(ROOMS)) nav.append(h("a", { href: `#${room}`, "data-room": room }, words));
@@ -39,5 +42,6 @@ window.addEventListener("hashchange", () => { void show(); });
 window.addEventListener("unhandledrejection", (event) => {
   say(event.reason instanceof Error ? event.reason.message : String(event.reason));
 });
+onReturn(() => { if (missed) location.reload(); });  // a browser keeps a failed load of a module
 connect((words) => { document.getElementById("link")!.textContent = words; });
 void show();

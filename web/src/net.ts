@@ -5,6 +5,7 @@ type Listener = (message: Message) => void;
 
 const listeners = new Set<Listener>();
 const returns = new Set<() => void>();
+export const SILENT = "The studio does not answer.";
 let socket: WebSocket | null = null, wait = 250, me = 0, gone = 0;
 
 export function listen(listener: Listener): () => void {
@@ -50,12 +51,20 @@ export function connect(status: (words: string) => void): void {
 }
 
 export async function ask<T>(path: string, parameters: Record<string, string> = {}): Promise<T> {
-  return answerOf(await fetch(`${path}?${new URLSearchParams(parameters)}`));
+  return answerOf(await reached(`${path}?${new URLSearchParams(parameters)}`));
 }
 
 export async function post<T>(path: string, body: unknown): Promise<T> {
   const headers = { "Content-Type": "application/json" };
-  return answerOf(await fetch(path, { method: "POST", headers, body: JSON.stringify(body) }));
+  return answerOf(await reached(path, { method: "POST", headers, body: JSON.stringify(body) }));
+}
+
+async function reached(path: string, how?: RequestInit): Promise<Response> {
+  try {
+    return await fetch(path, how);
+  } catch {  // a browser only says that it failed
+    throw new Error(SILENT);
+  }
 }
 
 async function answerOf<T>(answer: Response): Promise<T> {

@@ -11,7 +11,8 @@ export class Panel {
   private readonly point = h("input", { type: "range", min: 0.1, max: 1, step: 0.01, "aria-label": "point s" });
   private readonly push = h("input", { type: "range", min: 0.1, max: 1, step: 0.01, "aria-label": "force at s" });
   private readonly link = h("input", { type: "checkbox", checked: true });
-  private readonly largest = h("input", { type: "number", min: 0.001, step: "any", "aria-label": "largest force in N" });
+  private readonly largest = h("input", { type: "number", min: 1e-6, max: 1e6, step: "any", "aria-label": "largest force in N" });
+  private readonly wrong = h("p", { class: "wrong", role: "alert", hidden: true }, "a number from 0.000001 to 1000000: the last right one is in force");
   private readonly texts = { point: h("output"), push: h("output") };
   private readonly buttons: Record<string, HTMLButtonElement> = {};
   private readonly doubts = h("p", { class: "warning", hidden: true });
@@ -34,7 +35,8 @@ export class Panel {
       });
     }
     this.link.addEventListener("change", () => { if (this.linked) change({ push_s: this.point.valueAsNumber }); else this.push.disabled = false; });
-    this.largest.addEventListener("change", () => { if (this.largest.valueAsNumber > 0) change({ max_force_N: this.largest.valueAsNumber }); });
+    this.largest.addEventListener("input", () => this.judge());
+    this.largest.addEventListener("change", () => { if (this.judge()) change({ max_force_N: this.largest.valueAsNumber }); });
     this.element = h("aside", { class: "panel" }, this.numbers(), this.settings(), h("p", { class: "quiet keys" },
       h("kbd", {}, "←↑→↓"), " move, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "Q"), " ", h("kbd", {}, "E"),
       " turn the hand · ", h("kbd", {}, "H"), " hand or force · ", h("kbd", {}, "Esc"), " rest"));
@@ -67,7 +69,7 @@ export class Panel {
       h("label", {}, h("span", {}, "point s"), this.point, this.texts.point),
       h("label", {}, h("span", {}, "force at s"), this.push, this.texts.push),
       h("label", { class: "check" }, this.link, "the force acts at the point"),
-      h("label", {}, h("span", {}, "largest force"), this.largest, h("span", { class: "unit" }, "N")),
+      h("label", {}, h("span", {}, "largest force"), this.largest, h("span", { class: "unit" }, "N")), this.wrong,
       h("p", { class: "legend" }, h("span", {}, h("i", { class: "area" }), "reachable"),
         h("span", {}, h("i", { class: "edge" }), "edge of stability"), h("span", {}, h("i", { class: "ellipse" }), "95 % ellipse")));
   }
@@ -82,12 +84,30 @@ export class Panel {
     this.point.disabled = this.link.disabled = hand;
     this.push.disabled = hand || this.linked;
     if (document.activeElement !== this.largest) this.largest.value = String(opened.max_force_N);
+    this.judge();
     for (const [name, button] of Object.entries(this.buttons)) button.setAttribute("aria-pressed", String(name === opened.mode));
     this.rows.moment!.closest<HTMLElement>(".row")!.hidden = !hand;
     this.rows.ellipse!.closest<HTMLElement>(".row")!.hidden = hand || !opened.band;
     this.doubts.hidden = !opened.doubts.length;
     this.doubts.textContent = opened.doubts.length ? `k(s) is not to be trusted: ${opened.doubts.join("; ")}` : "";
     this.element.classList.toggle("mapping", !hand);
+  }
+
+  // Whether the largest force can be taken; it is marked where not.
+  private judge(): boolean {
+    const value = this.largest.valueAsNumber, right = value >= 1e-6 && value <= 1e6;
+    this.largest.setAttribute("aria-invalid", String(!right));
+    this.largest.title = right ? "" : this.wrong.textContent!;
+    this.wrong.hidden = right;
+    return right;
+  }
+
+  // Nothing is known of a beam that is not open.
+  clear(): void {
+    for (const one of Object.values(this.rows)) one.textContent = "–";
+    this.bar.style.width = "0";
+    this.status.textContent = "";
+    this.doubts.hidden = true;
   }
 
   mapped(): void {

@@ -10,10 +10,11 @@ export function params(): URLSearchParams {
   return new URLSearchParams(own ?? kept[roomName()] ?? "");
 }
 
-export function remember(values: Record<string, string>): void {
+// A room that was left while it waited for an answer keeps what it has, and leaves the address of another alone.
+export function remember(room: string, values: Record<string, string>): void {
   const text = new URLSearchParams(Object.entries(values).filter(([, value]) => value !== "")).toString();
-  kept[roomName()] = text;
-  history.replaceState(null, "", `#${roomName()}${text ? `?${text}` : ""}`);
+  kept[room] = text;
+  if (roomName() === room) history.replaceState(null, "", `#${room}${text ? `?${text}` : ""}`);
 }
 
 // What a room does when it is left.

@@ -21,7 +21,7 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
   place.append(h("aside", { class: "side" }, form.element, live.numbers), h("section", { class: "filming" }, doing.element, hint, title, live.stages, live.advice, orders, live.picture, live.curve.element, ended));
 
   function changed(choice: Choice, command: string): void {
-    remember({ ...choice });
+    remember("record", { ...choice });
     if (!going(recording)) doing.set(command);
   }
 
@@ -58,6 +58,7 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
     const ending = JSON.stringify([now.out, now.phase, now.outcome, now.check, now.error]);
     if (ending === told) return;
     told = ending;
+    if (!on && now.outcome?.begun) form.used(now.out);
     ended.replaceChildren(...(on && now.phase !== "checking" ? [] : outcome(now)));
   }
 

@@ -50,8 +50,8 @@ export class Form {
         h("label", { class: "wide" }, h("span", {}, "at most [s]"), this.longest), h("label", { class: "wide" }, h("span", {}, "CRF"), this.crf)),
       h("button", { type: "submit", class: "main" }, "Record"), ...Object.values(this.lists));
     this.out.addEventListener("input", () => { this.out.dataset.own = this.out.value ? "yes" : ""; });
+    this.like.addEventListener("input", () => { this.wantedLike = this.like.value; });  // before the form makes its options anew
     this.element.addEventListener("input", () => this.refresh());
-    this.like.addEventListener("change", () => { this.wantedLike = this.like.value; this.refresh(); });
   }
 
   // The next push of the beam of a recording.
@@ -60,6 +60,14 @@ export class Form {
     this.out.dataset.own = "";
     this.refresh();
     this.out.focus();
+  }
+
+  // A folder that holds a recording now: the next push goes to another one.
+  used(name: string): void {
+    if (plain(this.out.value) !== name) return;
+    this.wantedLike = this.out.value;
+    this.out.dataset.own = "";
+    this.refresh();
   }
 
   fill(sources: Sources, names: Set<string>): void {
@@ -113,13 +121,16 @@ export class Form {
   private command(): string {
     if (!this.camera.value || !this.out.value) return "";
     const quoted = (word: string): string => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
-    const given = ([["camera", this.camera], ["force", this.force], ["like", this.like]] as const).flatMap(([name, input]) => input.value ? [`--${name}`, input.value] : []);
+    const given = ([["camera", this.camera.value], ["force", this.force.value], ["like", plain(this.like.value)]] as const).flatMap(([name, value]) => value ? [`--${name}`, value] : []);
     const numbers = [...(this.until.value ? ["--until", `${this.until.value}%`] : []), ...(this.longest.value && this.longest.value !== LONGEST ? ["--longest-s", this.longest.value] : []),
       ...(this.crf.value && this.crf.value !== CRF ? ["--crf", this.crf.value] : [])];
     const flags = FLAG_NAMES.filter((name) => this.flags[name].checked).map((name) => `--${name.replace("_", "-")}`);
-    return ["onebend", "record", this.out.value, ...given, ...numbers, ...flags].map(quoted).join(" ");
+    return ["onebend", "record", plain(this.out.value), ...given, ...numbers, ...flags].map(quoted).join(" ");
   }
 }
+
+// A name that no command takes for an option.
+const plain = (name: string): string => name.startsWith("-") ? `./${name}` : name;
 
 // What the kind of source is, and the keys that may follow it.
 function kindOf(spec: string, kinds: Kind[]): string {

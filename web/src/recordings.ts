@@ -30,7 +30,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
   const desk = h("section", { class: "desk", hidden: true }, h("div", { class: "toolbar" }, title, state, back, keep), conflict,
     h("div", { class: "pair" }, editor.element, told, frame.element), checking.element);
   const nothing = h("p", { class: "empty quiet" }, "Choose a recording.");
-  let name = at.get("name") ?? "", disk = "", version = "", seen = "", number = 0, waiting = 0, film = "";
+  let name = at.get("name") ?? "", disk = "", version = "", seen = "", number = 0, waiting = 0, film = "", gone = false, unchecked = "";
 
   place.append(h("aside", { class: "side" }, h("section", {}, h("h2", {}, "Recordings"), list), unwritten), h("div", { class: "work" }, nothing, desk));
 
@@ -45,9 +45,17 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     unwritten.hidden = !bare.length;
     films.replaceChildren(...bare.map((one) => h("li", {}, h("span", {}, one.name), h("button", { type: "button", title: `onebend new ${one.name}`,
       "aria-label": `write a recording.toml to fill in into ${one.name}`, click: () => { void begin(one.name); } }, "begin"))));
-    if (!known.some((one) => one.name === name)) name = at.has("name") ? "" : known[0]?.name ?? "";
-    if (name && name !== title.textContent) await open(name);
-    nothing.hidden = title.textContent !== "";
+    const there = known.some((one) => one.name === name);
+    if (!desk.hidden) {  // it stays open whatever becomes of its folder
+      if (gone === !there) return;
+      gone = !there;
+      edited();
+      if (there) await look();
+      return;
+    }
+    if (!there) name = at.has("name") ? "" : known[0]?.name ?? "";
+    if (name) await open(name);
+    else nothing.textContent = "Choose a recording.";
   }
 
   async function begin(folder: string): Promise<void> {
@@ -57,11 +65,19 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
   }
 
   async function open(wanted: string): Promise<void> {
-    if (title.textContent && dirty()) keepDraft();
-    const found = await post<Read>("/api/recordings/read", { name: wanted }), draft = draftOf(wanted);
+    if (!desk.hidden && dirty()) keepDraft();
+    let found: Read;
+    try {
+      found = await post<Read>("/api/recordings/read", { name: wanted });
+    } catch (error) {
+      if (desk.hidden || wanted !== name) unreadable(wanted, (error as Error).message);
+      else say((error as Error).message);
+      return;
+    }
+    const draft = draftOf(wanted);
     name = wanted;
-    film = "";
-    remember({ name });
+    [film, gone, unchecked] = ["", false, ""];
+    remember("recordings", { name });
     title.textContent = name;
     desk.hidden = false;
     nothing.hidden = true;
@@ -69,7 +85,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     checking.of(name);
     frame.clear();
     conflict.hidden = true;
-    for (const button of list.querySelectorAll("button")) button.toggleAttribute("aria-current", button.textContent === name);
+    current();
     take(found.text, found.version);
     show(found);
     if (draft && draft.text !== found.text) {
@@ -78,6 +94,23 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
       if (draft.version !== found.version) changedOnDisk(found.text, found.version);
       edited();
     }
+  }
+
+  function current(): void {
+    for (const button of list.querySelectorAll("button")) button.toggleAttribute("aria-current", button.textContent === name);
+  }
+
+  // Nothing is open then: there is no text to change.
+  function unreadable(wanted: string, words: string): void {
+    name = wanted;
+    number += 1;
+    clearTimeout(waiting);
+    remember("recordings", { name });
+    desk.hidden = true;
+    nothing.hidden = false;
+    nothing.classList.add("warning");
+    nothing.textContent = `${wanted} cannot be opened here. ${words}`;
+    current();
   }
 
   // The text of the file, as it is.
@@ -97,7 +130,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
   }
 
   async function look(): Promise<void> {
-    if (!name || desk.hidden) return;
+    if (!name || desk.hidden || gone) return;
     const found = await post<Read>("/api/recordings/read", { name });
     if (found.name !== name || found.version === version || found.version === seen && !conflict.hidden) return;
     if (dirty()) changedOnDisk(found.text, found.version);
@@ -119,7 +152,7 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
   function edited(): void {
     number += 1;
     back.hidden = !dirty() || !conflict.hidden;
-    keep.disabled = !dirty() || !conflict.hidden;
+    keep.disabled = !dirty() || !conflict.hidden || gone;
     if (dirty()) keepDraft();
     else sessionStorage.removeItem(`draft:${name}`);
     checking.dirty(dirty());
@@ -129,14 +162,24 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
   }
 
   async function check(asked: number): Promise<void> {
-    const found = await post<Checked>("/api/recordings/check", { name, text: editor.text });
-    if (asked === number) show(found);
+    if (gone) return;
+    try {
+      const found = await post<Checked>("/api/recordings/check", { name, text: editor.text });
+      if (asked !== number) return;
+      unchecked = "";
+      show(found);
+    } catch (error) {
+      if (asked !== number) return;
+      unchecked = `not checked: ${(error as Error).message}`;
+      count();
+    }
   }
 
   let mistakes = 0;
   function count(): void {
-    state.textContent = `${dirty() ? "not saved" : "as on disk"} · ${mistakes === 0 ? "no mistake" : mistakes === 1 ? "one mistake" : `${mistakes} mistakes`}`;
-    state.classList.toggle("warning", mistakes > 0);
+    const kept = gone ? "its folder is gone: nothing can be saved" : dirty() ? "not saved" : "as on disk";
+    state.textContent = `${kept} · ${unchecked ? unchecked : mistakes === 0 ? "no mistake" : mistakes === 1 ? "one mistake" : `${mistakes} mistakes`}`;
+    state.classList.toggle("warning", mistakes > 0 || gone || unchecked !== "");
   }
 
   function show(found: Checked): void {
@@ -176,11 +219,13 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
   function keys(event: KeyboardEvent): void {
     if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "s") return;
     event.preventDefault();
+    if (desk.hidden) return;
     if (!keep.disabled) void save(version);
+    else if (gone) say(`The folder ${name} is gone: nothing was saved.`);
     else if (!conflict.hidden) say("Say first which text is to stay.");
   }
 
-  const focus = (): void => { if (!document.hidden) void look(); };
+  const focus = (): void => { if (!document.hidden) void (desk.hidden ? fill() : look()); };
   document.addEventListener("keydown", keys);
   document.addEventListener("visibilitychange", focus);
   window.addEventListener("focus", focus);

@@ -17,7 +17,7 @@ export interface Recording {
 
 const SMALL = 20;  // px: a tag that is smaller is asked to be nearer
 const ROWS = ["components", "tare", "tip", "tags", "film", "log", "clocks", "disk", "k"] as const;
-const WORDS: Record<(typeof ROWS)[number], string> = { components: "components", tare: "less the tare", tip: "tip / length", k: "k(s)", tags: "tags", film: "film", log: "log", clocks: "clocks agree to", disk: "disk" };
+const WORDS: Record<(typeof ROWS)[number], string> = { components: "components", tare: "the tare", tip: "tip / length", k: "k(s)", tags: "tags", film: "film", log: "log", clocks: "clocks agree to", disk: "disk" };
 
 export class Live {
   readonly stages = h("ol", { class: "stages", "aria-label": "stages" });

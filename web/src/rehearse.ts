@@ -1,5 +1,5 @@
 // The room Rehearse: the closed loop with a late camera, on beams that are not the model.
-import { commandLine, digits, fixed, h } from "./dom.js";
+import { coded, commandLine, digits, fixed, h } from "./dom.js";
 import { Canvas, Point } from "./draw.js";
 import { Settings, SettingsForm } from "./loopform.js";
 import { Beam, LoopPlane, LoopScene, tintOfTrial, Trial } from "./looped.js";
@@ -11,6 +11,7 @@ import { isBusy, Job, progressOf } from "./work.js";
 
 interface Found { name: string; kind: string; changed: number }
 interface Control { force_N: Point; rise_s: number; gain: number | null; phase_rad: number | null; delay_s: number | null; softest: number | null; rate_per_s: number }
+type Outcome = Partial<{ control: Control; trial: Trial }>;
 type LoopJob = Job & Settings;
 
 export function rehearse(place: HTMLElement, at: URLSearchParams): void {
@@ -24,9 +25,11 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   const slider = h("input", { type: "range", min: 0, max: 8, step: 0.01, value: 0, "aria-label": "time" }), clock = h("output", { class: "clock" });
   const error = new TimeChart("from the goal [mm]", true, seek), force = new TimeChart("force on the beam [N]", false, seek);
   const results = h("div", { class: "scroll" }), margins = h("dl", {}), status = h("p", { class: "status", role: "status" });
+  const broken = h("p", { class: "warning", role: "alert", hidden: true });
+  let good: { job: LoopJob; found: Outcome[] } | null = null, shown: LoopJob | null = null;  // the last that came to something, and what is seen
   let model = at.get("model") ?? "", job: LoopJob | null = null, control: Control | null = null, timer = 0, last = 0, got = "", mapped = "", soon = 0;
 
-  place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), progress, element,
+  place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), broken, progress, element,
     h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element),
     h("section", { class: "outcome" }, results, margins), command.element),
   h("aside", { class: "panel" }, form.element,
@@ -38,16 +41,21 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   }
 
   function changed(): void {
-    const settings = wanted();
-    scene.goal = settings.goal_m;
-    scene.stale = scene.trials.length > 0 && !same(settings, job);
-    remember(form.kept(model));
-    command.set(model ? lineOf(settings) : "");
-    start.disabled = !model || isBusy(job);
+    const settings = wanted(), wrong = form.wrong();
+    scene.goal = form.goal ?? scene.goal;
+    scene.stale = scene.trials.length > 0 && !same(settings, shown);
+    start.textContent = wrong ? `Not to be run: ${wrong}` : "Rehearse";
+    start.disabled = !scene.beam || wrong !== "" || isBusy(job);
+    canvas.redraw();
     tell();
     clearTimeout(soon);
+    if (wrong) {
+      command.set("");
+      return;
+    }
+    remember("rehearse", form.kept(model));
+    command.set(model ? lineOf(settings) : "");
     soon = window.setTimeout(() => { void reach(); }, 250);
-    canvas.redraw();
   }
 
   // What a force can hold at all, so that a goal may be chosen from it.
@@ -82,11 +90,18 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   // Another beam, with a goal of its own where none is given.
   async function open(name: string, goal: Point | null): Promise<void> {
     model = name;
-    const beam = await ask<Beam>("/api/beam", { name });
+    let beam: Beam | null = null, words = "";
+    try {
+      beam = await ask<Beam>("/api/beam", { name });
+    } catch (error) {
+      words = (error as Error).message;
+    }
     if (model !== name) return;
+    broken.hidden = !words;
+    broken.replaceChildren(...coded(words));
     [scene.beam, scene.map, mapped] = [beam, null, ""];
     choice.value = name;
-    form.of(beam, goal);
+    if (beam) form.of(beam, goal);
     if (job?.model !== name) take(job, []);
     changed();
   }
@@ -96,7 +111,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
     const beams = found.filter((one) => one.kind === "result");
     choice.replaceChildren(...beams.map((one) => h("option", { value: one.name, selected: one.name === model }, one.name)));
     choice.hidden = start.hidden = !beams.length;
-    const state = await ask<{ job: LoopJob | null; found: (Partial<{ control: Control; trial: Trial }>)[] }>("/api/work/rehearse");
+    const state = await ask<{ job: LoopJob | null; found: Outcome[] }>("/api/work/rehearse");
     if (!beams.some((one) => one.name === model)) model = state.job && beams.some((one) => one.name === state.job!.model) ? state.job.model : beams.sort((a, b) => b.changed - a.changed)[0]?.name ?? "";
     if (!model) {
       status.replaceChildren("No learned beam in this folder yet. ", h("a", { href: "#learn" }, "Learn a recording"), " first.");
@@ -109,19 +124,22 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   }
 
   // The work as it stands; other settings than those on the page come from another tab, or from this one before.
-  function take(now: LoopJob | null, found: (Partial<{ control: Control; trial: Trial }>)[]): void {
+  function take(now: LoopJob | null, found: Outcome[]): void {
     job = now;
     const busy = isBusy(now), mine = now !== null && now.model === model;
     progress.replaceChildren(...(now && (busy || now.state === "failed" && mine) ? [progressOf(now, `Rehearsing on ${now.model}`, "rehearse")] : []));
-    control = mine ? found.find((one) => one.control)?.control ?? null : null;
-    scene.trials = mine ? found.flatMap((one) => one.trial ? [one.trial] : []) : [];
-    if (mine) [scene.push, scene.point] = [now.push_s, now.point_s];
-    const fresh = mine ? `${now.began}` : "";
+    shown = mine ? now : null;
+    if (mine && found.some((one) => one.trial)) good = { job: now, found };
+    else if (mine && !busy && good?.job.model === model) [shown, found] = [good.job, good.found];  // it came to nothing: what is seen stays
+    control = shown ? found.find((one) => one.control)?.control ?? null : null;
+    scene.trials = shown ? found.flatMap((one) => one.trial ? [one.trial] : []) : [];
+    if (shown) [scene.push, scene.point] = [shown.push_s, shown.point_s];
+    const fresh = shown ? `${shown.began}` : "";
     if (fresh !== got) {
       got = fresh;
       seek(0);
     }
-    const until = mine ? now.duration_s : 8;
+    const until = shown ? shown.duration_s : 8;
     slider.max = String(until);
     slider.disabled = play.disabled = !scene.trials.some((one) => one.time_s);
     const lines = scene.trials.filter((one) => one.time_s).map((one) => ({ one, tint: tintOfTrial(one), thin: one.drawn }));
@@ -214,7 +232,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   element.addEventListener("pointermove", drag);
   element.addEventListener("keydown", (event) => {
     if (!scene.beam || event.ctrlKey || event.metaKey) return;
-    const far = scene.beam.length_m * (event.shiftKey ? 0.05 : event.altKey ? 0.001 : 0.01), [x, y] = form.values.goal_m;
+    const far = scene.beam.length_m * (event.shiftKey ? 0.05 : event.altKey ? 0.001 : 0.01), [x, y] = scene.goal;
     const way = ({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] } as Record<string, Point>)[event.key];
     if (way) form.goal = [x + far * way[0], y + far * way[1]];
     else if (event.key === " ") run(!timer);

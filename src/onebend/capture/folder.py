@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -220,7 +221,8 @@ def room_left(folder: Path) -> float:
 
 
 def copy_description(like: Path, folder: Path) -> None:
-    """Begin a recording of the beam of another one: its recording.toml, and the tables of the beam that it names.
+    """Begin a recording of the beam of another one: its recording.toml without its name, so that it is called as its
+    folder, and the tables of the beam that it names.
 
     Files that are there already and the same, of a start that failed, are left as they are.
 
@@ -235,11 +237,27 @@ def copy_description(like: Path, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for path in (source / FILE_NAME, rec.beam.mass_file, rec.beam.section_file):
             if path is not None:
-                target = folder / path.relative_to(source)
+                target, content = folder / path.relative_to(source), path.read_bytes()
+                copied = _unnamed(content) if path.name == FILE_NAME else content
                 if not target.exists():
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(path, target)
-                elif target.read_bytes() != path.read_bytes():
+                    target.write_bytes(copied)
+                elif target.read_bytes() not in (copied, content):
                     raise RecordingError(f"{target} exists already. Leave out --like, or name another folder.")
     except (OSError, ValueError) as wrong:
         raise RecordingError(f"{folder}: {source} cannot be copied ({wrong}). Copy {FILE_NAME} by hand.") from None
+
+
+def _unnamed(content: bytes) -> bytes:
+    """recording.toml without the line `name = ...` above its tables; as it is where that is no line of its own."""
+    found = re.search(rb"^[ \t]*(name|\"name\"|'name')[ \t]*=.*(\n|\Z)", content, re.MULTILINE)
+    table = re.search(rb"^[ \t]*\[", content, re.MULTILINE)
+    if found is None or (table is not None and table.start() < found.start()):
+        return content
+    left = content[: found.start()] + content[found.end() :]
+    try:
+        before, after = (tomllib.loads(one.decode("utf-8-sig")) for one in (content, left))
+    except ValueError:
+        return content
+    before.pop("name", None)
+    return left if before == after else content

@@ -50,13 +50,17 @@ Direction = Annotated[
 KError = Annotated[
     float,
     typer.Option(
-        "--k-error", min=0.0, max=0.95, metavar="SHARE", help="Rehearse on beams this share softer and stiffer."
+        "--k-error",
+        min=0.0,
+        max=0.95,
+        metavar="SHARE",
+        help="Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
     ),
 ]
 Draws = Annotated[
     int | None,
     typer.Option(
-        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band instead."
+        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band of k(s) instead."
     ),
 ]
 Noise = Annotated[

@@ -23,7 +23,7 @@ from onebend.errors import LearningError
 from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.criticism.push_place import PlaceSearch, doubtful, search_place, with_places
+from onebend.learning.criticism.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
 from onebend.learning.frequencies.compared import GROSS, worst_off
 from onebend.learning.frequencies.modes import with_modes
 from onebend.learning.frequencies.predicted import PredictedFrequencies
@@ -137,7 +137,7 @@ class Posterior:
         ideal = not any(recording.allowances for recording in self.recordings)
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
-        if self.place is not None and self.place.accused:
+        if (self.place is not None and self.place.accused) or moved_off(self.layout, self.mean) > FAR:
             doubts.append("the push hardly acts where at_s says")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")

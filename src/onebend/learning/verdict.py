@@ -8,6 +8,7 @@ import numpy as np
 
 from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.criticism.criticism import Finding
+from onebend.learning.criticism.push_place import FAR, moved_off
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
@@ -85,7 +86,13 @@ def fit_remarks(posterior: Posterior) -> tuple[Remark, ...]:
 
 def _elsewhere(posterior: Posterior) -> list[Remark]:
     """What the evidence says of the place of the push, where it speaks for another one, or does not tell."""
-    found = posterior.place
+    found, off = posterior.place, moved_off(posterior.layout, posterior.mean)
+    if off > FAR and not (found is not None and found.accused):
+        text = (
+            f"the fit takes the push {off:.2g} times as far from at_s as at_sd_m allows (one sd): k(s) is NOT TO BE "
+            "TRUSTED. Measure the place, and correct at_s in [push]"
+        )
+        return [Remark("warning", text, about="push place")]
     if found is None or not (found.accused or found.open):
         return []
     low, high = (f"{place:.2g}" for place in found.range)
@@ -213,7 +220,8 @@ def _nuisances(posterior: Posterior) -> list[Remark]:
         away = np.abs(posterior.mean[block.where]) / block.prior_sd
         for i in np.flatnonzero(away > _FAR):
             tag = ids[i] if block.name in ("along", "across", "turn") else -1
-            if (_TESTED_AS.get(block.name, block.name), tag) not in told:
+            said = block.name == "place" and away[i] > FAR
+            if not said and (_TESTED_AS.get(block.name, block.name), tag) not in told:
                 text = (
                     f"{block.labels[i]} came out {away[i]:.1f} times as far off as recording.toml and the priors allow "
                     "(one sd): check what is written of it"

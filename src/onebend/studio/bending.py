@@ -25,6 +25,8 @@ Mode = Literal["point", "hand"]
 _BEGIN_TURN = 0.35  # rad, about, by which the tip is turned when a beam is opened
 _NEAREST = 1e-6  # s: nearer to the clamp a force bends nothing
 _STRONGEST = 1e6  # N
+_SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # of the force, and N: so near the shown command comes to it
+_SAME_PLACE = 1e-10  # m: about as near as a place that `onebend reach` finds on its own grid is to the one here
 _LARGEST_TIMES = 2.0  # the first bound on the force, times k / L^2 of the softest place
 
 
@@ -142,11 +144,6 @@ class Bending:
         ellipse = None
         if known is not None and self.hand is None:
             ellipse = ellipse_of(self.pushed, known, state)
-        goal: list[float] = (pose if answer.limit else answer.goal).tolist()
-        if self.hand is None:
-            command = reach_line(self.model, goal, self.push_s, self.point_s, self.max_force)
-        else:
-            command = hand_line(self.model, goal)
         return {
             "goal_m": answer.goal[:2].tolist(),
             "pose": pose.tolist(),
@@ -160,10 +157,24 @@ class Bending:
             "away_m": float(np.hypot(*(pose[:2] - answer.goal[:2]))),
             "margin": answer.margin,
             "bend_per_m": self.pushed.bend(state.q),
-            "command": command,
+            "command": self._command(pose.tolist()),
             "seconds": time.perf_counter() - began,
             "version": self.version,
         }
+
+    def _command(self, pose: list[float]) -> str:
+        """What gives the same load; empty where there is none, or where no goal says it: along a straight beam."""
+        size = float(np.hypot(*self.state.load[:2]))
+        if size == 0.0 and self.state.load[2] == 0.0:
+            return ""
+        if self.hand is not None:
+            return hand_line(self.model, pose)
+        yields = float(np.linalg.svd(self.pushed.response(self.state)[:2, :2], compute_uv=False)[-1])
+        finest = max(_SAME_SHARE * size, _SAME_FORCE) * yields  # m: as far as the goal may be off
+        if not finest >= _SAME_PLACE:
+            return ""
+        digits = max(math.ceil(-math.log10(0.1 * finest)), 6)
+        return reach_line(self.model, pose, digits, self.push_s, self.point_s, self.max_force)
 
     def _renew(self, state: LoadedState | None) -> None:
         self.hand = None

@@ -7,6 +7,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+MOST_DIGITS = 12  # behind the point, of a goal in metres
+
 
 def line(*words: str) -> str:
     """`onebend ...`, for a shell."""
@@ -18,18 +20,25 @@ def number(value: float) -> str:
     return (f"{value:.6f}".rstrip("0").rstrip(".") or "0") if math.isfinite(value) else "inf"
 
 
-def reach_line(model: str, goal: Sequence[float], push_s: float, point_s: float, max_force: float) -> str:
-    """What gives the force of a dragged point."""
+def rounded(value: float, digits: int) -> str:
+    """With so many digits behind the point, less the zeros at the end."""
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
+    """What gives the force of a dragged point; `digits` of the goal in metres."""
     places = [] if push_s == 1.0 else ["--push-at", number(push_s)]
     places += [] if point_s == 1.0 else ["--point", number(point_s)]
-    goals = [number(goal[0]), number(goal[1])]
+    goals = [rounded(one, digits) for one in goal[:2]]
     return line("reach", model, "--goal", *goals, *places, "--max-force-N", number(max_force))
 
 
 def hand_line(model: str, goal: Sequence[float]) -> str:
     """What gives the wrench of a hand at the beam's end."""
-    angle = number(math.degrees(goal[2]))
-    return line("reach", model, "--goal", number(goal[0]), number(goal[1]), "--goal-angle-deg", angle, "--moment")
+    angle = rounded(math.degrees(goal[2]), MOST_DIGITS - 2)
+    goals = [rounded(one, MOST_DIGITS) for one in goal[:2]]
+    return line("reach", model, "--goal", *goals, "--goal-angle-deg", angle, "--moment")
 
 
 def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, replace: bool) -> str:
@@ -40,7 +49,7 @@ def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, rep
 
 def check_line(name: str) -> str:
     """What checks the same."""
-    return line("check", _word(name), "--output", f"{_word(name)}/check.png")
+    return line("check", plain_word(name), "--output", f"{plain_word(name)}/check.png")
 
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
@@ -52,11 +61,11 @@ def loop_line(wanted: Mapping[str, Any]) -> str:
     timing = ["--delay-ms", number(wanted["delay_ms"]), "--fps", number(wanted["fps"])]
     timing += ["--noise-mm", number(wanted["noise_mm"]), "--duration-s", number(wanted["duration_s"])]
     goal = [number(one) for one in wanted["goal_m"]]
-    return line("loop", _word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
+    return line("loop", plain_word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
 
 
-def _word(name: str) -> str:
-    """A name that is no option."""
+def plain_word(name: str) -> str:
+    """A name that no command takes for an option."""
     return f"./{name}" if name.startswith("-") else name
 
 

@@ -15,8 +15,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.commands import record_line
-from onebend.studio.places import RECORDING, StudioFolder
+from onebend.studio.commands import plain_word, record_line
+from onebend.studio.places import RECORDING, StudioFolder, is_file
 
 _PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
 _LONGEST_LINE = 2**22  # bytes: a picture is in it
@@ -185,7 +185,7 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
         raise StudioError("name a camera: /dev/video0, or film:REC to play a recording")
     if not out or places.path(out) == places.root:
         raise StudioError("a recording goes to a folder of its own: name it")
-    if (places.path(out) / RECORDING).exists():
+    if is_file(places.path(out) / RECORDING):
         places.recording(out)
     if like:
         places.recording(like)
@@ -194,8 +194,8 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
     flags = {key: asked.get(key) is True for key in ("now", "no_learning", "fast", "overwrite")}
     wanted = {
         "folder": str(places.root),
-        "out": _plain_word(out),
-        "like": _plain_word(like),
+        "out": plain_word(out),
+        "like": plain_word(like),
         "camera": camera,
         "force": force,
         "until_percent": None if asked.get("until_percent") is None else _number(asked, "until_percent", 0, 0.01, 100),
@@ -260,11 +260,6 @@ def _text(asked: Mapping[str, Any], key: str) -> str:
     if not isinstance(found, str) or len(found) > _LONGEST_SPEC or not found.isprintable():
         raise StudioError(f"{key}: give it as text, in at most {_LONGEST_SPEC} characters")
     return found.strip()
-
-
-def _plain_word(name: str) -> str:
-    """A name that no command takes for an option."""
-    return f"./{name}" if name.startswith("-") else name
 
 
 def _number(asked: Mapping[str, Any], key: str, default: float, low: float, high: float) -> float:

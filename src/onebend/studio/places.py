@@ -14,6 +14,7 @@ from onebend.files.endings import FILMS, LOGS
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
 _DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search for recordings and results
 _LEFT_OUT = frozenset({"node_modules", "__pycache__", "site-packages"})
+_LONGEST_PART = 255  # bytes, of what stands between two /: no common file system takes more
 _LARGEST_SUMMARY = 16 * 2**20  # bytes
 
 
@@ -49,6 +50,8 @@ class StudioFolder:
         odd = not name or any(part in name for part in ("\0", "\\", ":")) or len(name) > 1000
         if odd or not _is_text(name) or PurePosixPath(name).is_absolute() or ".." in parts:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
+        if any(len(part.encode()) > _LONGEST_PART for part in parts):
+            raise StudioError(f"{name[:30]!r}... is too long a name: a folder's has at most {_LONGEST_PART} bytes")
         try:
             path = (self.root / name).resolve()
         except (OSError, RuntimeError) as error:
@@ -75,7 +78,7 @@ class StudioFolder:
     def recording(self, name: str) -> Path:
         """The folder of a recording. Raises `StudioError` where there is none."""
         path = self.path(name)
-        if not _is_file(path / RECORDING):
+        if not is_file(path / RECORDING):
             raise StudioError(f"{name} holds no {RECORDING}")
         self.path(f"{name}/{RECORDING}")  # no link to elsewhere
         return path
@@ -83,7 +86,7 @@ class StudioFolder:
     def result(self, name: str) -> Path:
         """The folder of a learned beam. Raises `StudioError` where there is none."""
         path = self.path(name)
-        if not _is_file(path / MODEL):
+        if not is_file(path / MODEL):
             raise StudioError(f"{name} holds no {MODEL}: learn a recording first")
         self.path(f"{name}/{MODEL}")
         return path
@@ -122,10 +125,11 @@ def _is_text(name: str) -> bool:
     return not any("\ud800" <= one <= "\udfff" for one in name)
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; where its name is too long, there is none."""
     try:
         return path.is_file()
-    except OSError:  # a name that is too long
+    except OSError:
         return False
 
 

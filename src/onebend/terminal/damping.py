@@ -16,6 +16,8 @@ from onebend.records import Array
 from onebend.report.wording import significant
 from onebend.terminal.parts import facts_table, force_words, remarks_list, say_written
 
+_AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
+
 if TYPE_CHECKING:  # for the types alone: `show` says what damping is, and loads no search
     from onebend.learning.sensing.edges import Edge
     from onebend.learning.sensing.sensed import Sensed
@@ -185,7 +187,9 @@ def _when(word: str, edge: Edge, outside: str) -> str:
 
 def _place(found: Sensed, t: int) -> str:
     if found.settings.place == "known":
-        return f"s = {found.place[t]:.3g}, as said"
+        told = f"s = {found.place[t]:.3g}"
+        said = found.settings.at_s
+        return told if said is None or abs(found.place[t] - said) < _AS_SAID else f"{told}; said {said:.3g}"
     if not math.isnan(found.other_place[t]):
         return f"two places explain it about as well; one is s = {found.other_place[t]:.2g}"
     if math.isnan(found.place[t]):

@@ -6,15 +6,18 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from onebend.learning.criticism.criticism import ALARM
 from onebend.learning.criticism.place_evidence import at_written, log_ratio, moved, under
 from onebend.learning.criticism.push_place import (
     ACCUSED,
+    FAR,
     INNERMOST,
     MISTAKEN,
     _weights,
     doubtful,
+    moved_off,
     search_place,
     with_places,
 )
@@ -142,3 +145,15 @@ def test_moments_of_pushes_at_two_places() -> None:
     assert np.allclose(np.exp(log_ratio(s, 1.0, 0.7)), (0.7 - s) / (1.0 - s))
     assert np.allclose(np.exp(log_ratio(s, 0.7, 1.0)), (1.0 - s) / (0.7 - s))
     assert np.all(np.isfinite(log_ratio(np.linspace(0.0, 1.0, 50), 1.0, 0.7)))
+
+
+def test_a_fit_that_takes_the_push_away_from_its_written_place_is_in_doubt() -> None:
+    right = fitted(1.0, 1.0)
+    where = right.layout.index["place", 0]
+    for sds, expected in ((-0.9 * FAR, False), (-1.1 * FAR, True)):
+        x = right.mean.copy()
+        x[where.where] = sds * where.prior_sd
+        one = replace(right, optimum=replace(right.optimum, x=x), place=None)
+        assert moved_off(one.layout, one.mean) == pytest.approx(abs(sds))
+        assert ("the push hardly acts where at_s says" in one.doubts) is expected
+        assert any("correct at_s" in r.text and r.about == "push place" for r in fit_remarks(one)) is expected

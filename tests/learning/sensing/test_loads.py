@@ -152,7 +152,7 @@ def test_one_contact_is_not_taken_for_two() -> None:
     assert found.two is not None
     assert not found.two.found
     assert found.second is None
-    assert any("One contact explains the shapes as well as two" in one.text for one in found.remarks)
+    assert any("The shapes show one contact" in one.text for one in found.remarks)
 
 
 def test_the_evidence_is_that_of_the_normal_density_about_the_best() -> None:
@@ -178,7 +178,10 @@ def test_the_evidence_is_that_of_the_normal_density_about_the_best() -> None:
     ("settings", "words"),
     [
         (SenseSettings(contacts="2"), "where the second force acts"),
-        (SenseSettings(second_s=0.5), "not asked for"),
+        (SenseSettings(second_s=0.5), "one contact is asked for"),
+        (SenseSettings(contacts="2", place="unknown", second_s=0.5), "places are sought"),
+        (SenseSettings(contacts="2", second_s=0.97), "no shape tells them apart"),
+        (SenseSettings(moment_prior=0.1), "no moment is asked for"),
         (SenseSettings(contacts="2", second_s=1.5), "(0, 1]"),
         (SenseSettings(moment=True, place="unknown"), "whose place is said"),
         (SenseSettings(moment=True, moment_prior=0.0), "no moment"),

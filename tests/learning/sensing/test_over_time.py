@@ -9,10 +9,11 @@ import pytest
 from scipy.linalg import block_diag
 
 from onebend.beam.loads import push
+from onebend.learning.sensing.edges import Edge
 from onebend.learning.sensing.frame_forces import FrameForces
 from onebend.learning.sensing.search import TOUCH
 from onebend.learning.sensing.sense import sense
-from onebend.learning.sensing.sensed import Sensed, SenseSettings
+from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch, joined
 from onebend.learning.sensing.smooth import _backward, _filtered
 from onebend.records import Array
 from tests.learning.bench import SOFT, observed
@@ -113,3 +114,20 @@ def test_smooth_regions_and_times_hold_the_truth() -> None:
         away += [(one.begin.time - begin) / one.begin.sd, (one.end.time - end) / one.end.sd]
     assert 0.91 < np.mean(hits) < 0.985  # 90 runs tell it to 0.02
     assert 0.88 < np.mean(np.abs(away) < 1.96) <= 1.0
+
+
+def test_contacts_that_overlap_are_one() -> None:
+    unknown = Edge(np.nan, np.inf)
+    first, second = Touch(1.0, 2.0, Edge(0.9, 0.01), Edge(2.2, 0.01)), Touch(2.3, 3.0, Edge(2.1, 0.01), unknown)
+    assert joined([first, second]) == (Touch(1.0, 3.0, first.begin, unknown),)
+    apart = replace(second, begin=Edge(2.25, 0.01))
+    assert joined([first, apart]) == (first, apart)
+
+
+def test_the_largest_force_is_one_that_is_sure() -> None:
+    o = exact(observed(SOFT, np.outer(np.linspace(0.05, 0.2, 12), [0.0, 1.0])))
+    found = sense(SOFT, o)
+    assert found.peak == 11
+    force, covariance = found.force.copy(), found.covariance.copy()
+    force[5], covariance[5] = (3.0, 0.1), np.diag([4.0, 1e-4])  # of the direction that no shape shows
+    assert replace(found, force=force, covariance=covariance).peak == 11

@@ -26,6 +26,7 @@ from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.inference.stages import FitSettings
+from onebend.learning.model.parameters import Layout
 from onebend.records import Array
 
 MISTAKEN = 0.3  # of the weight before the data is for other places: not how often people err, but what the band holds
@@ -34,6 +35,7 @@ INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
 # Of the log evidence: by so much more the written place is not believed. The chance that a right place loses by as much
 # is at most `exp` of minus this (Markov's inequality), as small as that beyond which other tests count.
 ACCUSED = -float(np.log(10.0)) * ALARM
+FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fallen as far
 LIKELY = 0.05  # weight of a place, or of several together, that is worth a word
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
@@ -71,6 +73,12 @@ def doubtful(criticism: Criticism) -> bool:
     """Whether a test of the fit's model gives a reason to doubt the place of the push."""
     places = [one.score.log10_p for one in criticism.findings if one.score.suspect.name == "push place"]
     return bool(criticism.striking) or any(p < _REASON for p in places)
+
+
+def moved_off(layout: Layout, mean: Array) -> float:
+    """Sds by which the fit itself takes a push away from its written place, the farthest of all recordings."""
+    blocks = [block for block in layout.blocks if block.name == "place" and block.start >= 0]
+    return max((float(np.max(np.abs(mean[one.where]) / one.prior_sd)) for one in blocks), default=0.0)
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # on the way to places that cannot be

@@ -1,9 +1,9 @@
 """When a contact begins and ends.
 
-The force is zero until `t0`, and then `j + v t + a t^2 / 2 + w(t)` of the time `t` since, all unknown: `w` is white
-noise, integrated twice. That is normal at given sizes of the four, so the evidence of each `t0` is known in closed
-form, all that the frames share being integrated out; it is summed over sizes, and gives mean and sd of `t0`. An end is
-a beginning with time reversed.
+The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)` of the time `t` since, all unknown: `w`
+is white noise, integrated twice. That is normal at given sizes of the five, so the evidence of each `t0` is known in
+closed form, all that the frames share being integrated out; it is summed over sizes, and gives mean and sd of `t0`. An
+end is a beginning with time reversed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ _BEFORE, _AFTER = 48, 24  # frames that tell when it begins
 _LATER = 5  # frames that show a force, and still may be from before
 _PLACES = 48  # times that are tried, and again where it is likely
 _LIKELY = 12.0  # of the log evidence below the best: farther down it is not
-_SIZES = tuple(product((0.0, 1.0), (0.0, 1.0), (2.0,), (3e-3, 3e-2, 0.3, 1.0)))  # of j, v, a and w's sd at the end
+_LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the end
+# Of a jump, of what begins with the first, second and third power of time, and of w. A robot's hand that begins as
+# smoothly as it can (least jerk) begins with the third.
+_SIZES = (*product((0.0, 1.0), (0.0, 1.0), (2.0,), (0.0,), _LAST), *product((0.0,), (0.0,), (0.0,), (3.0,), _LAST))
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def _evidence(readings: FrameForces, at: Array, first: int, prior_sd: float) -> 
     less = np.minimum(since[:, :, None], since[:, None]) / long
     more = np.maximum(since[:, :, None], since[:, None]) / long
     kinds = [on[:, :, None] * on[:, None]]
-    kinds += [(since[:, :, None] * since[:, None] / long**2) ** n / n**2 for n in (1, 2)]
+    kinds += [(since[:, :, None] * since[:, None] / long**2) ** n / n**2 for n in (1, 2, 3)]
     kinds.append(1.5 * less**2 * (more - less / 3.0))  # of variance one at the end
     alike = size**2 * (weigh @ weigh.T)
     rows = []

@@ -27,12 +27,13 @@ from onebend.learning.sensing.sensed import (
     ToldMoment,
     Touch,
     check_settings,
+    joined,
     logged_forces,
     sensed_remarks,
 )
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.learning.sensing.smooth import Smoothed, smoothed
-from onebend.learning.sensing.two import STRIDE, Benches, TwoContacts, both_touch, two_said, two_sought
+from onebend.learning.sensing.two import APART, STRIDE, Benches, TwoContacts, both_touch, two_said, two_sought
 from onebend.records import Array, BoolArray, IntArray, Observations
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -109,6 +110,11 @@ def _compared(
     assert settings.second_s is not None
     place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
     said = np.array([float(np.median(place)), settings.second_s])
+    if abs(said[1] - said[0]) < APART:
+        raise LearningError(
+            f"{o.source.name}: two contacts at s = {said[0]:.3g} and {said[1]:.3g} are nearer to each other than "
+            f"{APART:g}: no shape tells them apart. Ask for one"
+        )
     return two_said(benches, frames, said, (place_sd, place_sd), prior), (place_sd, place_sd)
 
 
@@ -274,7 +280,7 @@ def _over_time(
     seek_place = settings.place == "unknown" and len(priors) < 4
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
     both = zip(runs, edges_of(readings, some, runs, len(frames), prior), strict=True)
-    contacts = tuple(Touch(float(time[a]), float(time[b]), begin, end) for (a, b), (begin, end) in both)
+    contacts = joined([Touch(float(time[a]), float(time[b]), begin, end) for (a, b), (begin, end) in both])
     if not settings.smooth:
         return contacts, None
     spans = [np.searchsorted(time, one.span) for one in contacts]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +18,7 @@ from onebend.learning.sensing.two import TwoContacts
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 TOO_FAR, UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which no force explains the shapes
+SURE = 1.96  # sds
 FROM_PRIOR = 0.25  # share of a variance left by the data from which it is said
 
 
@@ -70,10 +72,12 @@ def _check_contacts(settings: SenseSettings, name: str) -> None:
         )
     if settings.contacts != "1" and settings.smooth:
         raise LearningError("a smooth force is told of one contact: ask for --smooth or for --contacts, not for both")
-    if settings.second_s is not None and (settings.contacts == "1" or settings.place == "unknown"):
-        raise LearningError(
-            "where a second force acts is said, but it is not asked for (--contacts 2), or both places are sought"
-        )
+    if settings.moment_prior is not None and not settings.moment:
+        raise LearningError("a moment's prior is given, and no moment is asked for: add --moment, or leave it out")
+    if settings.second_s is not None and settings.contacts == "1":
+        raise LearningError("where a second force acts is said, and one contact is asked for: add --contacts 2")
+    if settings.second_s is not None and settings.place == "unknown":
+        raise LearningError("the places are sought (--place unknown): leave out where the second force acts")
     if settings.contacts != "1" and settings.place == "known" and settings.second_s is None:
         raise LearningError(
             f"{name}: nobody says where the second force acts. Give its place (--second-at), or let both be sought "
@@ -96,6 +100,17 @@ class Touch:
         begin = self.begin.time if math.isfinite(self.begin.sd) else self.first
         end = self.end.time if math.isfinite(self.end.sd) else math.nextafter(self.last, math.inf)
         return begin, end
+
+
+def joined(contacts: Sequence[Touch]) -> tuple[Touch, ...]:
+    """Contacts of which the next would begin before the last has ended are one."""
+    out: list[Touch] = []
+    for one in contacts:
+        if out and one.span[0] <= out[-1].span[1]:
+            out[-1] = Touch(out[-1].first, one.last, out[-1].begin, one.end)
+        else:
+            out.append(one)
+    return tuple(out)
 
 
 @dataclass(frozen=True)
@@ -161,12 +176,16 @@ class Sensed:
 
     @property
     def peak(self) -> int | None:
-        """Index of the largest force among the frames of a contact; None where there is none."""
+        """Index of the largest force among the frames of a contact, as far as it is sure (the lower end of its 95 %
+        band); None where there is none."""
         inside = np.zeros(len(self.time), dtype=bool)
         for one in self.contacts:
             inside |= (self.time >= one.first) & (self.time <= one.last)
-        size = np.where(inside & self.touched, np.hypot(*self.force.T), -1.0)
-        return int(np.argmax(size)) if np.any(size > 0.0) else None
+        if not np.any(inside & self.touched):
+            return None
+        size = np.hypot(*self.force.T)
+        sd = np.sqrt(np.einsum("tc,tcd,td->t", self.force, self.covariance, self.force)) / np.maximum(size, 1e-300)
+        return int(np.nanargmax(np.where(inside & self.touched, size - SURE * sd, np.nan)))
 
     @property
     def against_log(self) -> tuple[float, float] | None:
@@ -204,6 +223,7 @@ def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Re
             f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
             "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "
             "it stands in its clamp as it did then, where the force acts, and that the push is slow"
+            + ("" if sensed.settings.force_prior is None else ". Or --force-prior-N is far too small for this force")
         )
         out.append(Remark("warning", text, about="sensed misfit"))
     if not banded:
@@ -236,7 +256,7 @@ def load_remarks(sensed: Sensed) -> list[Remark]:
             )
     if two is not None and not two.found:
         asked = "" if sensed.second is None else ", and two were asked for: the second force may be none"
-        out.append(f"One contact explains the shapes as well as two (log evidence of two {two.evidence:.3g}){asked}.")
+        out.append(f"The shapes show one contact (log evidence of a second {two.evidence:.3g}){asked}.")
     if two is not None and two.others and sensed.second is not None:
         pairs = " or ".join(f"s = {near:.2f} and {far:.2f}" for near, far in (two.places, *two.others))
         out.append(

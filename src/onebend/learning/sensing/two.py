@@ -28,7 +28,7 @@ _SCAN = np.linspace(0.25, 1.0, 7)
 _TRIED = 3  # pairs of places that are followed
 STRIDE = 0.03  # of s, one sd of each place about that of the round before
 _ROUNDS, _STILL = 8, 2e-3  # of s
-_APART = 0.08  # of s: closer places are one
+APART = 0.08  # of s: closer places are one
 _AS_WELL = 3.0  # of the log evidence: a pair of places that is less likely by no more is named
 
 
@@ -83,7 +83,7 @@ def two_sought(benches: Benches, frames: IntArray, sd: float) -> TwoContacts:
     best = found[0]
     others: list[Array] = []
     for one in found[1:]:
-        far = all(np.max(np.abs(one.places - other)) > _APART for other in (best.places, *others))
+        far = all(np.max(np.abs(one.places - other)) > APART for other in (best.places, *others))
         if far and one.evidence > best.evidence - _AS_WELL:
             others.append(one.places)
     sds = np.sqrt(np.diag(best.covariance))
@@ -147,7 +147,7 @@ def _placed(benches: Benches, some: IntArray, places: Array, sd: Array) -> _Plac
 
 
 def both_touch(found: Estimates) -> tuple[BoolArray, BoolArray]:
-    """(F,) of each of two forces: whether none lies outside its 95 % region."""
+    """(F,) of each of two forces: whether zero lies outside its 95 % region."""
     each = []
     for c in (slice(0, 2), slice(2, 4)):
         alone = Estimates(

@@ -95,9 +95,8 @@ def sensed_regions(found: Sensed) -> Figure:
         turned = vectors @ (np.sqrt(TOUCH * values)[:, None] * np.stack([np.cos(_ROUND), np.sin(_ROUND)]))
         ring = found.force[t][:, None] + turned
         axes.fill(*ring, color=BLUE, alpha=0.15, lw=0.8, label="95 % region" if i == 0 else None)
-        ends = np.stack(
-            [found.force[t] - _WIDE * found.weak_sd[t] * way, found.force[t] + _WIDE * found.weak_sd[t] * way]
-        )
+        reach = np.sqrt(TOUCH) * found.weak_sd[t]
+        ends = np.stack([found.force[t] - reach * way, found.force[t] + reach * way])
         axes.plot(*ends.T, color=ORANGE, lw=1.0, label="where it is known least" if i == 0 else None)
     axes.plot(0.0, 0.0, "+", color=MUTED)
     axes.set(xlabel="force along x [N]", ylabel="force along y [N]", aspect="equal")

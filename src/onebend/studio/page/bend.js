@@ -1,4 +1,4 @@
-import { commandLine, h } from "./dom.js";
+import { coded, commandLine, h } from "./dom.js";
 import { Canvas } from "./draw.js";
 import { ask, listen, onReturn, say, send, whoAmI } from "./net.js";
 import { atEnd, remember } from "./place.js";
@@ -14,14 +14,18 @@ export function bend(place, at) {
     });
     const canvas = new Canvas(element, plane.paint), command = commandLine(), panel = new Panel(change);
     const choice = h("select", { "aria-label": "learned beam", change: () => open(choice.value) });
+    const broken = h("p", { class: "warning", role: "alert", hidden: true });
     let model = at.get("model") ?? "", grab = null, number = 0, wanted = null, waiting = 0;
     const asked = new Map();
-    place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, panel.modes, panel.status), element, command.element), panel.element);
+    place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, panel.modes, panel.status), broken, element, command.element), panel.element);
     command.set("");
     function open(name) {
         model = name;
+        broken.hidden = true;
+        command.set("");
+        panel.clear();
         Object.assign(scene, { opened: null, answer: null, map: null, edge: null, goal: null });
-        remember({ model });
+        remember("bend", { model });
         send({ do: "open", model });
         canvas.redraw();
     }
@@ -52,8 +56,12 @@ export function bend(place, at) {
     function hear(message) {
         if (message.what === "places")
             void fill(false);
-        if (message.what === "error")
-            say(message.text);
+        if (message.what === "error") {
+            if (scene.opened)
+                say(message.text);
+            broken.hidden = scene.opened !== null;
+            broken.replaceChildren(...coded(message.text));
+        }
         if (message.model !== model)
             return;
         if (message.what === "forgotten" && !document.hidden)
@@ -63,6 +71,7 @@ export function bend(place, at) {
             if (opened.version !== scene.opened?.version)
                 scene.map = null;
             scene.opened = opened;
+            broken.hidden = true;
             take(message.answer);
             panel.opened(opened);
         }

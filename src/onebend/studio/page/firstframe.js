@@ -50,8 +50,6 @@ export class FirstFrame {
         }
     }
     expect(tags) {
-        if (!tags.length && this.tags.length && !this.frame)
-            return;
         this.tags = tags;
         this.say();
     }

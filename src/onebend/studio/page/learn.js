@@ -16,16 +16,25 @@ export function learn(place, at) {
     let from = (at.get("from") ?? "").split(",").filter(Boolean), check = (at.get("check") ?? "").split(",").filter(Boolean), job = null, filmOf = "", begun = 0;
     const form = h("form", { submit: (event) => { event.preventDefault(); void begin(); } }, h("h2", {}, "Recordings"), recordings, h("label", { class: "wide" }, h("span", {}, "result in"), out), h("label", { class: "check" }, replace, "replace an earlier result there"), start);
     place.append(h("aside", { class: "side" }, form, progress, h("section", {}, h("h2", {}, "Results"), results)), shown);
-    out.addEventListener("input", () => { out.dataset.own = "yes"; command(); });
+    out.addEventListener("change", command);
+    out.addEventListener("input", () => {
+        if (out.value.trim())
+            out.dataset.own = "yes";
+        else
+            delete out.dataset.own;
+        command();
+    });
     replace.addEventListener("change", command);
     function keep() {
-        remember({ results: chosen.join(","), from: from.join(","), check: check.join(","), frame: chosen.length === 1 && shownFrame !== null ? String(shownFrame) : "" });
+        remember("learn", { results: chosen.join(","), from: from.join(","), check: check.join(","), frame: chosen.length === 1 && shownFrame !== null ? String(shownFrame) : "" });
     }
     function command() {
-        if (!out.dataset.own)
-            out.value = from[0] ? `${from[0] === "." ? "beam" : from[0].replace(/\/$/, "")}-results` : "";
+        const usual = from[0] ? `${from[0] === "." ? "beam" : from[0].replace(/\/$/, "")}-results` : "";
+        out.placeholder = usual;
+        if (!out.dataset.own && document.activeElement !== out)
+            out.value = usual;
         const quoted = (word) => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
-        const line = ["onebend", "learn", ...from, "--output", out.value, ...check.flatMap((one) => ["--validate", one]), ...(replace.checked ? ["--force"] : [])];
+        const line = ["onebend", "learn", ...from, "--output", out.value.trim() || usual, ...check.flatMap((one) => ["--validate", one]), ...(replace.checked ? ["--force"] : [])];
         doing.set(from.length ? line.map(quoted).join(" ") : "");
         start.disabled = !from.length || job?.state === "running" || job?.state === "stopping";
         keep();
@@ -33,7 +42,7 @@ export function learn(place, at) {
     async function begin() {
         say("");
         try {
-            await post("/api/learn", { recordings: from, validate: check, out: out.value, replace: replace.checked });
+            await post("/api/learn", { recordings: from, validate: check, out: out.value.trim() || out.placeholder, replace: replace.checked });
         }
         catch (error) {
             say(error.message);
@@ -46,7 +55,7 @@ export function learn(place, at) {
         check = check.filter((name) => films.some((one) => one.name === name));
         recordings.replaceChildren(...films.map(({ name }) => h("li", {}, h("label", { class: "check" }, h("input", { type: "checkbox", checked: from.includes(name), change: (event) => toggle(event, name, true) }), h("span", {}, name)), h("label", { class: "check quiet", title: "compare the learned beam with this recording" }, h("input", { type: "checkbox", checked: check.includes(name), "aria-label": `check on ${name}`, change: (event) => toggle(event, name, false) }), "check"))));
         if (!films.length)
-            recordings.append(h("li", { class: "quiet" }, "No folder with a recording.toml here. Begin one with ", h("code", {}, "onebend new"), "."));
+            recordings.append(h("li", { class: "quiet" }, h("span", {}, "No folder with a recording.toml here. Begin one with ", h("code", {}, "onebend new"), ".")));
         if (!chosen.length && beams[0])
             chosen = [beams[0].name];
         chosen = chosen.filter((name) => beams.some((one) => one.name === name));
@@ -75,11 +84,19 @@ export function learn(place, at) {
         void draw();
     }
     async function draw() {
-        for (const name of chosen)
-            if (!known.has(name))
+        const broken = [];
+        for (const name of chosen) {
+            if (known.has(name))
+                continue;
+            try {
                 known.set(name, await ask("/api/result", { name }));
+            }
+            catch (error) {
+                broken.push(error.message);
+            }
+        }
         const seen = chosen.map((name) => known.get(name)).filter((one) => one !== undefined);
-        shown.replaceChildren(doing.element, ...(seen.length ? [] : [h("p", { class: "empty quiet" }, "Choose a recording and learn it, or a result to look at.")]));
+        shown.replaceChildren(doing.element, ...broken.map((text) => h("p", { class: "warning", role: "alert" }, ...coded(text))), ...(seen.length || broken.length ? [] : [h("p", { class: "empty quiet" }, "Choose a recording and learn it, or a result to look at.")]));
         if (!seen.length)
             return;
         shown.append(h("h1", {}, seen.length === 1 ? ["k(s) of ", seen[0].name].join("") : `${seen.length} results compared`), curve.element, words, film.element);

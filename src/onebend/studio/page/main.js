@@ -1,7 +1,7 @@
 import { bend } from "./bend.js";
 import { h } from "./dom.js";
 import { learn } from "./learn.js";
-import { connect, say } from "./net.js";
+import { connect, onReturn, say, SILENT } from "./net.js";
 import { leave, params, roomName } from "./place.js";
 const ROOMS = {
     record: ["Record", async () => (await import("./record.js")).record],
@@ -11,7 +11,7 @@ const ROOMS = {
     rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
 };
 const place = document.getElementById("room"), nav = document.querySelector("nav");
-let shown = null, turn = 0;
+let shown = null, turn = 0, missed = false;
 async function show() {
     const name = roomName(), room = name in ROOMS ? name : "bend";
     for (const link of nav.querySelectorAll("a")) {
@@ -27,9 +27,14 @@ async function show() {
     place.replaceChildren();
     place.className = room;
     document.title = `${ROOMS[room][0]} · onebend studio`;
-    const mine = ++turn, begin = await ROOMS[room][1]();
-    if (mine === turn)
+    const mine = ++turn, begin = await ROOMS[room][1]().catch(() => null);
+    if (mine !== turn)
+        return;
+    missed = begin === null;
+    if (begin)
         begin(place, params());
+    else
+        place.replaceChildren(h("p", { class: "warning away", role: "alert" }, `${SILENT} The room ${ROOMS[room][0]} opens when it is back.`));
 }
 for (const [room, [words]] of Object.entries(ROOMS))
     nav.append(h("a", { href: `#${room}`, "data-room": room }, words));
@@ -37,5 +42,7 @@ window.addEventListener("hashchange", () => { void show(); });
 window.addEventListener("unhandledrejection", (event) => {
     say(event.reason instanceof Error ? event.reason.message : String(event.reason));
 });
+onReturn(() => { if (missed)
+    location.reload(); });
 connect((words) => { document.getElementById("link").textContent = words; });
 void show();

@@ -1,5 +1,6 @@
 const listeners = new Set();
 const returns = new Set();
+export const SILENT = "The studio does not answer.";
 let socket = null, wait = 250, me = 0, gone = 0;
 export function listen(listener) {
     listeners.add(listener);
@@ -43,11 +44,19 @@ export function connect(status) {
     });
 }
 export async function ask(path, parameters = {}) {
-    return answerOf(await fetch(`${path}?${new URLSearchParams(parameters)}`));
+    return answerOf(await reached(`${path}?${new URLSearchParams(parameters)}`));
 }
 export async function post(path, body) {
     const headers = { "Content-Type": "application/json" };
-    return answerOf(await fetch(path, { method: "POST", headers, body: JSON.stringify(body) }));
+    return answerOf(await reached(path, { method: "POST", headers, body: JSON.stringify(body) }));
+}
+async function reached(path, how) {
+    try {
+        return await fetch(path, how);
+    }
+    catch {
+        throw new Error(SILENT);
+    }
 }
 async function answerOf(answer) {
     if (answer.ok)

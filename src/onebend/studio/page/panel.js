@@ -9,7 +9,8 @@ export class Panel {
     point = h("input", { type: "range", min: 0.1, max: 1, step: 0.01, "aria-label": "point s" });
     push = h("input", { type: "range", min: 0.1, max: 1, step: 0.01, "aria-label": "force at s" });
     link = h("input", { type: "checkbox", checked: true });
-    largest = h("input", { type: "number", min: 0.001, step: "any", "aria-label": "largest force in N" });
+    largest = h("input", { type: "number", min: 1e-6, max: 1e6, step: "any", "aria-label": "largest force in N" });
+    wrong = h("p", { class: "wrong", role: "alert", hidden: true }, "a number from 0.000001 to 1000000: the last right one is in force");
     texts = { point: h("output"), push: h("output") };
     buttons = {};
     doubts = h("p", { class: "warning", hidden: true });
@@ -33,7 +34,8 @@ export class Panel {
             change({ push_s: this.point.valueAsNumber });
         else
             this.push.disabled = false; });
-        this.largest.addEventListener("change", () => { if (this.largest.valueAsNumber > 0)
+        this.largest.addEventListener("input", () => this.judge());
+        this.largest.addEventListener("change", () => { if (this.judge())
             change({ max_force_N: this.largest.valueAsNumber }); });
         this.element = h("aside", { class: "panel" }, this.numbers(), this.settings(), h("p", { class: "quiet keys" }, h("kbd", {}, "←↑→↓"), " move, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "Q"), " ", h("kbd", {}, "E"), " turn the hand · ", h("kbd", {}, "H"), " hand or force · ", h("kbd", {}, "Esc"), " rest"));
     }
@@ -51,7 +53,7 @@ export class Panel {
         return h("section", {}, h("h2", {}, "Force on the beam"), big, h("dl", { id: "bend-readout" }, this.row("components", "components", "N"), this.row("moment", "moment", "N mm"), this.row("place", "point", "mm"), this.row("angle", "tangent's angle", "°"), this.row("ellipse", "95 % ellipse", "mm"), this.row("bend", "largest curvature", "1/m"), this.row("margin", "stability", "")), h("div", { class: "margin", title: "1: no load; 0: the beam buckles or falls" }, this.bar), this.doubts);
     }
     settings() {
-        return h("section", { class: "settings" }, h("h2", {}, "How it is held"), h("label", {}, h("span", {}, "point s"), this.point, this.texts.point), h("label", {}, h("span", {}, "force at s"), this.push, this.texts.push), h("label", { class: "check" }, this.link, "the force acts at the point"), h("label", {}, h("span", {}, "largest force"), this.largest, h("span", { class: "unit" }, "N")), h("p", { class: "legend" }, h("span", {}, h("i", { class: "area" }), "reachable"), h("span", {}, h("i", { class: "edge" }), "edge of stability"), h("span", {}, h("i", { class: "ellipse" }), "95 % ellipse")));
+        return h("section", { class: "settings" }, h("h2", {}, "How it is held"), h("label", {}, h("span", {}, "point s"), this.point, this.texts.point), h("label", {}, h("span", {}, "force at s"), this.push, this.texts.push), h("label", { class: "check" }, this.link, "the force acts at the point"), h("label", {}, h("span", {}, "largest force"), this.largest, h("span", { class: "unit" }, "N")), this.wrong, h("p", { class: "legend" }, h("span", {}, h("i", { class: "area" }), "reachable"), h("span", {}, h("i", { class: "edge" }), "edge of stability"), h("span", {}, h("i", { class: "ellipse" }), "95 % ellipse")));
     }
     opened(opened) {
         const hand = opened.mode === "hand";
@@ -65,6 +67,7 @@ export class Panel {
         this.push.disabled = hand || this.linked;
         if (document.activeElement !== this.largest)
             this.largest.value = String(opened.max_force_N);
+        this.judge();
         for (const [name, button] of Object.entries(this.buttons))
             button.setAttribute("aria-pressed", String(name === opened.mode));
         this.rows.moment.closest(".row").hidden = !hand;
@@ -72,6 +75,20 @@ export class Panel {
         this.doubts.hidden = !opened.doubts.length;
         this.doubts.textContent = opened.doubts.length ? `k(s) is not to be trusted: ${opened.doubts.join("; ")}` : "";
         this.element.classList.toggle("mapping", !hand);
+    }
+    judge() {
+        const value = this.largest.valueAsNumber, right = value >= 1e-6 && value <= 1e6;
+        this.largest.setAttribute("aria-invalid", String(!right));
+        this.largest.title = right ? "" : this.wrong.textContent;
+        this.wrong.hidden = right;
+        return right;
+    }
+    clear() {
+        for (const one of Object.values(this.rows))
+            one.textContent = "–";
+        this.bar.style.width = "0";
+        this.status.textContent = "";
+        this.doubts.hidden = true;
     }
     mapped() {
         this.element.classList.remove("mapping");

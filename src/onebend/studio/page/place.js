@@ -5,10 +5,11 @@ export function params() {
     const own = location.hash.split("?")[1];
     return new URLSearchParams(own ?? kept[roomName()] ?? "");
 }
-export function remember(values) {
+export function remember(room, values) {
     const text = new URLSearchParams(Object.entries(values).filter(([, value]) => value !== "")).toString();
-    kept[roomName()] = text;
-    history.replaceState(null, "", `#${roomName()}${text ? `?${text}` : ""}`);
+    kept[room] = text;
+    if (roomName() === room)
+        history.replaceState(null, "", `#${room}${text ? `?${text}` : ""}`);
 }
 export function atEnd(...work) {
     ends.push(...work);

@@ -15,7 +15,7 @@ export function record(place, at) {
     let recording = null, told = "";
     place.append(h("aside", { class: "side" }, form.element, live.numbers), h("section", { class: "filming" }, doing.element, hint, title, live.stages, live.advice, orders, live.picture, live.curve.element, ended));
     function changed(choice, command) {
-        remember({ ...choice });
+        remember("record", { ...choice });
         if (!going(recording))
             doing.set(command);
     }
@@ -55,6 +55,8 @@ export function record(place, at) {
         if (ending === told)
             return;
         told = ending;
+        if (!on && now.outcome?.begun)
+            form.used(now.out);
         ended.replaceChildren(...(on && now.phase !== "checking" ? [] : outcome(now)));
     }
     function outcome(one) {

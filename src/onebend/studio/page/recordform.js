@@ -37,14 +37,21 @@ export class Form {
         const flag = (name) => h("label", { class: "check" }, this.flags[name], FLAGS[name]);
         this.element = h("form", { submit: (event) => { event.preventDefault(); start(this.wanted()); } }, h("h2", {}, "Record a push"), h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "beam as in"), this.like), h("label", { class: "wide" }, h("span", {}, "camera"), this.camera), this.says.camera, h("label", { class: "wide" }, h("span", {}, "force"), this.force), this.says.force, h("label", { class: "wide" }, h("span", {}, "until ± %"), this.until), flag("fast"), h("details", { open: FLAG_NAMES.some((name) => name !== "fast" && this.flags[name].checked) }, h("summary", {}, "more"), flag("now"), flag("no_learning"), flag("overwrite"), h("label", { class: "wide" }, h("span", {}, "at most [s]"), this.longest), h("label", { class: "wide" }, h("span", {}, "CRF"), this.crf)), h("button", { type: "submit", class: "main" }, "Record"), ...Object.values(this.lists));
         this.out.addEventListener("input", () => { this.out.dataset.own = this.out.value ? "yes" : ""; });
+        this.like.addEventListener("input", () => { this.wantedLike = this.like.value; });
         this.element.addEventListener("input", () => this.refresh());
-        this.like.addEventListener("change", () => { this.wantedLike = this.like.value; this.refresh(); });
     }
     again(name) {
         this.wantedLike = name;
         this.out.dataset.own = "";
         this.refresh();
         this.out.focus();
+    }
+    used(name) {
+        if (plain(this.out.value) !== name)
+            return;
+        this.wantedLike = this.out.value;
+        this.out.dataset.own = "";
+        this.refresh();
     }
     fill(sources, names) {
         [this.sources, this.names] = [sources, names];
@@ -97,13 +104,14 @@ export class Form {
         if (!this.camera.value || !this.out.value)
             return "";
         const quoted = (word) => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`;
-        const given = [["camera", this.camera], ["force", this.force], ["like", this.like]].flatMap(([name, input]) => input.value ? [`--${name}`, input.value] : []);
+        const given = [["camera", this.camera.value], ["force", this.force.value], ["like", plain(this.like.value)]].flatMap(([name, value]) => value ? [`--${name}`, value] : []);
         const numbers = [...(this.until.value ? ["--until", `${this.until.value}%`] : []), ...(this.longest.value && this.longest.value !== LONGEST ? ["--longest-s", this.longest.value] : []),
             ...(this.crf.value && this.crf.value !== CRF ? ["--crf", this.crf.value] : [])];
         const flags = FLAG_NAMES.filter((name) => this.flags[name].checked).map((name) => `--${name.replace("_", "-")}`);
-        return ["onebend", "record", this.out.value, ...given, ...numbers, ...flags].map(quoted).join(" ");
+        return ["onebend", "record", plain(this.out.value), ...given, ...numbers, ...flags].map(quoted).join(" ");
     }
 }
+const plain = (name) => name.startsWith("-") ? `./${name}` : name;
 function kindOf(spec, kinds) {
     const head = spec.startsWith("/dev/video") ? "/dev/video" : `${spec.split(":")[0]}:`, kind = spec.includes(":") || head === "/dev/video" ? kinds.find((one) => one.example.startsWith(head)) : undefined;
     return kind ? `${kind.says}${kind.keys.length ? `; keys: ${kind.keys.join(", ")}` : ""}` : "";

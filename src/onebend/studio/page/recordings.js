@@ -14,7 +14,7 @@ export function recordings(place, at) {
     const editor = new Editor(edited), frame = new FirstFrame(), command = commandLine(), checking = new Checking(command.element);
     const desk = h("section", { class: "desk", hidden: true }, h("div", { class: "toolbar" }, title, state, back, keep), conflict, h("div", { class: "pair" }, editor.element, told, frame.element), checking.element);
     const nothing = h("p", { class: "empty quiet" }, "Choose a recording.");
-    let name = at.get("name") ?? "", disk = "", version = "", seen = "", number = 0, waiting = 0, film = "";
+    let name = at.get("name") ?? "", disk = "", version = "", seen = "", number = 0, waiting = 0, film = "", gone = false, unchecked = "";
     place.append(h("aside", { class: "side" }, h("section", {}, h("h2", {}, "Recordings"), list), unwritten), h("div", { class: "work" }, nothing, desk));
     const dirty = () => editor.text !== disk;
     async function fill() {
@@ -27,11 +27,22 @@ export function recordings(place, at) {
         unwritten.hidden = !bare.length;
         films.replaceChildren(...bare.map((one) => h("li", {}, h("span", {}, one.name), h("button", { type: "button", title: `onebend new ${one.name}`,
             "aria-label": `write a recording.toml to fill in into ${one.name}`, click: () => { void begin(one.name); } }, "begin"))));
-        if (!known.some((one) => one.name === name))
+        const there = known.some((one) => one.name === name);
+        if (!desk.hidden) {
+            if (gone === !there)
+                return;
+            gone = !there;
+            edited();
+            if (there)
+                await look();
+            return;
+        }
+        if (!there)
             name = at.has("name") ? "" : known[0]?.name ?? "";
-        if (name && name !== title.textContent)
+        if (name)
             await open(name);
-        nothing.hidden = title.textContent !== "";
+        else
+            nothing.textContent = "Choose a recording.";
     }
     async function begin(folder) {
         await post("/api/recordings/new", { name: folder });
@@ -39,12 +50,23 @@ export function recordings(place, at) {
         await fill();
     }
     async function open(wanted) {
-        if (title.textContent && dirty())
+        if (!desk.hidden && dirty())
             keepDraft();
-        const found = await post("/api/recordings/read", { name: wanted }), draft = draftOf(wanted);
+        let found;
+        try {
+            found = await post("/api/recordings/read", { name: wanted });
+        }
+        catch (error) {
+            if (desk.hidden || wanted !== name)
+                unreadable(wanted, error.message);
+            else
+                say(error.message);
+            return;
+        }
+        const draft = draftOf(wanted);
         name = wanted;
-        film = "";
-        remember({ name });
+        [film, gone, unchecked] = ["", false, ""];
+        remember("recordings", { name });
         title.textContent = name;
         desk.hidden = false;
         nothing.hidden = true;
@@ -52,8 +74,7 @@ export function recordings(place, at) {
         checking.of(name);
         frame.clear();
         conflict.hidden = true;
-        for (const button of list.querySelectorAll("button"))
-            button.toggleAttribute("aria-current", button.textContent === name);
+        current();
         take(found.text, found.version);
         show(found);
         if (draft && draft.text !== found.text) {
@@ -63,6 +84,21 @@ export function recordings(place, at) {
                 changedOnDisk(found.text, found.version);
             edited();
         }
+    }
+    function current() {
+        for (const button of list.querySelectorAll("button"))
+            button.toggleAttribute("aria-current", button.textContent === name);
+    }
+    function unreadable(wanted, words) {
+        name = wanted;
+        number += 1;
+        clearTimeout(waiting);
+        remember("recordings", { name });
+        desk.hidden = true;
+        nothing.hidden = false;
+        nothing.classList.add("warning");
+        nothing.textContent = `${wanted} cannot be opened here. ${words}`;
+        current();
     }
     function take(text, at) {
         editor.text = disk = text;
@@ -78,7 +114,7 @@ export function recordings(place, at) {
         edited();
     }
     async function look() {
-        if (!name || desk.hidden)
+        if (!name || desk.hidden || gone)
             return;
         const found = await post("/api/recordings/read", { name });
         if (found.name !== name || found.version === version || found.version === seen && !conflict.hidden)
@@ -102,7 +138,7 @@ export function recordings(place, at) {
     function edited() {
         number += 1;
         back.hidden = !dirty() || !conflict.hidden;
-        keep.disabled = !dirty() || !conflict.hidden;
+        keep.disabled = !dirty() || !conflict.hidden || gone;
         if (dirty())
             keepDraft();
         else
@@ -113,14 +149,27 @@ export function recordings(place, at) {
         waiting = window.setTimeout(() => { void check(number); }, PAUSE);
     }
     async function check(asked) {
-        const found = await post("/api/recordings/check", { name, text: editor.text });
-        if (asked === number)
+        if (gone)
+            return;
+        try {
+            const found = await post("/api/recordings/check", { name, text: editor.text });
+            if (asked !== number)
+                return;
+            unchecked = "";
             show(found);
+        }
+        catch (error) {
+            if (asked !== number)
+                return;
+            unchecked = `not checked: ${error.message}`;
+            count();
+        }
     }
     let mistakes = 0;
     function count() {
-        state.textContent = `${dirty() ? "not saved" : "as on disk"} · ${mistakes === 0 ? "no mistake" : mistakes === 1 ? "one mistake" : `${mistakes} mistakes`}`;
-        state.classList.toggle("warning", mistakes > 0);
+        const kept = gone ? "its folder is gone: nothing can be saved" : dirty() ? "not saved" : "as on disk";
+        state.textContent = `${kept} · ${unchecked ? unchecked : mistakes === 0 ? "no mistake" : mistakes === 1 ? "one mistake" : `${mistakes} mistakes`}`;
+        state.classList.toggle("warning", mistakes > 0 || gone || unchecked !== "");
     }
     function show(found) {
         mistakes = found.mistakes.length;
@@ -159,13 +208,17 @@ export function recordings(place, at) {
         if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "s")
             return;
         event.preventDefault();
+        if (desk.hidden)
+            return;
         if (!keep.disabled)
             void save(version);
+        else if (gone)
+            say(`The folder ${name} is gone: nothing was saved.`);
         else if (!conflict.hidden)
             say("Say first which text is to stay.");
     }
     const focus = () => { if (!document.hidden)
-        void look(); };
+        void (desk.hidden ? fill() : look()); };
     document.addEventListener("keydown", keys);
     document.addEventListener("visibilitychange", focus);
     window.addEventListener("focus", focus);

@@ -3,7 +3,7 @@ import { digits, fixed, h } from "./dom.js";
 import { Canvas, label, trace } from "./draw.js";
 const SMALL = 20;
 const ROWS = ["components", "tare", "tip", "tags", "film", "log", "clocks", "disk", "k"];
-const WORDS = { components: "components", tare: "less the tare", tip: "tip / length", k: "k(s)", tags: "tags", film: "film", log: "log", clocks: "clocks agree to", disk: "disk" };
+const WORDS = { components: "components", tare: "the tare", tip: "tip / length", k: "k(s)", tags: "tags", film: "film", log: "log", clocks: "clocks agree to", disk: "disk" };
 export class Live {
     stages = h("ol", { class: "stages", "aria-label": "stages" });
     advice = h("div", { class: "advice" });

@@ -1,4 +1,4 @@
-import { commandLine, digits, fixed, h } from "./dom.js";
+import { coded, commandLine, digits, fixed, h } from "./dom.js";
 import { Canvas } from "./draw.js";
 import { SettingsForm } from "./loopform.js";
 import { LoopPlane, tintOfTrial } from "./looped.js";
@@ -17,23 +17,30 @@ export function rehearse(place, at) {
     const slider = h("input", { type: "range", min: 0, max: 8, step: 0.01, value: 0, "aria-label": "time" }), clock = h("output", { class: "clock" });
     const error = new TimeChart("from the goal [mm]", true, seek), force = new TimeChart("force on the beam [N]", false, seek);
     const results = h("div", { class: "scroll" }), margins = h("dl", {}), status = h("p", { class: "status", role: "status" });
+    const broken = h("p", { class: "warning", role: "alert", hidden: true });
+    let good = null, shown = null;
     let model = at.get("model") ?? "", job = null, control = null, timer = 0, last = 0, got = "", mapped = "", soon = 0;
-    place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), progress, element, h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element), h("section", { class: "outcome" }, results, margins), command.element), h("aside", { class: "panel" }, form.element, h("p", { class: "quiet keys" }, "drag the goal, or ", h("kbd", {}, "←↑→↓"), " move it, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "space"), " play")));
+    place.append(h("section", { class: "stage" }, h("div", { class: "toolbar" }, choice, start, status), broken, progress, element, h("div", { class: "under scrub" }, play, slider, clock), h("div", { class: "charts" }, error.element, force.element), h("section", { class: "outcome" }, results, margins), command.element), h("aside", { class: "panel" }, form.element, h("p", { class: "quiet keys" }, "drag the goal, or ", h("kbd", {}, "←↑→↓"), " move it, ", h("kbd", {}, "Shift"), " further, ", h("kbd", {}, "Alt"), " less · ", h("kbd", {}, "space"), " play")));
     command.set("");
     function wanted() {
         return { model, ...form.values };
     }
     function changed() {
-        const settings = wanted();
-        scene.goal = settings.goal_m;
-        scene.stale = scene.trials.length > 0 && !same(settings, job);
-        remember(form.kept(model));
-        command.set(model ? lineOf(settings) : "");
-        start.disabled = !model || isBusy(job);
+        const settings = wanted(), wrong = form.wrong();
+        scene.goal = form.goal ?? scene.goal;
+        scene.stale = scene.trials.length > 0 && !same(settings, shown);
+        start.textContent = wrong ? `Not to be run: ${wrong}` : "Rehearse";
+        start.disabled = !scene.beam || wrong !== "" || isBusy(job);
+        canvas.redraw();
         tell();
         clearTimeout(soon);
+        if (wrong) {
+            command.set("");
+            return;
+        }
+        remember("rehearse", form.kept(model));
+        command.set(model ? lineOf(settings) : "");
         soon = window.setTimeout(() => { void reach(); }, 250);
-        canvas.redraw();
     }
     async function reach() {
         if (!scene.beam || scene.beam.name !== model)
@@ -65,12 +72,21 @@ export function rehearse(place, at) {
     }
     async function open(name, goal) {
         model = name;
-        const beam = await ask("/api/beam", { name });
+        let beam = null, words = "";
+        try {
+            beam = await ask("/api/beam", { name });
+        }
+        catch (error) {
+            words = error.message;
+        }
         if (model !== name)
             return;
+        broken.hidden = !words;
+        broken.replaceChildren(...coded(words));
         [scene.beam, scene.map, mapped] = [beam, null, ""];
         choice.value = name;
-        form.of(beam, goal);
+        if (beam)
+            form.of(beam, goal);
         if (job?.model !== name)
             take(job, []);
         changed();
@@ -98,16 +114,21 @@ export function rehearse(place, at) {
         job = now;
         const busy = isBusy(now), mine = now !== null && now.model === model;
         progress.replaceChildren(...(now && (busy || now.state === "failed" && mine) ? [progressOf(now, `Rehearsing on ${now.model}`, "rehearse")] : []));
-        control = mine ? found.find((one) => one.control)?.control ?? null : null;
-        scene.trials = mine ? found.flatMap((one) => one.trial ? [one.trial] : []) : [];
-        if (mine)
-            [scene.push, scene.point] = [now.push_s, now.point_s];
-        const fresh = mine ? `${now.began}` : "";
+        shown = mine ? now : null;
+        if (mine && found.some((one) => one.trial))
+            good = { job: now, found };
+        else if (mine && !busy && good?.job.model === model)
+            [shown, found] = [good.job, good.found];
+        control = shown ? found.find((one) => one.control)?.control ?? null : null;
+        scene.trials = shown ? found.flatMap((one) => one.trial ? [one.trial] : []) : [];
+        if (shown)
+            [scene.push, scene.point] = [shown.push_s, shown.point_s];
+        const fresh = shown ? `${shown.began}` : "";
         if (fresh !== got) {
             got = fresh;
             seek(0);
         }
-        const until = mine ? now.duration_s : 8;
+        const until = shown ? shown.duration_s : 8;
         slider.max = String(until);
         slider.disabled = play.disabled = !scene.trials.some((one) => one.time_s);
         const lines = scene.trials.filter((one) => one.time_s).map((one) => ({ one, tint: tintOfTrial(one), thin: one.drawn }));
@@ -204,7 +225,7 @@ export function rehearse(place, at) {
     element.addEventListener("keydown", (event) => {
         if (!scene.beam || event.ctrlKey || event.metaKey)
             return;
-        const far = scene.beam.length_m * (event.shiftKey ? 0.05 : event.altKey ? 0.001 : 0.01), [x, y] = form.values.goal_m;
+        const far = scene.beam.length_m * (event.shiftKey ? 0.05 : event.altKey ? 0.001 : 0.01), [x, y] = scene.goal;
         const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
         if (way)
             form.goal = [x + far * way[0], y + far * way[1]];
