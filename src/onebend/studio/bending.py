@@ -18,16 +18,14 @@ from onebend.errors import StudioError
 from onebend.records import Array
 from onebend.results.model import StoredModel, read_model
 from onebend.studio.commands import hand_line, reach_line
-from onebend.studio.mapping import ellipse_of, pushed_beam
+from onebend.studio.mapping import BEGIN_TURN, LARGEST_TIMES, bending_force, ellipse_of, pushed_beam
 
 PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
 Mode = Literal["point", "hand"]
-_BEGIN_TURN = 0.35  # rad, about, by which the tip is turned when a beam is opened
 _NEAREST = 1e-6  # s: nearer to the clamp a force bends nothing
 _STRONGEST = 1e6  # N
 _SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # of the force, and N: so near the shown command comes to it
 _SAME_PLACE = 1e-10  # m: about as near as a place that `onebend reach` finds on its own grid is to the one here
-_LARGEST_TIMES = 2.0  # the first bound on the force, times k / L^2 of the softest place
 
 
 @dataclass
@@ -55,11 +53,10 @@ class Bending:
         """The beam in a results folder. Raises `ResultsError`, `ControlError` where it cannot be bent."""
         stored = read_model(folder)
         beam = stored.beam
-        s = np.linspace(0.0, 1.0, 201)
-        yields = float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s))))
+        force = bending_force(beam)
         text = json.dumps(beam.as_dict(), sort_keys=True)
-        one = Bending(model, stored, text, _round(_LARGEST_TIMES / (yields * beam.length)))
-        one.point.under((0.0, 0.5 * _BEGIN_TURN / (yields * beam.length)))
+        one = Bending(model, stored, text, _round(LARGEST_TIMES * force))
+        one.point.under((0.0, 0.5 * BEGIN_TURN * force))
         return one
 
     @property

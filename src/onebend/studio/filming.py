@@ -6,9 +6,7 @@ import asyncio
 import base64
 import contextlib
 import json
-import os
 import re
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -16,10 +14,10 @@ from typing import Any
 
 from onebend.errors import OnebendError, StudioError
 from onebend.studio.commands import plain_word, record_line
+from onebend.studio.jobs import asked_number, begun
 from onebend.studio.places import RECORDING, StudioFolder, is_file
 
 _PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
-_LONGEST_LINE = 2**22  # bytes: a picture is in it
 _KEPT = 8  # pictures
 _LONGEST_SPEC = 1000
 _FILES = ("film", "log", "csv", "bag")  # kinds of sources that are files
@@ -91,17 +89,7 @@ class RecorderProcess:
             raise StudioError(f"{self.made.wanted['out']} is being recorded. Stop it, or wait")
         self.made = made = MadeRecording(wanted)
         self._pictures.clear()
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self._process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            *("-m", "onebend.studio.recorder"),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.DEVNULL,
-            limit=_LONGEST_LINE,
-            start_new_session=True,  # it ends when it is told to, not when the terminal is
-            env=environment,
-        )
+        self._process = await begun("recorder")
         self._write(json.dumps(wanted))
         self._task = asyncio.create_task(self._follow(made, self._process))
         self._changed()
@@ -192,15 +180,16 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
     for spec in (camera, force):
         check_source(places, spec)
     flags = {key: asked.get(key) is True for key in ("now", "no_learning", "fast", "overwrite")}
+    until = asked.get("until_percent")
     wanted = {
         "folder": str(places.root),
         "out": plain_word(out),
         "like": plain_word(like),
         "camera": camera,
         "force": force,
-        "until_percent": None if asked.get("until_percent") is None else _number(asked, "until_percent", 0, 0.01, 100),
-        "longest_s": _number(asked, "longest_s", 600.0, 1.0, 1e5),
-        "crf": round(_number(asked, "crf", 18.0, 0.0, 40.0)),
+        "until_percent": None if until is None else asked_number(asked, "until_percent", 0.01, 100.0, 100.0),
+        "longest_s": asked_number(asked, "longest_s", 1.0, 1e5, 600.0),
+        "crf": round(asked_number(asked, "crf", 0.0, 40.0, 18.0)),
         **flags,
     }
     return {**wanted, "command": record_line(wanted)}
@@ -260,10 +249,3 @@ def _text(asked: Mapping[str, Any], key: str) -> str:
     if not isinstance(found, str) or len(found) > _LONGEST_SPEC or not found.isprintable():
         raise StudioError(f"{key}: give it as text, in at most {_LONGEST_SPEC} characters")
     return found.strip()
-
-
-def _number(asked: Mapping[str, Any], key: str, default: float, low: float, high: float) -> float:
-    found = asked.get(key, default)
-    if isinstance(found, bool) or not isinstance(found, int | float) or not low <= found <= high:
-        raise StudioError(f"{key}: a number from {low:g} to {high:g}")
-    return float(found)

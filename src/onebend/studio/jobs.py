@@ -80,17 +80,7 @@ class Jobs:
         if self.job is not None and self.job.state in ("running", "stopping"):
             raise StudioError(f"another runs: {self.job.wanted['command']}. Stop it, or wait")
         self.job = Job(wanted)
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self._process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            *("-m", f"onebend.studio.{self.module}"),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.DEVNULL,
-            limit=_LONGEST_LINE,
-            start_new_session=True,  # it ends when it is told to, not when the terminal is
-            env=environment,
-        )
+        self._process = await begun(self.module)
         assert self._process.stdin is not None
         self._process.stdin.write((json.dumps(wanted) + "\n").encode())
         self._process.stdin.close()
@@ -129,6 +119,28 @@ class Jobs:
         else:
             job.state, job.error = "failed", job.error or f"the process ended with {code}"
         self.changed()
+
+
+async def begun(module: str) -> asyncio.subprocess.Process:
+    """The module of this folder as a process of its own, which is told and tells what it does by lines."""
+    return await asyncio.create_subprocess_exec(
+        sys.executable,
+        *("-m", f"onebend.studio.{module}"),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        limit=_LONGEST_LINE,
+        start_new_session=True,  # it ends when it is told to, not when the terminal is
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
+
+
+def asked_number(asked: Mapping[str, Any], key: str, least: float, most: float, usual: float) -> float:
+    """A number that the page asks for, `usual` where it says none. Raises `StudioError` where it is out of range."""
+    found = asked.get(key, usual)
+    if isinstance(found, bool) or not isinstance(found, int | float) or not least <= found <= most:
+        raise StudioError(f"{key}: a number from {least:g} to {most:g}")
+    return float(found)
 
 
 class Lines:

@@ -24,6 +24,14 @@ from onebend.errors import ControlError
 from onebend.records import Array
 
 DRAWS = 200  # beams from the band, for the ellipse of a point that rests
+BEGIN_TURN = 0.35  # rad, about, by which the tip is turned to begin with
+LARGEST_TIMES = 2.0  # times `bending_force`: what a force is bounded by where nobody says it
+
+
+def bending_force(beam: Beam) -> float:
+    """N, across the tip: would turn it by about a radian if the turn grew in proportion."""
+    s = np.linspace(0.0, 1.0, 201)
+    return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
 
 
 @lru_cache(maxsize=4)

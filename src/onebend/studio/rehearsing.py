@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.model import Beam
 from onebend.beam.statics.rod import has_mass
 from onebend.control.loop.controller import Controller, controller
 from onebend.control.loop.robustness import (
@@ -30,14 +29,13 @@ from onebend.control.loop.simulation import AXIS_PLACES, LoopCamera
 from onebend.errors import StudioError
 from onebend.results.model import read_model
 from onebend.studio.commands import loop_line
-from onebend.studio.jobs import process, tell
+from onebend.studio.jobs import asked_number, process, tell
+from onebend.studio.mapping import BEGIN_TURN, LARGEST_TIMES, bending_force
 from onebend.studio.places import StudioFolder
 from onebend.terminal.looping import trial_name
 
 MOST_MOMENTS = 600  # of one beam that are shown
 MOST_DRAWN = 8  # beams on one picture
-_BEGIN_TURN = 0.35  # rad, about, by which the tip is turned at the first goal
-_LARGEST_TIMES = 2.0  # times `bending_force`: what is shown of the reachable set where the force has no bound
 FORCES = (1e-6, 1e6)  # N
 NUMBERS = {  # what may be asked for: least, most, and what is taken where nothing is said
     "push_s": (0.05, 1.0, 1.0),
@@ -57,7 +55,7 @@ def beam_data(name: str, folder: Path) -> dict[str, Any]:
     """
     stored = read_model(folder)
     beam = stored.beam
-    force = _BEGIN_TURN * bending_force(beam)
+    force = BEGIN_TURN * bending_force(beam)
     return {
         "name": name,
         "length_m": beam.length,
@@ -69,21 +67,15 @@ def beam_data(name: str, folder: Path) -> dict[str, Any]:
     }
 
 
-def bending_force(beam: Beam) -> float:
-    """N, across the tip: would turn it by about a radian if the turn grew in proportion."""
-    s = np.linspace(0.0, 1.0, 201)
-    return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
-
-
 def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, float, float, float]:
     """Of what the map of the reachable set is made: the beam as JSON, the two places, the largest force [N].
 
     Raises `StudioError` where the page asked for what has no meaning.
     """
     beam = read_model(places.result(str(asked.get("model", "")))).beam
-    push_s, point_s = (_number(asked, key, *NUMBERS[key]) for key in ("push_s", "point_s"))
+    push_s, point_s = (asked_number(asked, key, *NUMBERS[key]) for key in ("push_s", "point_s"))
     most = asked.get("max_force_N")
-    bound = _LARGEST_TIMES * bending_force(beam) if most is None else _number(asked, "max_force_N", *FORCES, 1.0)
+    bound = LARGEST_TIMES * bending_force(beam) if most is None else asked_number(asked, "max_force_N", *FORCES, 1.0)
     return json.dumps(beam.as_dict(), sort_keys=True), push_s, point_s, bound
 
 
@@ -94,24 +86,17 @@ def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any
     goal = asked.get("goal_m")
     if not isinstance(goal, list) or len(goal) != 2:
         raise StudioError("a goal is (x, y) in m")
-    wanted: dict[str, Any] = {key: _number(asked, key, *bounds) for key, bounds in NUMBERS.items()}
-    draws = int(_number(asked, "draws", 0, MOST_DRAWN, 0))
+    wanted: dict[str, Any] = {key: asked_number(asked, key, *bounds) for key, bounds in NUMBERS.items()}
+    draws = int(asked_number(asked, "draws", 0, MOST_DRAWN, 0))
     most = asked.get("max_force_N")
     wanted |= {
         "folder": str(places.root),
         "model": model,
-        "goal_m": [_number({"goal": one}, "goal", -1e3, 1e3, 0.0) for one in goal],
+        "goal_m": [asked_number({"goal": one}, "goal", -1e3, 1e3, 0.0) for one in goal],
         "draws": draws,
-        "max_force_N": None if most is None else _number(asked, "max_force_N", *FORCES, 1.0),
+        "max_force_N": None if most is None else asked_number(asked, "max_force_N", *FORCES, 1.0),
     }
     return {**wanted, "command": loop_line(wanted)}
-
-
-def _number(asked: Mapping[str, Any], key: str, least: float, most: float, usual: float) -> float:
-    value = asked.get(key, usual)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-        raise StudioError(f"{key} is a number from {least:g} to {most:g}")
-    return float(value)
 
 
 def work(wanted: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ from starlette.types import ASGIApp
 
 from onebend.errors import OnebendError, StudioError
 from onebend.strict_json import to_json
-from onebend.studio.commands import learn_line
+from onebend.studio.commands import learn_line, plain_word
 from onebend.studio.desk import Desk
 from onebend.studio.filming import sources_data, wanted_recording
 from onebend.studio.guard import Guard
@@ -227,7 +227,7 @@ def _names(asked: dict[str, Any], key: str) -> list[str]:
     found = asked.get(key, [])
     if not isinstance(found, list) or len(found) > _MOST_RECORDINGS or not all(isinstance(one, str) for one in found):
         raise StudioError(f"{key}: give names of recordings")
-    return [one if not one.startswith("-") else f"./{one}" for one in found]
+    return [plain_word(one) for one in found]
 
 
 def opened_socket(port: int) -> socket.socket:

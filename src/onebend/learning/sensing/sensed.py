@@ -18,7 +18,7 @@ from onebend.learning.sensing.two import TwoContacts
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
 TOO_FAR, UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which no force explains the shapes
-SURE = 1.96  # sds
+WIDE = 1.96  # sds of a 95 % band
 FROM_PRIOR = 0.25  # share of a variance left by the data from which it is said
 
 
@@ -185,7 +185,7 @@ class Sensed:
             return None
         size = np.hypot(*self.force.T)
         sd = np.sqrt(np.einsum("tc,tcd,td->t", self.force, self.covariance, self.force)) / np.maximum(size, 1e-300)
-        return int(np.nanargmax(np.where(inside & self.touched, size - SURE * sd, np.nan)))
+        return int(np.nanargmax(np.where(inside & self.touched, size - WIDE * sd, np.nan)))
 
     @property
     def against_log(self) -> tuple[float, float] | None:

@@ -7,11 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.learning.sensing.search import TOUCH
-from onebend.learning.sensing.sensed import Sensed
+from onebend.learning.sensing.sensed import WIDE, Sensed
 from onebend.records import Array
 from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, styled
 
-_WIDE = 1.96  # sds of a 95 % band
 _FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
 _ELLIPSES = 7  # frames of a contact that are drawn
@@ -34,7 +33,7 @@ def sensing(found: Sensed) -> Figure:
         _component(axes, found, c, name, colour)
     x.set_title("Force from the shape, 95 % bands")
     x.legend(loc="upper left", ncols=3)
-    low, high = found.place - _WIDE * found.place_sd, found.place + _WIDE * found.place_sd
+    low, high = found.place - WIDE * found.place_sd, found.place + WIDE * found.place_sd
     shown = found.touched
     place.fill_between(found.time, low, high, where=shown, color=ORANGE, alpha=0.25, lw=0.0)
     place.plot(found.time, np.where(shown, found.place, np.nan), color=ORANGE)
@@ -47,13 +46,13 @@ def sensing(found: Sensed) -> Figure:
             axes.axvspan(one.first, one.last, color=MUTED, alpha=0.08, lw=0.0)
             for edge in (one.begin, one.end):
                 if np.isfinite(edge.sd):
-                    half = _WIDE * edge.sd
+                    half = WIDE * edge.sd
                     axes.axvspan(edge.time - half, edge.time + half, color=ORANGE, alpha=0.2, lw=0.0)
     return figure
 
 
 def _band(axes: Axes, time: Array, middle: Array, sd: Array, name: str) -> None:
-    axes.fill_between(time, middle - _WIDE * sd, middle + _WIDE * sd, color=ORANGE, alpha=0.25, lw=0.0)
+    axes.fill_between(time, middle - WIDE * sd, middle + WIDE * sd, color=ORANGE, alpha=0.25, lw=0.0)
     axes.plot(time, middle, color=ORANGE)
     axes.set_ylabel(name)
 
@@ -66,11 +65,11 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
         axes.fill_between(
             found.time, 0.0, 1.0, where=weak, transform=across, label=shaded, color=FAINT, alpha=0.7, lw=0.0
         )
-    axes.fill_between(found.time, middle - _WIDE * sd, middle + _WIDE * sd, color=colour, alpha=0.25, lw=0.0)
+    axes.fill_between(found.time, middle - WIDE * sd, middle + WIDE * sd, color=colour, alpha=0.25, lw=0.0)
     axes.plot(found.time, middle, color=colour, label="from the shape")
     if found.smoothed is not None:
         smooth, spread = found.smoothed.force[:, c], np.sqrt(found.smoothed.covariance[:, c, c])
-        low, high = smooth - _WIDE * spread, smooth + _WIDE * spread
+        low, high = smooth - WIDE * spread, smooth + WIDE * spread
         axes.fill_between(found.time, low, high, color=ORANGE, alpha=0.35, lw=0.0)
         axes.plot(found.time, smooth, color=ORANGE, lw=1.0, label="smoothed")
     axes.plot(found.time, found.logged[:, c], "--", color=INK, lw=1.0, label="log")
