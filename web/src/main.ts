@@ -23,7 +23,7 @@ async function show(): Promise<void> {
     if (link.dataset.room === room) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
-  if (shown === room) return;
+  if (shown === room && !location.hash.includes("?")) return;  // its own link; an address that says more is gone to
   shown = room;
   leave();
   place.replaceChildren();

@@ -19,7 +19,7 @@ async function show() {
         else
             link.removeAttribute("aria-current");
     }
-    if (shown === room)
+    if (shown === room && !location.hash.includes("?"))
         return;
     shown = room;
     leave();
