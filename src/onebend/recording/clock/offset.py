@@ -30,6 +30,8 @@ from onebend.recording.clock.span_moments import make_moments
 from onebend.recording.signals import bandwidth
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
 
+APART = 0.15  # s: estimates of the offset that are farther apart are each looked at closely
+
 
 @dataclass(frozen=True)
 class ClockSettings:
@@ -148,18 +150,18 @@ def matched(
     moments = None
     if push_s is not None:
         moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
-    if moments is None:  # the same with an error that changes with the load; the data say which it is
-        which = int(np.argmax([search.log_posterior.max() for search in searches]))
-        stepped = tracks(markers, push_s, settings, settings.steps)[which]
-        searches.append(coarse_search(stepped, rows, coarse, prior))
-    searches = [search for search in searches if np.isfinite(search.log_posterior).any()]
+    which = int(np.argmax([search.log_posterior.max() for search in searches]))
+    stepped = coarse_search(tracks(markers, push_s, settings, settings.steps)[which], rows, coarse, prior)
+    searches = [search for search in (*searches, stepped) if np.isfinite(search.log_posterior).any()]
     if not searches:
         return None
     best = max(searches, key=lambda search: float(search.log_posterior.max()))
     offset, sd = refined(best, rows, coarse, prior)
     if moments is not None:
         few = thinned(rows, max(4 * rate, settings.sharp_rows / (moments.track.duration + settings.hold)))
-        sharp = offset_from_moments(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
+        firsts = [offset, *(float(coarse[int(np.argmax(search.log_posterior))]) for search in searches)]
+        far = [one for i, one in enumerate(firsts) if all(abs(one - other) > APART for other in firsts[:i])]
+        sharp = offset_from_moments(moments, few, likely_span(searches, coarse, offset, low, high), far, prior)
         if sharp is not None:
             return sharp
     if best is searches[-1] and len(searches) > len(feature_tracks):
