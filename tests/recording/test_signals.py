@@ -75,7 +75,7 @@ def test_low_pass_keeps_slow_and_its_time_and_takes_fast(jitter: float) -> None:
     assert np.abs(at_cutoff).max() == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize("cutoff", [0.2, 3.0, 200.0])
+@pytest.mark.parametrize("cutoff", [0.2, 3.0, 190.0])
 def test_low_pass_is_the_filter_of_scipy(cutoff: float) -> None:
     time, values = np.arange(5000) / 500.0, 30.0 + np.cumsum(np.random.default_rng(0).normal(size=(5000, 2)), axis=0)
     sections, pad = butter(2, 2.0 * cutoff / 500.0, output="sos"), min(4999, int(2.0 * 500.0 / cutoff))
