@@ -43,7 +43,8 @@ WHOLE = "        if i % 10 == 0: detect(numpy.ascontiguousarray(picture))\n"
 PARTS = """
         for tag in tags[numpy.isfinite(tags).all(axis=(1, 2))]:
             beside = 0.25 * numpy.ptp(tag, axis=0).max()
-            (x, y), (right, below) = numpy.array([tag.min(axis=0) - beside, tag.max(axis=0) + beside]).clip(0).astype(int)
+            ends = numpy.array([tag.min(axis=0) - beside, tag.max(axis=0) + beside])
+            (x, y), (right, below) = ends.clip(0).astype(int)
             detect(numpy.ascontiguousarray(picture[y:below, x:right]))
 """
 # What each does, and that of which it is more
