@@ -93,7 +93,7 @@ class Evidence:
 
         def of(z: Array) -> float:
             sizes = self.hyperparameters_at(start, z)
-            roots = [BlockRoot(np.zeros(0)) if e is None else _error_root(e, sizes) for e in errors]
+            roots = each(partial(_error_root, sizes=sizes), errors)
             try:
                 told = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
@@ -115,7 +115,9 @@ class Evidence:
         return np.asarray(np.log(_chosen(hyperparameters) / _chosen(self.problem.expected)) / SPREAD)
 
 
-def _error_root(error: ForceError, sizes: Hyperparameters) -> BlockRoot:
+def _error_root(error: ForceError | None, sizes: Hyperparameters) -> BlockRoot:
+    if error is None:
+        return BlockRoot(np.zeros(0))
     of_axis = error.root(*(getattr(sizes, name) for name in CHOSEN))
     count = 2 * len(of_axis)
     return BlockRoot(np.ones(count), tuple((np.arange(axis, count, 2), of_axis) for axis in range(2)))

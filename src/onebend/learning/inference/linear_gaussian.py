@@ -52,6 +52,10 @@ class ResidualRows:
         """(F, R): what a step (C,) of the parameters does to the rows."""
         return np.asarray(self.root_weight * self.whitened.times(step))
 
+    def onto_parameters(self, v: Array) -> Array:
+        """(n, C) `v' J` of rows v (F, R, n)."""
+        return self.whitened.transposed_times(self.root_weight[..., None] * v).T
+
     @cached_property
     def a(self) -> Array:
         """(F, R, 2) with the frame's force."""

@@ -72,6 +72,14 @@ class Slopes:
         error = self.weights @ step[count:].reshape(-1, 2) @ self.axes.T
         return np.asarray(self.j @ step[:count] - np.einsum("t...d,td->t...", self.a, error))
 
+    def transposed_times(self, v: Array) -> Array:
+        """(C, n): what n sets of R numbers a frame, v (F, R, n), have with each parameter."""
+        frames, n = len(v), v.shape[-1]
+        of_parameters = self.j.reshape(-1, self.j.shape[-1]).T @ v.reshape(-1, n)
+        by_error = -self.axes.T @ (np.swapaxes(self.a, 1, 2) @ v)  # (F, 2, n)
+        of_knots = (self.weights.T @ by_error.reshape(frames, -1)).reshape(-1, n)
+        return np.concatenate([of_parameters, of_knots])
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -84,6 +92,7 @@ class Prediction:
     pose: Array  # (F, m, 3)
     force: Array  # (F, 2) N, the corrected force, `own` with it
     own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
+    nearby: Slopes | None = None  # whitened ones of shapes so near that they do for these as well
 
     @property
     def slopes(self) -> Slopes:
@@ -93,6 +102,8 @@ class Prediction:
     @cached_property
     def whitened_slopes(self) -> Slopes:
         """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
+        if self.nearby is not None:
+            return self.nearby
         whiten, shapes = self.recording.whiten, replace(self.solved, problem=replace(self.solved.problem))
         slopes = replace(self, solved=shapes).slopes  # what is worked out of the shapes on the way is not kept
         return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a))
@@ -107,8 +118,10 @@ class Prediction:
         return Slopes(a[..., :0], a, np.eye(2), np.zeros((frames, 0)))
 
     def release(self) -> None:
-        """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for."""
+        """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for, and
+        then its own ones."""
         self.__dict__.pop("whitened_slopes", None)
+        self.__dict__["nearby"] = None
 
 
 def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
