@@ -36,6 +36,7 @@ from onebend.learning.inference.stiffness_prior import (
 )
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import ForceError
+from onebend.own_pages import in_own_pages
 from onebend.records import Array, IntArray
 from onebend.workers import each
 
@@ -155,7 +156,7 @@ def averaged_posterior(
     nodes, weights = _cubature(evidence, hyperparameters)
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
-    pairs, forms, mean = [np.zeros((len(index), len(index))) for index in known], [], np.zeros(len(best))
+    pairs, forms, mean = [in_own_pages(np.zeros((len(i), len(i)))) for i in known], [], np.zeros(len(best))
 
     def add(pair: Array, number: int, index: IntArray, posterior: Solved, weight: float) -> None:
         away = (posterior.mean - best)[index]

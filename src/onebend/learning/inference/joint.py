@@ -19,6 +19,7 @@ from onebend.learning.inference.block_root import BlockRoot, beside, unit_root
 from onebend.learning.inference.fit_problem import Prior
 from onebend.learning.inference.information_form import InformationForm, in_z, total
 from onebend.learning.inference.joint_covariance import JointCovariance
+from onebend.own_pages import in_own_pages
 from onebend.records import Array, IntArray
 from onebend.workers import each
 
@@ -75,7 +76,7 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
     information, vector = form.matrix[kept:, kept:], form.vector[kept:]
     inside = root.around(information)
     inside[np.diag_indices(len(inside))] += 1.0 + damping
-    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
+    factor = in_own_pages(np.asarray(np.linalg.cholesky(inside), dtype=float))
     cross = form.matrix[kept:, :kept]
     across = _lower(factor, root.transposed_times(cross))
     white = _lower(factor, root.transposed_times(vector - information @ mean))
@@ -209,7 +210,8 @@ def own_in_z(form: InformationForm, before: Prior, number: int) -> InformationFo
     once."""
     part, shared = before.parts[1 + number], before.parts[0].stop
     mean = np.concatenate([np.zeros(shared), before.mean[part]])
-    return in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
+    own = in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
+    return replace(own, matrix=in_own_pages(own.matrix))
 
 
 def prior_in_own_z(before: Prior) -> Prior:

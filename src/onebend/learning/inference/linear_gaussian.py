@@ -27,6 +27,7 @@ from onebend.learning.model.force_error import ForceError
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.readings import whitened
+from onebend.own_pages import in_own_pages
 from onebend.records import Array
 from onebend.workers import each
 
@@ -247,7 +248,8 @@ def data_information(
     """Log likelihood of all tags, rests and frequencies."""
 
     def of(number: int, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
-        return recording_information(problem, number, r, x, noise)
+        form = recording_information(problem, number, r, x, noise)
+        return replace(form, matrix=in_own_pages(form.matrix))
 
     return JointInformation(each(of, range(len(rows)), rows, hyperparameters.noise), problem.layout.parts)
 

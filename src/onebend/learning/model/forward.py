@@ -40,6 +40,7 @@ from onebend.learning.model.tag_jacobian import (
     put_tags,
     response_columns,
 )
+from onebend.own_pages import in_own_pages
 from onebend.records import Array, IntArray
 
 
@@ -130,7 +131,7 @@ class Prediction:
         whiten, shapes = self.recording.whiten, replace(self.solved, problem=replace(self.solved.problem))
         slopes = replace(self, solved=shapes).slopes  # what is worked out of the shapes on the way is not kept
         added = None if slopes.added is None else whitened(whiten, slopes.added)
-        return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a), added=added)
+        return replace(slopes, j=in_own_pages(whitened(whiten, slopes.j)), a=whitened(whiten, slopes.a), added=added)
 
     @property
     def whitened_by_force(self) -> Slopes:
