@@ -13,7 +13,7 @@ DEEPEST = 2  # folders under src/onebend
 
 # From the lowest floor up. A name is a folder, or a module, of the layer.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("errors", "progress", "blas", "lazy", "workers", "strict_json", "escaping", "own_pages"),
+    ("errors", "progress", "blas", "lazy", "workers", "strict_json", "escaping"),
     ("text_files",),
     ("records", "files", "crash"),
     ("beam",),

@@ -1,14 +1,15 @@
-"""Work that threads share: its order, its results to the bit, and a piece that fails."""
+"""Work that threads share: its order, its results to the bit, a piece that fails; arrays in pages of their own."""
 
 from __future__ import annotations
 
+import mmap
 import threading
 
 import numpy as np
 import pytest
 
 from onebend import workers
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 
 def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,3 +45,24 @@ def test_a_piece_that_fails_ends_all_and_leaves_no_thread(
     with pytest.raises(failure):
         each(work, range(10))
     assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_large_array_is_copied_as_it_is_to_pages_that_go_with_it(turned: bool) -> None:
+    array = np.random.default_rng(1).standard_normal((300, 200))
+    array = array.T if turned else array
+    out = in_own_pages(array)
+    np.testing.assert_array_equal(out, array)
+    assert out.flags.f_contiguous == array.flags.f_contiguous
+    assert not np.shares_memory(out, array)
+    base: object = out
+    while isinstance(base, np.ndarray):
+        base = base.base
+    assert isinstance(base.obj if isinstance(base, memoryview) else base, mmap.mmap)
+    out[0, 0] = 7.0
+    assert out[0, 0] == 7.0
+
+
+def test_a_small_array_stays_where_it_is() -> None:
+    array = np.zeros((100, 100))
+    assert in_own_pages(array) is array

@@ -184,14 +184,13 @@ def descend(
     damping, enough, little = _FIRST_DAMPING / many**2, many * tolerance**2, many * max(_LITTLE, tolerance**2)
     for _ in range(most_steps):
         here = _Linearised(problem, estimate, before, rows_of(estimate))
-        kept = [p for p in estimate.predictions if p.nearby is not None]
+        kept = any(p.nearby is not None for p in estimate.predictions)
         found = None if here.gain < enough else _lowered(here, damping)
         if found is None and not kept:
             return replace(estimate, converged=here.gain < max(enough, _ROUNDING))
         if found is None:
             del here
-            for prediction in kept:
-                prediction.release()
+            _release_kept(estimate)
             continue
         tried, gained, damping = found
         settled = here.gain < _ROUNDING and gained < little
@@ -202,8 +201,15 @@ def descend(
         estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
         if settled and not kept:
             return replace(estimate, converged=True)
-    release(estimate)
+    _release_kept(estimate)
     return replace(estimate, converged=False)
+
+
+def _release_kept(estimate: MapEstimate) -> None:
+    """Forget the derivatives of shapes near by, so that those of the recordings' own are worked out."""
+    for prediction in estimate.predictions:
+        if prediction.nearby is not None:
+            prediction.release()
 
 
 def _lowered(here: _Linearised, damping: float) -> tuple[MapEstimate, float, float] | None:

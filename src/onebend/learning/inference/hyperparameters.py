@@ -36,9 +36,8 @@ from onebend.learning.inference.stiffness_prior import (
 )
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import ForceError
-from onebend.own_pages import in_own_pages
 from onebend.records import Array, IntArray
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
 # One sd of their logs. The coloured noise behind the filter is known to a factor of two in size and two and a half in

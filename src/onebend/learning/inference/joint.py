@@ -19,9 +19,8 @@ from onebend.learning.inference.block_root import BlockRoot, beside, unit_root
 from onebend.learning.inference.fit_problem import Prior
 from onebend.learning.inference.information_form import InformationForm, in_z, total
 from onebend.learning.inference.joint_covariance import JointCovariance
-from onebend.own_pages import in_own_pages
 from onebend.records import Array, IntArray
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 
 @dataclass(frozen=True)

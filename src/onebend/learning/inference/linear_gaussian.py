@@ -27,9 +27,8 @@ from onebend.learning.model.force_error import ForceError
 from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.readings import whitened
-from onebend.own_pages import in_own_pages
 from onebend.records import Array
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
 _REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests

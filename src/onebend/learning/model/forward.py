@@ -40,8 +40,8 @@ from onebend.learning.model.tag_jacobian import (
     put_tags,
     response_columns,
 )
-from onebend.own_pages import in_own_pages
 from onebend.records import Array, IntArray
+from onebend.workers import in_own_pages
 
 
 @dataclass(frozen=True)
