@@ -49,7 +49,7 @@ def test_a_piece_that_fails_ends_all_and_leaves_no_thread(
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_large_array_is_copied_as_it_is_to_pages_that_go_with_it(turned: bool) -> None:
-    array = np.random.default_rng(1).standard_normal((300, 200))
+    array = np.random.default_rng(1).standard_normal((400, 300))
     array = array.T if turned else array
     out = in_own_pages(array)
     np.testing.assert_array_equal(out, array)

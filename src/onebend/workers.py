@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 Result = TypeVar("Result")
 _WORTH_THREADS = 4  # pieces of work: for fewer, threads are not worth their start
-_WORTH_PAGES = 1 << 18  # bytes: a smaller array stays where it is
+_WORTH_PAGES = 1 << 19  # bytes: a smaller array stays where it is
 
 
 def available_cores() -> int:

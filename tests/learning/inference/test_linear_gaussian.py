@@ -43,7 +43,7 @@ def rows_of(keys: tuple[int, ...]) -> tuple[ResidualRows, Array]:
 def test_what_tags_say_is_that_of_every_column_written(keys: tuple[int, ...]) -> None:
     rows, written = rows_of(keys)
     j, rng = rows.root_weight[..., None] * written, np.random.default_rng(4)
-    x, v = rng.standard_normal(j.shape[-1]), rng.standard_normal((FRAMES, NUMBERS, 3))
+    x, v = rng.standard_normal((j.shape[-1],)), rng.standard_normal((FRAMES, NUMBERS, 3))
     np.testing.assert_allclose(rows.moved_by(x), j @ x)
     np.testing.assert_allclose(rows.onto_parameters(v), np.einsum("frn,frc->nc", v, j), atol=1e-12)
     s = NOISE.marker**2 * np.eye(NUMBERS) + NOISE.force**2 * rows.a @ np.swapaxes(rows.a, 1, 2)

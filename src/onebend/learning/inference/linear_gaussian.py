@@ -163,8 +163,8 @@ def _with_knots(slopes: Slopes, dense: Array, by_push: Array, of_push: Array) ->
     own = slopes.onto_knots(by_push)  # (2 K, D)
     across = own + slopes.onto_knots(dense[count:].reshape(len(keys), 2, len(dense)), keys)
     pairs = slopes.weights[:, :, None] * (slopes.axes.T @ of_push @ slopes.axes).reshape(-1, 1, 4)
-    of_knots = (slopes.weights.T @ pairs.reshape(len(pairs), 4 * k)).reshape(k, k, 2, 2)
-    of_knots = of_knots.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
+    by_axes = (slopes.weights.T @ pairs.reshape(len(pairs), 4 * k)).reshape(k, k, 2, 2)
+    of_knots = by_axes.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
     if len(keys):
         first, second = (slopes.onto_knots(m[:, count:].T.reshape(len(keys), 2, 2 * k), keys) for m in (across, own))
         of_knots = of_knots + first.T + second
