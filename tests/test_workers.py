@@ -1,38 +1,68 @@
-"""What the processes that work ask of the system."""
+"""Work that threads share: its order, its results to the bit, a piece that fails; arrays in pages of their own."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import mmap
+import threading
 
+import numpy as np
 import pytest
 
-from onebend.workers import keep_freed_memory
-
-FAULTS = """
-import resource, sys
-from onebend.workers import keep_freed_memory
-if sys.argv[1] == "kept":
-    assert keep_freed_memory()
-def work():
-    return sum(map(len, [bytes([i]) * 4_000_000 for i in range(1, 9)]))
-work()
-before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-work(), work(), work()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
-"""
+from onebend import workers
+from onebend.workers import each, in_own_pages
 
 
-def faults(way: str) -> int:
-    """Pages that the system clears while eight times 4 MB are taken and left free, three times."""
-    return int(subprocess.run([sys.executable, "-c", FAULTS, way], check=True, capture_output=True).stdout)
+def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    matrices, seen = np.random.default_rng(1).standard_normal((20, 40, 40)), set()
+
+    def work(number: int, matrix: np.ndarray) -> tuple[int, np.ndarray]:
+        seen.add(threading.get_ident())
+        return number, np.linalg.inv(matrix) @ matrix.T
+
+    every = []
+    for cores in (1, 2, 5):
+        monkeypatch.setattr(workers, "available_cores", lambda cores=cores: cores)
+        seen.clear()
+        every.append(each(work, range(20), matrices))
+        assert (seen == {threading.get_ident()}) == (cores == 1)
+    for one in every[1:]:
+        assert [number for number, _ in one] == list(range(20))
+        assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(every[0], one, strict=True))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="glibc's own allocator is asked")
-def test_memory_left_free_is_taken_again() -> None:
-    assert faults("kept") < 0.2 * faults("given back")
+@pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt])
+def test_a_piece_that_fails_ends_all_and_leaves_no_thread(
+    failure: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "available_cores", lambda: 2)
+    before = threading.active_count()
+
+    def work(number: int) -> int:
+        if number == 3:
+            raise failure
+        return number
+
+    with pytest.raises(failure):
+        each(work, range(10))
+    assert threading.active_count() == before
 
 
-def test_other_systems_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert not keep_freed_memory()
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_large_array_is_copied_as_it_is_to_pages_that_go_with_it(turned: bool) -> None:
+    array = np.random.default_rng(1).standard_normal((400, 300))
+    array = array.T if turned else array
+    out = in_own_pages(array)
+    np.testing.assert_array_equal(out, array)
+    assert out.flags.f_contiguous == array.flags.f_contiguous
+    assert not np.shares_memory(out, array)
+    base: object = out
+    while isinstance(base, np.ndarray):
+        base = base.base
+    assert isinstance(base.obj if isinstance(base, memoryview) else base, mmap.mmap)
+    out[0, 0] = 7.0
+    assert out[0, 0] == 7.0
+
+
+def test_a_small_array_stays_where_it_is() -> None:
+    array = np.zeros((100, 100))
+    assert in_own_pages(array) is array

@@ -238,10 +238,7 @@ class Command(TyperCommand):
         self.place = place
 
     def loaded(self) -> Any:
-        """The command itself. It works with one BLAS thread, and keeps the memory that it frees."""
-        from onebend.workers import keep_freed_memory  # here: what says its version or its help has no use for it
-
-        keep_freed_memory()
+        """The command itself. It works with one BLAS thread."""
         module = import_module(f"onebend.cli.{self.place.module}")
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))

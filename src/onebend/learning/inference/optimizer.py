@@ -180,8 +180,7 @@ def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
 def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
     """Noise of every recording from its residuals, then all else by the evidence."""
     hyperparameters, rows = estimate.hyperparameters, rows_of(estimate)
-    every = zip(problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows), strict=True)
-    noise = tuple(new_noise(*one) for one in every)
+    noise = each(new_noise, problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows))
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
