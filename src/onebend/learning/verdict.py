@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.criticism.criticism import Finding
-from onebend.learning.criticism.push_place import FAR, moved_off
+from onebend.learning.criticism.push_place import FAR, LIKELIER, moved_off
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
@@ -102,6 +102,12 @@ def _elsewhere(posterior: Posterior) -> list[Remark]:
             f"the push acts {where}, as tags and force say, not at {found.written:.3g}: k(s) is NOT TO BE TRUSTED. "
             "With the push there, a far simpler k(s) explains the recording. Measure the place, and correct at_s in "
             "[push]"
+        )
+        return [Remark("warning", text, about="push place")]
+    if found.mistaken > LIKELIER:
+        text = (
+            f"the push acts {where} more likely than at {found.written:.3g}, as tags and force say; k(s) goes by its "
+            "way from there, and the band holds all of that. Measure the place, and correct at_s in [push]"
         )
         return [Remark("warning", text, about="push place")]
     text = (
