@@ -253,8 +253,8 @@ def fit(
     It begins at the stiffness `start` [N m]; None: at that of the uniform beam that is nearest to the tags.
 
     Raises:
-        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found, or
-            equations that rounding makes unsolvable.
+        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found,
+            force logs with more error than force, or equations that rounding makes unsolvable.
     """
     check_same_beam(recordings)
     recordings = with_modes(recordings)

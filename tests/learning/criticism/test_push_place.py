@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.mistaken_place import MUCH, run
 from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.learning.criticism.criticism import ALARM
 from onebend.learning.criticism.place_evidence import at_written, log_ratio, moved, under
@@ -223,3 +224,12 @@ def test_a_fit_that_takes_the_push_away_from_its_written_place_is_in_doubt() -> 
         assert moved_off(one.layout, one.mean) == pytest.approx(abs(sds))
         assert ("the push hardly acts where at_s says" in one.doubts) is expected
         assert any("correct at_s" in r.text and r.about == "push place" for r in fit_remarks(one)) is expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1020, 1043])
+def test_of_three_tags_that_hardly_tell_the_place_the_band_holds_k_though_it_is_wrong(seed: int) -> None:
+    found = run(seed, True)
+    assert found.trusted
+    assert found.identified > 0.2
+    assert found.outside < MUCH
