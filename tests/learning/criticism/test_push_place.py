@@ -153,7 +153,7 @@ def test_the_likely_places_hold_their_share() -> None:
 
 def test_a_place_that_is_left_open_is_said_and_one_that_others_outweigh_is_warned_of() -> None:
     one = fitted(0.75, 1.0)
-    for gain, level in ((-1.0, "note"), (2.0, "warning")):
+    for gain, level in ((-1.0, "note"), (2.0, "note"), (5.0, "warning")):
         found = replace(one, place=replace(opened(one, gain), accused=False))
         remark = next(r for r in fit_remarks(found) if "the band holds all of that" in r.text)
         assert remark.level == level
