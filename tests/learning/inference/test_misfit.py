@@ -95,7 +95,7 @@ def fit_with_error(share: float, zero: float = 0.0) -> tuple[FitProblem, MapEsti
     wanted = share * recording.force[on] + zero
     values = np.linalg.lstsq(recording.error_weights[on], wanted, rcond=None)[0]
     x[problem.layout.index["force", 0].where] = values.ravel()
-    return problem, MapEstimate(x, problem.expected, [])
+    return problem, MapEstimate(x, problem.expected, ())
 
 
 def test_a_log_with_more_error_than_force_is_refused_with_both_sizes() -> None:

@@ -94,11 +94,12 @@ def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
             return
         name = recording.observations.source.name
         lost.append(f"{name}: the error of the force log changes by {of_error:.2g} N, the force by {of_force:.2g} N")
-    raise LearningError(
-        f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
-        "Push harder, or take a force sensor that is exact to a tenth of the push; zero it just before, and let go "
-        "before the log ends, so that its drift shows"
-    )
+    if lost:
+        raise LearningError(
+            f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
+            "Push harder, or take a force sensor that is exact to a tenth of the push; zero it just before, and let go "
+            "before the log ends, so that its drift shows"
+        )
 
 
 def _rms_change(force: Array) -> float:
