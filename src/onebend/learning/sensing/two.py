@@ -33,12 +33,14 @@ Benches = Callable[[tuple[float, ...]], Bench]  # the bench by the sd [m] of the
 SURE = 5.0  # of the log evidence: two are told from there on
 _FRAMES = 8  # that are compared
 _SCAN = np.linspace(0.115, 1.0, 60)
-_SPREAD = np.array([0.5, 1.0])  # forces here bend a beam into about any shape that two make
+# Forces at the first pair bend a beam into about any shape that two make; others where nothing was found that fits.
+_SPREADS = (np.array([0.5, 1.0]), np.array([0.65, 0.95]), np.array([0.35, 0.75]))
 _TRIED = (2, 3)  # places, and pairs of places, that are followed
 _NEAR = 0.06  # of s: of places no farther from each other one is followed
 _FOLLOWED = 25.0  # of the log evidence to first order: places that are less likely by more are not followed
 _HOPELESS = 100.0  # of it: one place that does not move is not followed where two are more likely by more
 STRIDE = 0.03  # of s, one sd of each place about that of the round before
+_POOR = 1e-3  # probability of a misfit from which a search is begun with more care
 _ROUNDS, _STILL = 8, 2e-3  # of s
 APART = 0.08  # of s: closer places are one
 _AS_WELL = 3.0  # of the log evidence: a pair of places that is less likely by no more is named
@@ -68,6 +70,7 @@ class _Placed:
     evidence: float
     began: Array  # (c,) where the search for them began
     force: Array  # (F, 2 c) N
+    fits: bool  # whether the misfit is one that chance makes
 
 
 def two_said(
@@ -90,23 +93,26 @@ def two_sought(benches: Benches, frames: IntArray, sd: float) -> TwoContacts:
     bench, either = benches((0.0, 0.0)), benches((0.0,))
     some, one_sd, both_sd = _frames(either, frames), np.full(2, sd), np.full(4, sd)
     found: list[_Placed] = []
-    place, force = _SPREAD, None
-    for _ in range(2):
-        at = np.tile(place, (len(some), 1))
-        begin = estimate(bench, some, at, both_sd, seek_place=False, force=force)
-        scan = _scanned(bench, some, begin, both_sd)
-        pairs, most = scan.best(2)
-        for one in pairs:
-            near = [min(np.max(np.abs(one - at)) for at in (other.began, other.places)) for other in found]
-            if not near or min(near) > _NEAR:
-                found.append(_placed(benches, some, one, both_sd, scan.forces(one)))
-        found.sort(key=lambda one: -one.evidence)
-        place, force = found[0].places, found[0].force
+    for place in _SPREADS:
+        force = None
+        for _ in range(2):
+            at = np.tile(place, (len(some), 1))
+            begin = estimate(bench, some, at, both_sd, seek_place=False, force=force)
+            scan = _scanned(bench, some, begin, both_sd)
+            pairs, most = scan.best(2)
+            for one in pairs:
+                near = [min(np.max(np.abs(one - at)) for at in (other.began, other.places)) for other in found]
+                if not near or min(near) > _NEAR:
+                    found.append(_placed(benches, some, one, both_sd, replace(begin, force=scan.forces(one))))
+            found.sort(key=lambda one: -one.evidence)
+            place, force = found[0].places, found[0].force
+        if found[0].fits:
+            break
     best = found[0]
     last = _moving(either, some, scan, one_sd)
     alone, likely = scan.best(1)
     alone = alone if likely > most - _HOPELESS else []
-    still = [_placed(benches, some, at, one_sd, scan.forces(at)) for at in alone]
+    still = [_placed(benches, some, at, one_sd, replace(begin, force=scan.forces(at))) for at in alone]
     others: list[Array] = []
     for one in found[1:]:
         far = all(np.max(np.abs(one.places - other)) > APART for other in (best.places, *others))
@@ -155,12 +161,15 @@ class _Scan:
         return np.asarray(np.moveaxis(forces, 0, 1).reshape(forces.shape[1], -1))
 
     def moving(self) -> tuple[Array, Array]:
-        """(n, F) s and (n, F, 2) N: the places where one force explains each frame best, and the force there."""
+        """(n, F) s and (n, F, 2) N: the places where one force explains each frame best, and the force there; a second
+        one only where it explains some frame about as well."""
         force = np.linalg.solve(np.eye(2) + self.own_gram, self.own_right[..., None])[..., 0]
         better = np.pad(np.sum(self.own_right * force, axis=-1), ((0, 0), (1, 1)), constant_values=-np.inf)
         peak = (better[:, 1:-1] >= better[:, 2:]) & (better[:, 1:-1] >= better[:, :-2])
-        order = np.argsort(np.where(peak, -better[:, 1:-1], np.inf), axis=1)[:, : _TRIED[0]].T
-        every = np.arange(len(force))
+        value = np.where(peak, better[:, 1:-1], -np.inf)
+        order, every = np.argsort(-value, axis=1)[:, : _TRIED[0]].T, np.arange(len(force))
+        as_well = value[every, order] > value[every, order[0]] - 2.0 * _FOLLOWED
+        order = np.where(as_well, order, order[0])[np.any(as_well, axis=1)]
         return _SCAN[order], self.sd * force[every, order]
 
     def _normal(self, which: IntArray) -> tuple[Array, Array]:
@@ -185,7 +194,9 @@ def _scanned(bench: Bench, some: IntArray, begin: Estimates, sd: Array) -> _Scan
     use = solved.converged & np.isfinite(begin.force).all(axis=1)
 
     def flat(of_tags: Array) -> Array:
-        return np.asarray((whiten @ np.where(use[:, None, None, None], of_tags, 0.0)).reshape(len(some), -1, of_tags.shape[-1]))
+        return np.asarray(
+            (whiten @ np.where(use[:, None, None, None], of_tags, 0.0)).reshape(len(some), -1, of_tags.shape[-1])
+        )
 
     away = np.nan_to_num(seen - tags.pose)[..., None] + tags.by_load @ load[:, None, :, None]
     by_place = by_forces_at(bench, some, solved, _SCAN)
@@ -217,7 +228,9 @@ def _moving(bench: Bench, some: IntArray, scan: _Scan, sd: Array) -> float:
     ]
     best = np.argmin([one.objective for one in tried], axis=0)
     every = np.arange(len(some))
-    chosen = Estimates(*(np.stack(each)[best, every] for each in zip(*(vars(one).values() for one in tried), strict=True)))
+    chosen = Estimates(
+        *(np.stack(each)[best, every] for each in zip(*(vars(one).values() for one in tried), strict=True))
+    )
     return together(bench, some, chosen, sd, seek_place=True)[2].evidence
 
 
@@ -233,29 +246,31 @@ def _evidence(bench: Bench, some: IntArray, place: Array, sd: Array, *, seek_pla
     return together(bench, some, begin, sd, seek_place=seek_place)[2].evidence
 
 
-def _placed(benches: Benches, some: IntArray, places: Array, sd: Array, force: Array) -> _Placed:
-    """The places that fit best near by, found a stride at a time from `places` (c,) and `force` (F, 2 c) N, and the
+def _placed(benches: Benches, some: IntArray, places: Array, sd: Array, begin: Estimates) -> _Placed:
+    """The places that fit best near by, found a stride at a time from `places` (c,) and the forces of `begin`, and the
     evidence with places even over the beam."""
     count, began = len(places), places
     length = benches((0.0,)).observations.length
     bench = benches((STRIDE * length,) * count)
-    at = _in_each(places, some)
-    begin = estimate(bench, some, at, sd, seek_place=False, force=force)
-    for _ in range(_ROUNDS):
-        shown, begin, fit = together(bench, some, replace(begin, place=at), sd, seek_place=False)
+    for turn in range(_ROUNDS):
+        at = _in_each(places, some)
+        shown, found, fit = together(bench, some, replace(begin, place=at), sd, seek_place=False)
+        if not (turn or fit.probability > _POOR):  # each frame by itself first, from more than one force
+            begin = estimate(bench, some, at, sd, seek_place=False, force=begin.force)
+            shown, found, fit = together(bench, some, begin, sd, seek_place=False)
+        begin = found
         part = shown.parts["place"]
         off, root = shown.mean[part] / length, shown.root[part] / length
         last, places = places, np.sort(np.clip(places + off, INNERMOST, 1.0))
         if np.max(np.abs(places - last)) < _STILL:
             break
-        at = _in_each(places, some)
     inner = np.linalg.inv(root @ root.T) - np.eye(count) / STRIDE**2
     values, ways = np.linalg.eigh(inner)
     covariance = (ways / np.maximum(values, PLACE_PRIOR[1] ** -2)) @ ways.T
     # the stride's prior gives way to an even one: for two, that of places in order
     more = 0.5 * count * np.log(2.0 * np.pi) + count * np.log(STRIDE) + np.log(count)
     more += 0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(root @ root.T)[1])
-    return _Placed(places, covariance, fit.evidence + float(more), began, begin.force)
+    return _Placed(places, covariance, fit.evidence + float(more), began, begin.force, fit.probability > _POOR)
 
 
 def _in_each(places: Array, some: IntArray) -> Array:
