@@ -64,8 +64,8 @@ def drawn(
 
 
 def contacts(seed: int, count: int = 8) -> tuple[Array, Array, Array]:
-    """Places (2,) at least 0.2 of the beam apart, and forces (F, 2) N at each over `count` frames, to either side: up to
-    1 to 5 times k/L at the nearer one, half of that at the farther one."""
+    """Places (2,) at least 0.2 of the beam apart, and forces (F, 2) N at each over `count` frames, to either side: up
+    to 1 to 5 times k/L at the nearer one, half of that at the farther one."""
     rng, way = np.random.default_rng([seed, 3]), np.linspace(0.4, 1.0, count)
     near = float(rng.uniform(0.3, 0.75))
     far = float(rng.uniform(near + 0.2, 1.0))
