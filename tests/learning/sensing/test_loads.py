@@ -227,7 +227,7 @@ def test_one_contact_is_told_from_two_where_places_are_sought() -> None:
 
 
 def test_two_places_that_are_sought_are_found() -> None:
-    found, places, _ = sought(2, second=True)
+    found, places, _ = sought(9, second=True)
     assert found.two is not None
     assert found.second is not None
     assert found.two.found

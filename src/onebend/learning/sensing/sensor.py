@@ -167,8 +167,8 @@ class _Check:
         return np.asarray(minimize(cost, sizes, method="L-BFGS-B", bounds=bounds, options=options).x)
 
     def over_sizes(self, x: Array, sizes: Array) -> tuple[Array, Array]:
-        """Mean (7,) and covariance (7, 7) of the seven numbers, averaged over sizes as likely as the log makes them; from `x` and
-        `sizes` on, about which the model is linear."""
+        """Mean (7,) and covariance (7, 7) of the seven numbers, averaged over sizes as likely as the log makes them;
+        from `x` and `sizes` on, about which the model is linear."""
         slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
         now = self._linear(x, slopes, away, sizes)
         kept, rng = [now], np.random.default_rng(0)

@@ -100,10 +100,9 @@ def two_sought(benches: Benches, frames: IntArray, sd: float) -> TwoContacts:
             begin = estimate(bench, some, at, both_sd, seek_place=False, force=force)
             scan = _scanned(bench, some, begin, both_sd)
             pairs, most = scan.best(2)
-            for one in pairs:
-                near = [min(np.max(np.abs(one - at)) for at in (other.began, other.places)) for other in found]
-                if not near or min(near) > _NEAR:
-                    found.append(_placed(benches, some, one, both_sd, replace(begin, force=scan.forces(one))))
+            for pair in pairs:
+                if all(np.max(np.abs(pair - at)) > _NEAR for other in found for at in (other.began, other.places)):
+                    found.append(_placed(benches, some, pair, both_sd, replace(begin, force=scan.forces(pair))))
             found.sort(key=lambda one: -one.evidence)
             place, force = found[0].places, found[0].force
         if found[0].fits:
@@ -170,7 +169,7 @@ class _Scan:
         order, every = np.argsort(-value, axis=1)[:, : _TRIED[0]].T, np.arange(len(force))
         as_well = value[every, order] > value[every, order[0]] - 2.0 * _FOLLOWED
         order = np.where(as_well, order, order[0])[np.any(as_well, axis=1)]
-        return _SCAN[order], self.sd * force[every, order]
+        return _SCAN[order], np.asarray(self.sd * force[every, order])
 
     def _normal(self, which: IntArray) -> tuple[Array, Array]:
         """(n, c F 2, c F 2) and (n, c F 2) normal equations of the places (n, c) of the grid."""
