@@ -21,8 +21,8 @@ from onebend.learning.sensing.joint import together
 from onebend.learning.sensing.prior import shared_prior
 from onebend.learning.sensing.sense import bench_of, sense
 from onebend.learning.sensing.sensed import SecondForce, Sensed, SenseSettings, load_remarks
-from onebend.learning.sensing.tags import tags_of
-from onebend.learning.sensing.two import TwoContacts
+from onebend.learning.sensing.tags import by_forces_at, tags_of
+from onebend.learning.sensing.two import TwoContacts, _scanned
 from onebend.records import Array, Observations
 from onebend.report.figures.pictures import draw
 from onebend.report.figures.sensing import sensing
@@ -114,6 +114,32 @@ def test_derivatives_with_a_load_and_its_places_are_those_of_differences(kind: s
         else:
             slope = (poses(load, bench.mean + step) - poses(load, bench.mean - step)) / 2e-6
         np.testing.assert_allclose(tags.by_shared[..., i], slope, atol=2e-5)
+
+
+def test_a_force_between_the_nodes_moves_the_tags_as_on_a_grid_with_an_edge_there() -> None:
+    o = observed(SOFT, np.zeros((2, 2)), noise=(3e-5, 1e-3))
+    bench, frames = bench_of(BEAM, o, BAND, None, SenseSettings()), np.arange(2)
+    load = np.array([[0.1, 0.2, 0.0, 0.0], [-0.1, 0.1, 0.0, 0.0]])
+    both = np.tile([0.8, 0.613], (2, 1))
+    bench = replace(bench, prior=shared_prior(o, BAND, None, tags_as_learned=True, place_sd=(0.0, 0.0)))
+    bench = replace(bench, mean=bench.prior.mean, root=bench.prior.root)
+    whole = tags_of(bench, frames, solve(bench, problem_of(bench, frames, both), load, both, None), load, both)
+    alone, at = load[:, :2], both[:, 0]
+    solved = solve(bench, problem_of(bench, frames, at), alone, at, None)
+    moved = by_forces_at(bench, frames, solved, both[0])
+    expected = whole.by_load.reshape(*moved.shape)
+    np.testing.assert_allclose(moved, expected, atol=3e-3 * np.max(np.abs(expected)))
+
+
+def test_a_grid_of_places_shows_where_two_forces_act() -> None:
+    places, near, far = contacts(9)
+    o, _ = drawn(9, push(near, places[0]) + push(far, places[1]))
+    some, sd = np.arange(8), np.full(4, 0.4)
+    bench = bench_of(BEAM, o, BAND, None, SenseSettings(place="unknown"), (0.0, 0.0))
+    begin = estimate(bench, some, np.tile([0.5, 1.0], (8, 1)), sd, seek_place=False)
+    pairs, most = _scanned(bench, some, begin, sd).best(2)
+    assert np.max(np.abs(pairs[0] - places)) < 0.06
+    assert most > _scanned(bench, some, begin, sd).best(1)[1]
 
 
 def one_run(seed: int, settings: SenseSettings, *, second: bool = True, count: int = 8) -> tuple[Sensed, Array, Array]:
