@@ -112,7 +112,8 @@ def _elsewhere(posterior: Posterior) -> list[Remark]:
         return [Remark("warning", text, about="push place")]
     text = (
         f"tags and force leave open where the push acts, {where}, and k(s) goes by its way from there: the band holds "
-        "all of that. Let the film show the tool, or push where there is a tag"
+        "all of that. Let the film show the tool, push where there is a tag, or measure the place closely and say "
+        "how closely in at_sd_m"
     )
     return [Remark("note", text)]
 

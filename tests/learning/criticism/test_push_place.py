@@ -18,6 +18,7 @@ from onebend.learning.criticism.push_place import (
     FAR,
     INNERMOST,
     LEFT_OUT,
+    MEASURED,
     PlaceSearch,
     doubtful,
     moved_off,
@@ -135,6 +136,7 @@ def test_where_nothing_tells_every_place_is_as_likely_and_the_tip_as_all_others(
     s = np.array([INNERMOST, 0.6, 0.8, 1.0])
     places, weight, mistaken = place_posterior(s, np.zeros(4), 0.9)
     assert mistaken == pytest.approx(0.5)
+    assert place_posterior(s, np.zeros(4), 0.9, MEASURED)[2] == pytest.approx(MEASURED)
     assert weight[-1] == pytest.approx(0.5, abs=0.01)
     assert np.allclose(weight[1:-1], weight[1])
     _, weight, mistaken = place_posterior(s, np.array([-20.0, -20.0, 7.0, -20.0]), 0.9)

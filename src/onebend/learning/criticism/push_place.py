@@ -8,12 +8,13 @@ noise of the fit at the written place, then under that of the best.
 
 A place that was written wrongly may be anywhere, and how often that happens nobody knows. So the band does not go by
 how likely it is, but holds in either case, unless the recording rules the mistake out: a place that has nothing to do
-with the true one seldom agrees with the tags as well as a right one does. Where the probability of the mistake, an even
-chance before the data, is left above LEFT_OUT, the band is that with the push at any of the places that are likely
-then: to half its width comes the largest change of log k among them. The covariance is that about the fit at the
-written place, `C + sum_j w_j d_j d_j'`, d_j being how far the parameters are from it with the push at place j, of
-probability w_j if the written one is wrong. So what the recording cannot tell stands in the band; where another place
-has far more evidence, the written one is accused.
+with the true one seldom agrees with the tags as well as a right one does. Where the probability of the mistake is left
+above LEFT_OUT (before the data it is an even chance, or a small one where the place is stated more closely than a hand
+puts it), the band is that with the push at any of the places that are likely then: to half its width comes the largest
+change of log k among them. The covariance is that about the fit at the written place, `C + sum_j w_j d_j d_j'`, d_j
+being how far the parameters are from it with the push at place j, of probability w_j if the written one is wrong. So
+what the recording cannot tell stands in the band; where another place has far more evidence, the written one is
+accused.
 
 Where no test of the fit's model gives a reason, places on either side are asked first, and mostly that is the end.
 """
@@ -35,7 +36,7 @@ from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Layout
-from onebend.records import Array, BoolArray
+from onebend.records import PLACE_SD, Array, BoolArray
 
 AT_TIP = 0.5  # share of the tip, where most pushes act, if another place is written; the rest is even from INNERMOST on
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
@@ -43,6 +44,7 @@ INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
 # is at most `exp` of minus this (Markov's inequality), as small as that beyond which other tests count.
 ACCUSED = -float(np.log(10.0)) * ALARM
 FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fallen as far
+BY_HAND, MEASURED = 0.5, 0.01  # probability of a mistake before the data; MEASURED: stated more closely than PLACE_SD
 LEFT_OUT = 0.05  # probability of a mistake below which the band does not hold it: a 95 % band leaves out as much
 LIKELIER = 1.0 - LEFT_OUT  # and beyond which a warning says so
 _HELD = 0.95  # probability of the places that are named
@@ -134,7 +136,8 @@ def search_place(
     away = np.stack([_away(problem, here, one, length) for one in found])
     far = np.abs(s - written) * length > _TOLERANCES * block.prior_sd[0]
     accused = bool(np.any(far & (gain > ACCUSED)))
-    return PlaceSearch(written, s, gain, away, *place_posterior(s, gain, written), accused)
+    before = MEASURED if block.prior_sd[0] < 0.999 * PLACE_SD else BY_HAND
+    return PlaceSearch(written, s, gain, away, *place_posterior(s, gain, written, before), accused)
 
 
 def _every_place(here: AtPlace, settings: FitSettings, *, thorough: bool) -> list[AtPlace]:
@@ -194,9 +197,9 @@ def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtP
         last = tried
 
 
-def place_posterior(s: Array, gain: Array, written: float) -> tuple[Array, Array, float]:
+def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HAND) -> tuple[Array, Array, float]:
     """Places (f,) with their probabilities (f,) if the written one is wrong, and the probability that it is, from the
-    gains of log evidence (n,) at places s (n,). What was not tried has no evidence."""
+    gains of log evidence (n,) at places s (n,) and its probability before. What was not tried has no evidence."""
     known, order = np.append(s, written), np.argsort(np.append(s, written))
     inner, outer = float(np.min(known)), float(np.max(known))
     places = np.linspace(inner, outer, int(np.ceil((outer - inner) / _FINE)) + 1)
@@ -209,7 +212,7 @@ def place_posterior(s: Array, gain: Array, written: float) -> tuple[Array, Array
     most = max(float(np.max(gains)), 0.0)
     evidence = share * np.exp(gains - most)
     of_mistake = float(np.sum(evidence))
-    return places, evidence / of_mistake, of_mistake / (of_mistake + float(np.exp(-most)))
+    return places, evidence / of_mistake, of_mistake / (of_mistake + float(np.exp(-most)) * (1.0 - before) / before)
 
 
 def _away(problem: FitProblem, here: AtPlace, there: AtPlace, length: float) -> Array:
