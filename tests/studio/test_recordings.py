@@ -228,9 +228,14 @@ def test_a_check_leaves_its_picture_and_is_what_the_command_says(asked: TestClie
 
 
 def test_a_check_is_stopped(asked: TestClient) -> None:
-    assert asked.post("/api/work/check/start", json={"name": "train"}, headers=own()).status_code == 200
-    assert asked.post("/api/work/check/stop", json={}, headers=own()).status_code == 200
-    assert ended(asked, "check")["job"]["state"] == "stopped"
+    states = []
+    for _ in range(4):  # a busy machine may end it before the order to stop comes
+        assert asked.post("/api/work/check/start", json={"name": "train"}, headers=own()).status_code == 200
+        assert asked.post("/api/work/check/stop", json={}, headers=own()).status_code == 200
+        states.append(ended(asked, "check")["job"]["state"])
+        if states[-1] == "stopped":
+            break
+    assert states[-1] == "stopped", states
 
 
 @pytest.mark.parametrize("path", ["work/nothing", "check.png?name=../out", "check.png?name=away"])
