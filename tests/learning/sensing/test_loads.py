@@ -6,6 +6,7 @@ import csv
 import io
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -229,15 +230,15 @@ def test_regions_of_a_load_hold_it(settings: SenseSettings) -> None:
     assert 0.88 < np.mean(hits) < 0.995  # frames of a run are alike: 30 runs tell it to 0.03
 
 
-def sought(seed: int, *, second: bool) -> tuple[Sensed, Array, Array]:
-    """What `auto` says of one contact or of two whose places nobody knows, the true places (2,), and the true load
-    (F, 4) N in the clamp's axes; of one contact its place and force come first."""
+def sought(seed: int, *, second: bool, asked: Literal["1", "auto"] = "auto") -> tuple[Sensed, Array, Array]:
+    """What is said of one contact or of two whose places nobody knows, the true places (2,), and the true load (F, 4) N
+    in the clamp's axes; of one contact its place and force come first."""
     places, near, far = contacts(seed)
     if not second and seed % 2:
         places, near = places[::-1], far
     loads = push(near, places[0])
     o, axes = drawn(seed, loads + push(far, places[1]) if second else loads)
-    found = sense(BEAM, o, stiffness=BAND, settings=SenseSettings(contacts="auto", place="unknown"))
+    found = sense(BEAM, o, stiffness=BAND, settings=SenseSettings(contacts=asked, place="unknown"))
     return found, places, np.column_stack([near @ axes.T, far @ axes.T])
 
 
