@@ -219,8 +219,8 @@ def _sensed(
         out = replace(out, moment=moment)
     if n == 4:
         out = replace(out, second=_second(load, covariance, share, searched, two))
-    sensor = None if n > 3 or not out.explained else _judged(out, o, frames)
-    return replace(out, sensor=sensor, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
+    out = replace(out, sensor=None if n > 3 or not out.explained else _judged(out, o, frames))
+    return replace(out, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
 
 
 def _places(

@@ -29,6 +29,7 @@ from onebend.records import Array, CleanForce, IntArray
 _ROUNDS, _CHOICES = 6, 2
 _MOST = 160  # frames: the log behind its low-pass has no more to say
 FEWEST = 12  # frames
+SURELY = 3.3  # sds: by chance in one of a thousand
 _MEMORIES = (0.1, 0.2, 0.4, 0.8, 1.6)  # s, of the force in time
 _DIRECTION_SD = 0.05  # rad, of the log's axes before the film: by hand and eye
 _GAIN_SD, _DELAY_SD = 0.3, 0.25  # before the film, s: no sensor is farther off, nor a clock that was found
@@ -52,6 +53,11 @@ class SensorCheck:
     drift: tuple[Array, Array]  # (2,) N/s each, likewise
     noise: float  # N, RMS of what is left of the log in each component
     frames: int
+
+    def scale_agrees(self, stated_sd: float) -> bool:
+        """Whether log and shape may have the same scale, which is stated to be known to `stated_sd` (a share)."""
+        gain, sd = self.gain
+        return abs(gain - 1.0) <= SURELY * float(np.hypot(sd, stated_sd))
 
 
 @dataclass(frozen=True)
