@@ -113,7 +113,7 @@ def _elsewhere(posterior: Posterior) -> list[Remark]:
     text = (
         f"tags and force leave open where the push acts, {where}, and k(s) goes by its way from there: the band holds "
         "all of that. Let the film show the tool, push where there is a tag, or measure the place closely and say "
-        "how closely in at_sd_m"
+        "in [push] how closely"
     )
     return [Remark("note", text)]
 
