@@ -19,7 +19,7 @@ help:
 	@echo "make test      lint, types, layers and tests"
 	@echo "make test-all  the slow tests as well, and how much of the code the tests run"
 	@echo "make bench     accuracy and speed, written to out/benchmarks/"
-	@echo "make picture   draw the pictures of the README and of docs/first-beam.md again"
+	@echo "make picture   draw the pictures of the README, of docs/first-beam.md and docs/studio.md again"
 	@echo "make lock      renew the locked dependencies"
 	@echo "make clean     remove the environment and everything made"
 
@@ -41,6 +41,7 @@ bench: $(TESTS)
 picture: $(TESTS)
 	$(BIN)/python examples/readme_picture.py
 	$(BIN)/python examples/first_beam_pictures.py
+	$(BIN)/python examples/studio_pictures.py
 
 $(VENV)/bin/python:
 	@test -n "$(PYTHON)" || { echo "onebend needs Python 3.11 or newer, and none was found. Install one, or name it: make $(MAKECMDGOALS) PYTHON=/path/to/python"; exit 1; }

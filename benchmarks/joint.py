@@ -1,7 +1,8 @@
 """One beam, many recordings: time and memory of learning them together, and what it gives.
 
 Every number of recordings runs in a process of its own. Time is processor time and the wall's, memory the process's
-largest; the base is the process before the fit.
+largest; the base is the process before the fit. The fit shares its work among threads, one a core that it may use, and
+begins no other process, so that this is all of its memory.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from onebend.lab.direct_observation import observe_from_truth
 from onebend.lab.random_bench import BenchRanges, random_bench, random_push
 from onebend.lab.virtual import virtual_recording
 from onebend.learning.posterior import fit
+from onebend.workers import available_cores
 
 COUNTS = (1, 3, 10, 30, 100)
 S = np.linspace(0.02, 0.98, 49)
@@ -65,6 +67,7 @@ def main() -> None:
     if arguments.one is not None:
         print(json.dumps(one(arguments.one)))
         return
+    print(f"Cores: {available_cores()}\n")
     print(
         "| recordings | frames | processor [s] | wall [s] | MB (before) | k off [%] | in the 95 % band [%] "
         "| band +- [%] |"

@@ -2,7 +2,9 @@
 
 The film is searched for its tags every time; the modules' bytecode and Matplotlib's list of fonts are kept from a run
 before, as they are where onebend is installed. Processor time is that of all threads, system time included; its floor
-is `goal`. Stages are seconds of the wall, so they depend on what else the machine does.
+is `goal`. Stages are seconds of the wall, so they depend on what else the machine does. Floors are the processor time
+of what the libraries do by themselves, without a line of onebend: loading them, decoding the film, and the tag detector
+in every frame, in a part around every tag (cut by who knows already where the tags are) and in the whole picture.
 """
 
 from __future__ import annotations
@@ -16,9 +18,43 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.truth import RECORDINGS
+from onebend.recording.folder import read_recording
+from onebend.recording.tags.detection import detect_tags
 
 NAME = "linear_train"  # 18 s at 30 frames a second
+LIBRARIES = "numpy, scipy.linalg, scipy.interpolate, scipy.optimize, scipy.ndimage, av, pyapriltags, pyarrow.parquet"
+LOAD = f"import {LIBRARIES}, sys\n"
+DECODE = (
+    LOAD
+    + """
+corners = numpy.load(sys.argv[2])
+detect = pyapriltags.Detector(families=sys.argv[3], quad_decimate=1.0).detect
+with av.open(sys.argv[1]) as film:
+    film.streams.video[0].thread_type = "AUTO"
+    for i, (frame, tags) in enumerate(zip(film.decode(video=0), corners)):
+        plane = frame.planes[0]
+        picture = numpy.frombuffer(plane, numpy.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+"""
+)
+WHOLE = "        if i % 10 == 0: detect(numpy.ascontiguousarray(picture))\n"
+PARTS = """
+        for tag in tags[numpy.isfinite(tags).all(axis=(1, 2))]:
+            beside = 0.25 * numpy.ptp(tag, axis=0).max()
+            ends = numpy.array([tag.min(axis=0) - beside, tag.max(axis=0) + beside])
+            (x, y), (right, below) = ends.clip(0).astype(int)
+            detect(numpy.ascontiguousarray(picture[y:below, x:right]))
+"""
+# What each does, and that of which it is more
+FLOORS = {
+    "NumPy, SciPy, PyAV, the tag detector and Arrow, loaded": (LOAD, ""),
+    "Matplotlib, loaded (the report)": (f"{LOAD}import matplotlib.figure, matplotlib.backends.backend_agg", LOAD),
+    "the film, decoded": (DECODE, LOAD),
+    "the detector in a part around every tag": (DECODE + PARTS, DECODE),
+    "the detector in every tenth whole picture": (DECODE + WHOLE, DECODE),
+}
 GOALS = {(): 6.0, ("--no-report",): 3.5}  # s of processor time, by the command's options
 
 
@@ -27,20 +63,44 @@ def learned(folder: Path, options: tuple[str, ...], installed: str) -> tuple[flo
     `installed` it finds what belongs to the programs."""
     with tempfile.TemporaryDirectory() as place:
         said = Path(place) / "said.json"
-        words = ["onebend", "learn", str(folder), "-o", f"{place}/out", "--json", "--quiet", *options]
-        command = [sys.executable, "-m", *words]
-        own = {"PYTHONPYCACHEPREFIX": f"{installed}/bytecode", "MPLCONFIGDIR": f"{installed}/fonts"}
-        environment = {**os.environ, **own, "XDG_CACHE_HOME": f"{place}/cache"}
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        output = os.open(said, os.O_WRONLY | os.O_CREAT)
-        actions = [(os.POSIX_SPAWN_DUP2, output, 1)]
-        process = os.posix_spawn(sys.executable, command, environment, file_actions=actions)
-        _, status, used = os.wait4(process, 0)
-        os.close(output)
-        if status:
-            raise RuntimeError(f"{' '.join(words)} ended with {os.waitstatus_to_exitcode(status)}")
+        words = ["-m", "onebend", "learn", str(folder), "-o", f"{place}/out", "--json", "--quiet", *options]
+        seconds, most = ran(words, installed, f"{place}/cache", said)
         stages = json.loads(said.read_text(encoding="utf-8"))["stage_seconds"]
-    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, stages
+    return seconds, most, stages
+
+
+def ran(words: list[str], installed: str, cache: str, said: Path = Path(os.devnull)) -> tuple[float, float]:
+    """s of processor time, and MB at the peak, of Python with these words; `said`: the file for what it prints."""
+    own = {
+        "PYTHONPYCACHEPREFIX": f"{installed}/bytecode",
+        "MPLCONFIGDIR": f"{installed}/fonts",
+        "XDG_CACHE_HOME": cache,
+    }
+    environment = {**os.environ, **own}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    output = os.open(said, os.O_WRONLY | os.O_CREAT)
+    actions = [(os.POSIX_SPAWN_DUP2, output, 1)]
+    process = os.posix_spawn(sys.executable, [sys.executable, *words], environment, file_actions=actions)
+    _, status, used = os.wait4(process, 0)
+    os.close(output)
+    if status:
+        raise RuntimeError(f"{' '.join(words)} ended with {os.waitstatus_to_exitcode(status)}")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
+
+
+def floors(folder: Path, installed: str, repeats: int) -> dict[str, float]:
+    """s of processor time, the least of some runs, of what the libraries do by themselves."""
+    recording = read_recording(folder)
+    assert recording.video is not None
+    corners = Path(installed) / "corners.npy"
+    np.save(corners, detect_tags(recording.video, recording.tags).corners)
+    words = [str(recording.video.file), str(corners), recording.tags.family]
+    scripts = {script for pair in FLOORS.values() for script in pair if script}
+    spent = {
+        script: min(ran(["-c", script, *words], installed, installed)[0] for _ in range(repeats + 1))
+        for script in scripts
+    }
+    return {name: spent[script] - spent.get(less, 0.0) for name, (script, less) in FLOORS.items()}
 
 
 def main() -> None:
@@ -67,6 +127,10 @@ def main() -> None:
                 f"| {max(mb for _, mb, _ in runs):.0f} |",
                 flush=True,
             )
+        least = floors(arguments.recording, installed, arguments.repeats)
+    print("\n| floor: the libraries by themselves | processor time [s], least |\n| --- | --- |")
+    for name, seconds in least.items():
+        print(f"| {name} | {seconds:.2f} |")
     print("\n| stage | s of the wall |\n| --- | --- |")
     for name, seconds in stages.items():
         print(f"| {name} | {seconds:.2f} |")

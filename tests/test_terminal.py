@@ -144,7 +144,7 @@ def test_the_known_part_sets_the_axis(log: bool) -> None:
     assert all(row[70] not in "━░" for row in lines[1:9])  # what is not known looks otherwise, without colour too
 
 
-@pytest.mark.parametrize(("width", "height", "most"), [(80, 24, 33), (120, 50, 50)])
+@pytest.mark.parametrize(("width", "height", "most"), [(80, 24, 34), (120, 50, 50)])
 def test_the_answer_fits_the_screen(width: int, height: int, most: int) -> None:
     where = Console(file=io.StringIO(), width=width, height=height, color_system=None)
     screens.show_run(where, made_up.findings(1), Path("out"))

@@ -65,6 +65,7 @@ SECTIONS: dict[str, str] = {
     "tag missed": "the-simulated-beam-misses-a-tag",
     "another beam": "the-validation-misses-by-more-than-the-noise",
     "sensed misfit": "no-force-explains-the-shapes",
+    "sensed gain": "the-log-shows-another-force-than-the-shape",
     "no validation": "a-recording-cannot-validate-itself",
     "pose": "no-equilibrium-is-near-the-points-of-a-pose",
     "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +27,7 @@ MassAlong = Literal["unknown", "even", "width", "thickness", "both", "section", 
 StiffnessAlong = Literal["unknown", "even", "section"]
 SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second moment"]
 
+_TINY = float(np.finfo(float).tiny)
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
 TURN_SD = math.radians(1.5)  # of a tag on the beam, put on by hand
@@ -124,16 +126,26 @@ class ForceNoise:
 
     def covariance(self, time: Array) -> Array:
         """(N, N) N^2, the walk started at zero at the first time."""
-        apart = np.abs(time[:, None] - time[None, :])
-        since = np.minimum(time[:, None], time[None, :]) - time.min()
-        out = self.coloured**2 * np.exp(-apart / self.tau) + self.walk**2 * since
-        out[np.diag_indices(len(time))] += self.white**2 + 1e-12 * out.max() + np.finfo(float).tiny
+        minus_apart, since = _between(np.asarray(time, dtype=float).tobytes())
+        out = minus_apart / self.tau
+        np.exp(out, out=out)
+        out *= self.coloured**2
+        out += self.walk**2 * since
+        out.reshape(-1)[:: len(time) + 1] += self.white**2 + 1e-12 * out.max() + _TINY
         return np.asarray(out)
 
     def passed(self, cutoff: float) -> float:
         """N, sd of the coloured part that an ideal low-pass at `cutoff` [Hz] lets through (its Lorentz spectrum)."""
         share = 1.0 if not np.isfinite(cutoff) else 2 / np.pi * np.arctan(2 * np.pi * cutoff * self.tau)
         return float(self.coloured * np.sqrt(share))
+
+
+@lru_cache(maxsize=2)
+def _between(times: bytes) -> tuple[Array, Array]:
+    """(N, N) s, minus the distance of two times, and (N, N) s from the first time to the earlier of the two; a search
+    for a noise asks for one set of times a hundred times."""
+    time = np.frombuffer(times)
+    return -np.abs(time[:, None] - time[None, :]), np.minimum(time[:, None], time[None, :]) - time.min()
 
 
 @dataclass(frozen=True)

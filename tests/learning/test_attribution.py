@@ -183,7 +183,7 @@ def test_shift_and_widening_are_those_of_a_fit_without_it() -> None:
     s = np.linspace(0.05, 0.85, 41)
     place = {a.name: a for a in attributions(found.problem, found.optimum, 0.0, s)}["place of the push"]
     bands = [one.band(s) for one in (found, without)]
-    variance, left = [(np.log(b.high / b.low) / (2.0 * 1.96)) ** 2 for b in bands]
+    variance, left = [one.stiffness.log_at(s)[1] ** 2 for one in (found, without)]
     change = np.log(bands[1].k / bands[0].k)
     assert place.shift == pytest.approx(np.sqrt(mean(change**2, variance)), rel=0.1)
     assert place.shift > 0.02

@@ -39,8 +39,22 @@ def test_the_server_is_there_before_what_a_room_needs_is_loaded() -> None:
     rooms = {"bending", "learned", "learner", "mapping", "recordings", "rehearsing"}
     assert not loaded & {f"onebend.studio.{name}" for name in rooms}
     assert not loaded & {"scipy", "av", "PIL", "matplotlib", "pyapriltags", "onebend.recording", "onebend.control"}
-    main = (PAGE / "main.js").read_text(encoding="utf-8")
-    assert set(re.findall(r'from "\./(\w+)\.js"', main)) == {"bend", "dom", "learn", "net", "place"}
+    assert imported("main") == {"bend", "dom", "net", "place"}
+
+
+def imported(name: str) -> set[str]:
+    """The files that a built one loads at once."""
+    return set(re.findall(r'from "\./(\w+)\.js"', (PAGE / f"{name}.js").read_text(encoding="utf-8")))
+
+
+def test_the_page_names_all_files_of_its_first_picture() -> None:
+    """So that none of them waits for another one that loads it."""
+    found, new = set[str](), imported("main")
+    while new:
+        found |= new
+        new = set().union(*(imported(one) for one in new)) - found
+    named = re.findall(r'rel="modulepreload" href="(\w+)\.js"', (PAGE / "index.html").read_text(encoding="utf-8"))
+    assert sorted(named) == sorted(found)
 
 
 def test_the_page_asks_nothing_of_the_network() -> None:

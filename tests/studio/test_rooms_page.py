@@ -176,6 +176,19 @@ def test_two_tabs_agree_on_what_was_saved(page: Page, own_folder: Path) -> None:
 
 
 @pytest.mark.slow
+def test_another_address_of_the_same_room_is_gone_to(page: Page, own_folder: Path) -> None:
+    shutil.copytree(own_folder / "train", own_folder / "another")
+    opened(page, "recordings?name=train")
+    page.locator("h1", has_text="train").wait_for()
+    page.evaluate("location.hash = '#recordings?name=another'")  # as typed into the browser's line
+    page.locator("h1", has_text="another").wait_for()
+    page.evaluate("location.hash = '#recordings'")  # the room's own link: all stays
+    page.wait_for_timeout(200)
+    assert page.locator("h1").inner_text() == "another"
+    shutil.rmtree(own_folder / "another")
+
+
+@pytest.mark.slow
 def test_a_film_is_begun_and_a_recording_checked(page: Page, own_folder: Path) -> None:
     opened(page, "recordings")
     page.get_by_role("button", name="into raw").click()

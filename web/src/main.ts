@@ -1,7 +1,6 @@
 // Which room is shown: the address after # says it, so that a reload or a copied address comes back to it.
 import { bend } from "./bend.js";
 import { h } from "./dom.js";
-import { learn } from "./learn.js";
 import { connect, onReturn, say, SILENT } from "./net.js";
 import { leave, params, roomName } from "./place.js";
 
@@ -9,7 +8,7 @@ import { leave, params, roomName } from "./place.js";
 const ROOMS = {
   record: ["Record", async () => (await import("./record.js")).record],
   recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
-  learn: ["Learn", async () => learn],
+  learn: ["Learn", async () => (await import("./learn.js")).learn],
   bend: ["Bend", async () => bend],
   rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
 } as const;
@@ -24,7 +23,7 @@ async function show(): Promise<void> {
     if (link.dataset.room === room) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
-  if (shown === room) return;
+  if (shown === room && !location.hash.includes("?")) return;  // its own link; an address that says more is gone to
   shown = room;
   leave();
   place.replaceChildren();

@@ -14,6 +14,7 @@ from onebend.capture.devices.growing_bag import GrowingBag
 from onebend.capture.devices.inputs import AvCamera
 from onebend.capture.devices.lines import GrowingLog, SerialForce
 from onebend.capture.devices.packages import FrankaForce, LslForce, UrForce
+from onebend.capture.devices.realsense import STREAMS, RealSenseCamera, RealSenseSettings
 from onebend.capture.devices.v4l2 import PACKED, V4l2Camera, V4l2Settings
 from onebend.capture.played import OwnClock, played_camera, played_force
 from onebend.capture.sources import CameraSource, ForceSource
@@ -157,22 +158,43 @@ def _lsl(place: str, options: Options) -> ForceSource:
     return LslForce(place, cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}"))
 
 
-def _v4l2(place: str, options: Options) -> CameraSource:
-    asked = V4l2Settings()
-    width, cross, height = options.get("size", f"{asked.width}x{asked.height}").partition("x")
+def _size(options: Options, default: str) -> tuple[int, int]:
+    width, cross, height = options.get("size", default).partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise RecordingError(f"size={options['size']}: write width and height in pixels, as size=1280x720.")
+    return int(width), int(height)
+
+
+def _v4l2(place: str, options: Options) -> CameraSource:
+    asked = V4l2Settings()
+    width, height = _size(options, f"{asked.width}x{asked.height}")
     packed = options.get("packed", asked.packed)
     if packed not in PACKED:
         raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
     settings = V4l2Settings(
-        width=int(width),
-        height=int(height),
+        width=width,
+        height=height,
         fps=number(options, "fps", asked.fps, least=0.1),
         packed=packed,
         exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01),
     )
     return V4l2Camera(Path(place), settings)
+
+
+def _realsense(place: str, options: Options) -> CameraSource:
+    asked = RealSenseSettings()
+    width, height = _size(options, f"{asked.width}x{asked.height}")
+    stream = next((one for one in STREAMS if one == options.get("stream", asked.stream)), None)
+    if stream is None:
+        raise RecordingError(f"stream={options['stream']}: take one of {', '.join(STREAMS)}.")
+    settings = RealSenseSettings(
+        stream=stream,
+        width=width,
+        height=height,
+        fps=round(number(options, "fps", asked.fps, least=1.0)),
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01),
+    )
+    return RealSenseCamera("" if place == "any" else place, settings)
 
 
 def _av(place: str, options: Options) -> CameraSource:
@@ -183,6 +205,12 @@ def _av(place: str, options: Options) -> CameraSource:
 CAMERAS: dict[str, SourceKind[CameraSource]] = {
     "v4l2": SourceKind(
         "/dev/video0", "a camera of Linux, with the kernel's stamps", ("size", "fps", "packed", "exposure_ms"), _v4l2
+    ),
+    "realsense": SourceKind(
+        "realsense:any",
+        "a RealSense camera, or its serial number for `any` (pip install 'onebend[realsense]')",
+        ("stream", "size", "fps", "exposure_ms"),
+        _realsense,
     ),
     "av": SourceKind(
         "av:PLACE,format=NAME",

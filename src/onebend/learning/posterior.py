@@ -17,7 +17,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Profile
-from onebend.beam.profiles.uncertain import Band, UncertainStiffness
+from onebend.beam.profiles.uncertain import SHAPE_PLACES, Band, UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
@@ -253,8 +253,8 @@ def fit(
     It begins at the stiffness `start` [N m]; None: at that of the uniform beam that is nearest to the tags.
 
     Raises:
-        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found, or
-            equations that rounding makes unsolvable.
+        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found,
+            force logs with more error than force, or equations that rounding makes unsolvable.
     """
     check_same_beam(recordings)
     recordings = with_modes(recordings)
@@ -300,4 +300,5 @@ def _fit(
     place = search_place(whole, optimum, settings, thorough=doubtful(critic)) if ask else None
     progress.done()
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
-    return Posterior(whole, with_places(optimum, place), gain_sd, critic, left_out, place)
+    optimum = with_places(whole, optimum, place, found.log_at(SHAPE_PLACES)[1])
+    return Posterior(whole, optimum, gain_sd, critic, left_out, place)

@@ -8,7 +8,7 @@ import numpy as np
 
 from onebend.learning.allowances.mounting import BETWEEN
 from onebend.learning.criticism.criticism import Finding
-from onebend.learning.criticism.push_place import FAR, moved_off
+from onebend.learning.criticism.push_place import FAR, LIKELIER, moved_off
 from onebend.learning.criticism_messages import criticism_remarks
 from onebend.learning.inference.misfit import recording_rms
 from onebend.learning.model.parameters import Priors, clamp_sd
@@ -104,9 +104,16 @@ def _elsewhere(posterior: Posterior) -> list[Remark]:
             "[push]"
         )
         return [Remark("warning", text, about="push place")]
+    if found.mistaken > LIKELIER:
+        text = (
+            f"the push acts {where} far more likely than at {found.written:.3g}, as tags and force say; k(s) goes by "
+            "its way from there, and the band holds all of that. Measure the place, and correct at_s in [push]"
+        )
+        return [Remark("warning", text, about="push place")]
     text = (
         f"tags and force leave open where the push acts, {where}, and k(s) goes by its way from there: the band holds "
-        "all of that. Measure the place, and push where there is a tag"
+        "all of that. Let the film show the tool, push where there is a tag, or measure the place closely and say "
+        "in [push] how closely"
     )
     return [Remark("note", text)]
 

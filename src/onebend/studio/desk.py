@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import multiprocessing
+import sys
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
@@ -29,6 +30,7 @@ if TYPE_CHECKING:  # and in `_load`: the page is there before the mechanics are 
     from onebend.studio.bending import Bending
 
 _MOST_BEAMS = 8
+_TURN = 5e-4  # s that a thread keeps the interpreter while the mechanics are loaded
 _RESTS = 0.3  # s without a drag, after which the ellipse is made exactly
 
 
@@ -285,7 +287,13 @@ class Desk:
 
 
 def _load() -> None:
-    from onebend.studio import bending  # noqa: F401  (here: while the page is being fetched)
+    """The mechanics, while the page is being fetched: who answers it is let in often."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_TURN)
+    try:
+        import_module("onebend.studio.bending")
+    finally:
+        sys.setswitchinterval(before)
 
 
 def _opened(model: str, folder: Any) -> Bending:

@@ -7,6 +7,7 @@ import json
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import Mount, Route, WebSocketRoute
-from starlette.staticfiles import StaticFiles
+from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 
 from onebend.errors import OnebendError, StudioError
@@ -32,6 +32,7 @@ PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
 LONGEST_MESSAGE = 64 * 1024  # bytes of the socket
 _MOST_RECORDINGS = 50
+_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 
 
 def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
@@ -63,9 +64,23 @@ def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
         Route("/api/learn", clean(asked.learn), methods=["POST"]),
         Route("/api/stop", clean(asked.stop), methods=["POST"]),
         WebSocketRoute("/socket", desk.serve),
-        Mount("/", StaticFiles(directory=PAGE, html=True)),
+        Route("/{name:path}", _page_file),
     ]
     return Guard(Starlette(routes=routes, lifespan=life), token, port)
+
+
+@lru_cache
+def page_files() -> dict[str, tuple[bytes, str]]:
+    """Bytes and media type of each file of the page, by name. All are read at once: while the mechanics are loaded, a
+    thread for each would wait."""
+    return {one.name: (one.read_bytes(), _TYPES[one.suffix]) for one in sorted(PAGE.iterdir()) if one.suffix in _TYPES}
+
+
+async def _page_file(request: Request) -> Response:
+    found = page_files().get(request.path_params["name"] or "index.html")
+    if found is None:
+        return Response("There is no such file.\n", 404, media_type="text/plain")
+    return Response(found[0], media_type=found[1])
 
 
 class Asked:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Profile, Steps, Table, Uniform
-from onebend.beam.statics.continuation import ContinuationSettings, equilibrium, follow, refine
+from onebend.beam.statics.continuation import ContinuationSettings, _predicted, _State, equilibrium, follow, refine
 from onebend.beam.statics.equilibrium import gradient, tangent
 from onebend.beam.statics.nodal_forces import node_angles
 from onebend.beam.statics.problem import Resolution, make_problem
@@ -310,3 +310,14 @@ def test_what_a_beam_remembers_changes_no_number() -> None:
     exact = equilibrium(met, push(force), resolution=Resolution(16, 1.0 / 40.0)).xy(S)[0]
     assert np.max(np.abs(fresh.xy(S) - exact)) < 1e-12
     assert pickle.loads(pickle.dumps(met)) == met
+
+
+def test_a_cubic_that_is_none_is_left_out_of_the_prediction() -> None:
+    """Its terms are divided by the last step, which may be as short as numbers are."""
+    problem = make_problem(UNIT, push((0.0, 1.0), 1.0), Resolution())
+    rest = np.zeros((2, problem.stiff.shape[-1]))
+    state = _State(rest, 2)
+    state.slope[:], state.turn[:] = 1.0, 1.0
+    state.second[1], state.third[1] = np.inf, -np.inf
+    found = _predicted(problem, state, np.arange(2), np.array([0.5, 0.5]))
+    np.testing.assert_array_equal(found, 0.5 * np.ones_like(rest))

@@ -46,7 +46,7 @@ def test_coverage_has_the_area_and_centroid_of_the_polygon(seed: int, corners: i
     centroid = ((loop + after) * cross[:, None]).sum(axis=0) / (6.0 * area)
     cover = coverage(loop[None], BOX)
     rim = np.linalg.norm(after - loop, axis=1).sum()
-    assert cover.sum() == pytest.approx(area, abs=0.1 * rim / LINES)
+    assert cover.sum() == pytest.approx(area, abs=0.15 * rim / LINES)  # an edge may lie along the lines: 0.5 at most
     rows, columns = np.indices(cover.shape)
     if area > 20.0:
         found = np.array([(cover * columns).sum(), (cover * rows).sum()]) / cover.sum()

@@ -8,10 +8,20 @@ import numpy as np
 import pytest
 
 from onebend.learning.inference import descent
-from onebend.learning.inference.descent import MapEstimate, _Linearised, _trial, rows_of, with_own_forces
+from onebend.learning.inference.descent import (
+    MapEstimate,
+    _Linearised,
+    _moved,
+    _trial,
+    _with_slopes_kept,
+    descend,
+    rows_of,
+    with_own_forces,
+)
 from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
 from onebend.learning.inference.linear_gaussian import data_information, split_off_force, tag_score
 from onebend.learning.inference.optimizer import estimate_at
+from onebend.learning.model import forward
 from tests.learning.inference.test_hyperparameters import evidence_of
 
 
@@ -61,3 +71,42 @@ def test_a_trial_is_brought_back_to_its_valley(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(descent, "_CORRECTIONS", 0)
     _, straight = _trial(here, 1.0, cost)
     assert corrected < cost < straight
+
+
+def test_many_recordings_keep_derivatives_on_the_way_and_end_with_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, hyperparameters, estimate = far_off()
+    before, counts = prior(problem, hyperparameters), []
+    counted, original = [0], forward._slopes
+
+    def slopes(now: forward.Prediction) -> forward.Slopes:
+        counted[0] += 1
+        return original(now)
+
+    monkeypatch.setattr(forward, "_slopes", slopes)
+    found = []
+    for together in (10.0, 0.99):  # one recording is then more than that
+        monkeypatch.setattr(descent, "_TOGETHER", together)
+        counted[0] = 0
+        found.append(descend(problem, estimate, before, 60, 1e-4))
+        counts.append((counted[0], found[-1].steps))
+    (every, _), (some, steps) = counts
+    assert some < min(every, steps)  # fewer than it takes steps
+    assert all(one.converged and one.predictions[0].nearby is None for one in found)
+    first, second = (before.whiten(one.x) for one in found)
+    np.testing.assert_allclose(first, second, atol=1e-3)
+
+
+def test_derivatives_are_kept_where_the_tags_go_as_they_say() -> None:
+    problem, hyperparameters, estimate = far_off()
+    estimate = with_own_forces(estimate)
+    here = linearised(problem, hyperparameters, estimate)
+    step = here.before.times(here.solved(1.0).solve(here.slope))
+    kept = []
+    for share in (1e-3, 1.0):
+        tried = _moved(here, estimate, [rows.r for rows in here.rows], share * step)
+        (now,) = _with_slopes_kept(here, tried).predictions
+        kept.append(now.nearby is here.rows[0].whitened)
+        assert now.nearby is None or now.whitened_slopes is now.nearby
+        now.release()
+        assert now.whitened_slopes is not here.rows[0].whitened
+    assert kept == [True, False]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from onebend.learning.inference.block_root import BlockRoot, beside
+from onebend.learning.inference.block_root import BlockRoot, beside, unit_root
 from onebend.learning.inference.fit_problem import Prior
 from onebend.learning.inference.information_form import InformationForm
 from onebend.learning.inference.joint import JointInformation, coupled, marginal, own_in_z, prior_in_own_z, solved
@@ -99,6 +99,25 @@ def test_a_root_does_what_its_matrix_does() -> None:
     np.testing.assert_allclose(root.around(matrix), dense.T @ matrix @ dense)
     index = np.array([4, 3, 0])
     np.testing.assert_allclose(root.take(index).dense(), dense[np.ix_(index, index)])
+
+
+def test_a_root_of_one_leaves_everything_as_it_is() -> None:
+    matrix = np.random.default_rng(2).standard_normal((4, 4))
+    around = unit_root(4).around(matrix)
+    np.testing.assert_array_equal(around, matrix)
+    np.testing.assert_array_equal(unit_root(4).transposed_times(matrix), matrix)
+    assert not np.shares_memory(around, matrix)  # it is added to
+    assert not BlockRoot(np.ones(4), ((np.array([1, 2]), np.array([[1.0, 0.0], [0.5, 1.0]])),)).unit
+
+
+def test_covariances_of_pairs_are_worked_out_where_asked_for() -> None:
+    posterior = solved(Case().data, Case().before)
+    pairs = posterior.covariance.pairs
+    assert len(pairs) == len(list(pairs)) == len(OWN)
+    for number in (2, 0, 0, 1):
+        np.testing.assert_array_equal(pairs[number], posterior.pair(number))
+    np.testing.assert_array_equal(pairs[1:][0], posterior.pair(1))
+    assert pairs[1] is pairs[1]
 
 
 def test_the_posterior_and_the_evidence_are_those_of_dense_algebra() -> None:

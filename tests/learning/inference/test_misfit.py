@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from onebend.learning.inference.misfit import Miss, misses
+from onebend.errors import LearningError
+from onebend.learning.inference.descent import MapEstimate
+from onebend.learning.inference.fit_problem import FitProblem
+from onebend.learning.inference.misfit import Miss, misses, refuse_lost_force
+from onebend.learning.inference.stages import first_problem
 from onebend.learning.model.fit_data import fit_data
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.parameters import Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.records import Array
-from tests.learning.bench import SOFT, forces, observed
+from tests.learning.bench import IDEAL, SOFT, forces, observed
 
 SD = 1e-4  # m, of each coordinate of a tag
 
@@ -80,3 +85,35 @@ def test_a_fit_is_hopeless_by_the_motion_of_all_tags_together(exact: Prediction)
 
 def test_a_fit_on_the_tags_misses_none(exact: Prediction) -> None:
     assert misses([exact.recording], [exact]) == ()
+
+
+def fit_with_error(share: float, zero: float = 0.0) -> tuple[FitProblem, MapEstimate]:
+    """A fit that takes this share of the log for its error, beside a zero [N] that is off."""
+    problem, x = first_problem([observed(SOFT, forces(60))], 0.02, IDEAL)
+    [recording] = problem.recordings
+    on = np.any(recording.force != 0.0, axis=1)
+    wanted = share * recording.force[on] + zero
+    values = np.linalg.lstsq(recording.error_weights[on], wanted, rcond=None)[0]
+    x[problem.layout.index["force", 0].where] = values.ravel()
+    return problem, MapEstimate(x, problem.expected, ())
+
+
+def test_a_log_with_more_error_than_force_is_refused_with_both_sizes() -> None:
+    problem, estimate = fit_with_error(0.75)
+    with pytest.raises(LearningError, match="made: the error of the force log changes by") as refused:
+        refuse_lost_force(problem, estimate)
+    error, force = (float(n) for n in re.findall(r"by ([\d.]+) N", str(refused.value)))
+    assert error / force == pytest.approx(3.0, rel=0.1)
+    assert "Push harder, or take a force sensor" in str(refused.value)
+
+
+@pytest.mark.parametrize(("share", "zero"), [(0.0, 0.0), (0.4, 0.0), (-0.5, 0.0), (0.1, 5.0)])
+def test_a_smaller_error_and_a_zero_that_is_off_are_not(share: float, zero: float) -> None:
+    refuse_lost_force(*fit_with_error(share, zero))
+
+
+def test_a_log_with_more_error_than_force_is_not_refused_beside_one_that_tells() -> None:
+    problem, estimate = fit_with_error(0.75)
+    [lost] = problem.recordings
+    told = replace(lost, error_weights=np.zeros_like(lost.error_weights))
+    refuse_lost_force(replace(problem, recordings=(lost, told)), estimate)

@@ -12,7 +12,7 @@ from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
 from onebend.beam.profiles.stiffness import Gaussians, Powers, Profile, equidistant
 from onebend.learning.paper.inverse_kinematics import solve_states
-from onebend.learning.paper.regression import assemble, basis, literal, profile, weighted
+from onebend.learning.paper.regression import _ROUNDING, _whitening, assemble, basis, literal, profile, weighted
 from onebend.records import MassLine
 from tests.learning.bench import SOFT, forces, in_family, observed
 from tests.made_up import with_stated
@@ -89,6 +89,22 @@ def test_an_uneven_mass_loads_the_beam_where_it_is() -> None:
     expected = 0.15 * (-9.81 * beyond * np.cos(alpha) * grid.weights) @ phi.angle(grid.nodes)
     np.testing.assert_allclose(rows.load - plain.load, expected, atol=1e-10)
     assert np.max(np.abs(of_even.load - rows.load)) > 0.1 * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("lowest", [1e-3, 1e-13])
+def test_whitening_is_that_of_the_spectrum_where_it_is_known(lowest: float) -> None:
+    random = np.random.default_rng(2)
+    turned = np.linalg.qr(random.normal(size=(5, 6, 6)))[0]
+    spectrum = np.geomspace(lowest, 1.0, 6)
+    whiten = _whitening((turned * spectrum) @ np.swapaxes(turned, 1, 2))
+    expected = (turned / np.maximum(spectrum, _ROUNDING)) @ np.swapaxes(turned, 1, 2)
+    assert np.swapaxes(whiten, 1, 2) @ whiten == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+
+
+def test_whitening_of_a_matrix_without_an_inverse_is_bounded() -> None:
+    whiten = _whitening(np.stack([np.ones((3, 3)), np.eye(3)]))
+    assert whiten[1] @ whiten[1].T == pytest.approx(np.eye(3))
+    assert np.abs(whiten[0]).max() < 1.01 / np.sqrt(_ROUNDING)
 
 
 def test_weights_beat_the_literal_rows_under_noise() -> None:

@@ -61,3 +61,17 @@ def drawn(
     cos, sin = np.cos(clamp), np.sin(clamp)
     o = replace(o, xy=xy, angle=angle, rest_xy=rest_xy, rest_angle=rest_angle)
     return o, np.array([[cos, sin], [-sin, cos]])
+
+
+def contacts(seed: int, count: int = 8) -> tuple[Array, Array, Array]:
+    """Places (2,) at least 0.2 of the beam apart, and forces (F, 2) N at each over `count` frames, to either side: up
+    to 1 to 5 times k/L at the nearer one, half of that at the farther one."""
+    rng, way = np.random.default_rng([seed, 3]), np.linspace(0.4, 1.0, count)
+    near = float(rng.uniform(0.3, 0.75))
+    far = float(rng.uniform(near + 0.2, 1.0))
+    out, scale = [], float(np.mean(np.asarray(BEAM.stiffness(np.linspace(0.0, 1.0, 101))))) / BEAM.length
+    for most, shape in ((5.0, np.sin(rng.uniform(1.5, 3.0) * way)), (2.5, way**2)):
+        turn = float(rng.choice([-1.0, 1.0])) * rng.uniform(1.2, 1.9) + 0.2 * way
+        size = float(rng.uniform(0.2, 1.0)) * most * scale * shape
+        out.append(size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+    return np.array([near, far]), out[0], out[1]

@@ -156,6 +156,11 @@ def test_a_common_factor_on_k_shows_in_the_force_alone() -> None:
     assert wrong.misfit.ratio < 1.6
     assert wrong.against_log is not None
     assert wrong.against_log[0] > 0.02
+    assert right.sensor is not None
+    assert wrong.sensor is not None
+    assert wrong.sensor.gain[0] == pytest.approx(right.sensor.gain[0] / 1.3, rel=0.05)
+    assert not right.remarks or "sensed gain" not in {one.about for one in right.remarks}
+    assert "sensed gain" in {one.about for one in wrong.remarks}
 
 
 def test_a_missing_tag_and_a_missing_angle_make_it_less_sure() -> None:

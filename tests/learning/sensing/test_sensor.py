@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.model.force_error import force_error
-from onebend.learning.sensing.sensor import SensorCheck, ToldForces, check_sensor
+from onebend.learning.sensing.sensor import START, SensorCheck, ToldForces, _Check, check_sensor
 from onebend.records import Array, CleanForce, ForceNoise, Observations
 from tests.learning.bench import SOFT, forces, observed
 
@@ -94,6 +94,33 @@ def test_a_slow_error_of_the_log_widens_the_band_of_its_axes() -> None:
     good, bad = checked(log_of(push(TIME)), told), checked(log_of(push(TIME)) + wave, told)
     assert bad.direction[1] > 1.5 * good.direction[1]
     assert abs(bad.direction[0] - TURNED) < 2.5 * bad.direction[1]
+
+
+def test_what_is_unknown_of_the_clock_is_unknown_of_the_delay() -> None:
+    """The log's error moved the clock that was found by it, too."""
+    told = told_of(push(TIME), np.tile(OWN**2 * np.eye(2), (len(TIME), 1, 1)), np.random.default_rng(2))
+    log = log_of(push(TIME))
+    o = recorded(log)
+    sure, unsure = (
+        check_sensor(told, log, force_error(o, TIME), o.source.clean_force, clock_sd) for clock_sd in (0.0, 0.05)
+    )
+    assert sure is not None
+    assert unsure is not None
+    assert unsure.delay[1] == pytest.approx(np.hypot(sure.delay[1], 0.05))
+    assert unsure.gain[1] >= sure.gain[1]
+    assert unsure.direction[1] > 1.05 * sure.direction[1]
+
+
+def test_sizes_of_the_log_error_that_nobody_knows_widen_its_bands() -> None:
+    """Of one push, with an error that came with the load: the sizes are averaged over."""
+    told = told_of(push(TIME), np.tile(OWN**2 * np.eye(2), (len(TIME), 1, 1)), np.random.default_rng(5))
+    error, log = force_error(recorded(log_of(push(TIME))), TIME), log_of(push(TIME))
+    check = _Check(told, log, error, error.weights)
+    sizes = check.chosen(START, np.zeros(4))
+    check.see(START, sizes)
+    x, alone = check.settled(START, sizes)
+    _, spread = check.over_sizes(x, sizes)
+    assert spread[1, 1] > 1.05 * alone[1, 1]
 
 
 def test_too_few_frames_judge_nothing() -> None:

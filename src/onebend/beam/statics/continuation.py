@@ -279,7 +279,8 @@ def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array,
 def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -> Array:
     """(T, Q) where the branch is a step ahead: along its slope, bent as it was so far if that changes little."""
     t = step[:, None]
-    bent = t**2 * (state.second[frames] + t * state.third[frames])
+    with np.errstate(invalid="ignore", over="ignore"):  # after a very short step the cubic is none: NaN is not little
+        bent = t**2 * (state.second[frames] + t * state.third[frames])
     turn = np.max(np.abs(apply(problem.to_nodes, bent)), axis=-1)
     little = turn < _HIGHER_ORDER_SHARE * step * state.turn[frames]
     return state.q[frames] + t * state.slope[frames] + np.where(little[:, None], bent, 0.0)

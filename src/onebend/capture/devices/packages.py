@@ -1,4 +1,4 @@
-"""Force sensors that their makers' own packages read: Universal Robots, Franka, the Lab Streaming Layer."""
+"""What their makers' own packages read: Universal Robots, Franka, the Lab Streaming Layer."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def package(name: str, extra: str) -> Any:
     """
     try:
         return import_module(name)
-    except ImportError:
+    except ModuleNotFoundError as wrong:
         raise RecordingError(
-            f"this needs the package {name}. Install it with: pip install 'onebend[{extra}]'"
+            f"this needs the package {wrong.name}. Install it with: pip install 'onebend[{extra}]'"
         ) from None
-    except (OSError, RuntimeError) as wrong:  # a library of the system that it needs
+    except (ImportError, OSError, RuntimeError) as wrong:  # a library of the system that it needs
         raise RecordingError(f"the package {name} does not load: {wrong}") from None
 
 

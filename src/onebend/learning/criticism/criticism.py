@@ -20,6 +20,7 @@ from onebend.learning.criticism.score_tests import Score, linearised, pulls, sco
 from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.inference.optimizer import Optimum
 from onebend.records import Array
+from onebend.workers import each
 
 # log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
 ALARM = -5.0
@@ -117,8 +118,7 @@ class Criticism:
 def criticise(problem: FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
     """Test the model of a fit that has ended."""
     fit, layout = linearised(problem, optimum), problem.layout
-    pairs = zip(problem.recordings, optimum.predictions, strict=True)
-    patterns = [alternatives(recording, layout, optimum.x, now) for recording, now in pairs]
+    patterns = each(lambda now: alternatives(now.recording, layout, optimum.x, now), optimum.predictions)
     tests = [*scores(fit, patterns), *pulls(fit)]
     s = np.linspace(0.0, 1.0, 101)
     identified = stiffness.band(s).identified

@@ -6,10 +6,16 @@ it is expected of a beam. So the evidence is compared, in which the prior of k t
 the push at places farther and farther from the written one, on a few frames (`place_evidence.py`), first under the
 noise of the fit at the written place, then under that of the best.
 
-A place that was written down is wrong with a small probability, and then may be anywhere. The places make a mixture
-with weights by that and by the evidence. About the fit at the written place its second moment is the posterior's
-covariance and `sum_j w_j d_j d_j'`, d_j being how far the parameters are from it with the push at place j. So what the
-recording cannot tell stands in the band; where another place has far more evidence, the written one is accused.
+A place that was written wrongly may be anywhere, and how often that happens nobody knows. So the band does not go by
+how likely it is, but holds in either case, unless the recording rules the mistake out: a place that has nothing to do
+with the true one seldom agrees with the tags as well as a right one does. Where the probability of the mistake is left
+above LEFT_OUT (before the data it is an even chance, or a small one where the place is stated more closely than a hand
+puts it), the band is that with the push at any of the places that are likely then: to half its width comes the largest
+change of log k among them. The covariance is that about the fit at the written place, `C + sum_j w_j d_j d_j'`, d_j
+being how far the parameters are from it with the push at place j, of probability w_j if the written one is wrong. So
+what the recording cannot tell stands in the band; where another place has far more evidence, the written one is
+accused.
+
 Where no test of the fit's model gives a reason, places on either side are asked first, and mostly that is the end.
 """
 
@@ -19,28 +25,35 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.special import ndtri
 
+from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.learning.criticism.criticism import ALARM, Criticism
 from onebend.learning.criticism.place_evidence import AtPlace, at_written, moved, under, with_own_noise
-from onebend.learning.inference.fit_problem import FitProblem
+from onebend.learning.inference.fit_problem import FitProblem, log_k_map
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.inference.stages import FitSettings
 from onebend.learning.model.parameters import Layout
-from onebend.records import Array
+from onebend.records import PLACE_SD, Array, BoolArray
 
-MISTAKEN = 0.3  # of the weight before the data is for other places: not how often people err, but what the band holds
-AT_TIP = 0.5  # of that for the tip, where most pushes act; the rest is even between INNERMOST and the tip
+AT_TIP = 0.5  # share of the tip, where most pushes act, if another place is written; the rest is even from INNERMOST on
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
 # Of the log evidence: by so much more the written place is not believed. The chance that a right place loses by as much
 # is at most `exp` of minus this (Markov's inequality), as small as that beyond which other tests count.
 ACCUSED = -float(np.log(10.0)) * ALARM
 FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fallen as far
-LIKELY = 0.05  # weight of a place, or of several together, that is worth a word
+BY_HAND, MEASURED = 0.5, 0.01  # probability of a mistake before the data; MEASURED: stated more closely than PLACE_SD
+LEFT_OUT = 0.05  # probability of a mistake below which the band does not hold it: a 95 % band leaves out as much
+LIKELIER = 1.0 - LEFT_OUT  # and beyond which a warning says so
+_HELD = 0.95  # probability of the places that are named
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
-_FIRST = 0.1  # of the length: where it is asked first
-_WORSE = -3.0  # of the log evidence there: the written place is then well known
+# Of the log evidence at the first of them. Below it on both sides the tags tell the place to 0.025 of the length (sd),
+# and against a right place one written at random has less than LEFT_OUT: `0.5 sqrt(2 pi) 0.025 / (1 - INNERMOST)`.
+_WORSE = -2.0
+_FINE = 0.005  # of the length, between places that are told apart
 _HOPELESS = 12.0  # of the log evidence, below the best place: places beyond are worse still
 _TOLERANCES = 4.0  # sds of the written place within which another one is as written
 
@@ -52,21 +65,39 @@ class PlaceSearch:
     written: float
     s: Array  # (n,) places that were tried
     gain: Array  # (n,) of the log evidence, over the written place
-    weight: Array  # (n,) probability of the places; that of the written one is what is left
     away: Array  # (n, P) of the parameters, from where they are with the push at the written place
+    places: Array  # (f,) from the innermost that was tried to the outermost, close together
+    weight: Array  # (f,) their probabilities if the written place is wrong
+    mistaken: float  # the probability that it is
     accused: bool  # the push hardly acts where it is said to
 
     @property
     def open(self) -> bool:
-        """Whether another place than the written one is likely enough to be said."""
-        return bool(np.sum(self.weight) > LIKELY)
+        """Whether the recording leaves it possible that the written place is wrong."""
+        return self.mistaken > LEFT_OUT
 
     @property
     def range(self) -> tuple[float, float]:
         """Between these places the push is likely to act."""
-        every, weight = np.append(self.s, self.written), np.append(self.weight, 1.0 - np.sum(self.weight))
-        likely = every[weight > min(LIKELY, float(np.max(weight)) / 2.0)]
+        likely = self.places[self.likely(_HELD)]
         return float(np.min(likely)), float(np.max(likely))
+
+    def likely(self, share: float) -> BoolArray:
+        """(f,) the most likely places, if the written one is wrong, that together have this probability."""
+        order = np.argsort(-self.weight)
+        out = np.zeros(len(order), dtype=bool)
+        out[order[: int(np.searchsorted(np.cumsum(self.weight[order]), share)) + 1]] = True
+        return out
+
+    @property
+    def shifts(self) -> Array:
+        """(f, P) of the parameters with the push at each of `places`, in between those that were tried."""
+        order = np.argsort(self.s)
+        s, at = self.s[order], int(np.searchsorted(self.s[order], self.written))
+        known, away = np.insert(s, at, self.written), np.insert(self.away[order], at, 0.0, axis=0)
+        right = np.clip(np.searchsorted(known, self.places), 1, len(known) - 1)
+        share = ((self.places - known[right - 1]) / (known[right] - known[right - 1]))[:, None]
+        return np.asarray((1.0 - share) * away[right - 1] + share * away[right])
 
 
 def doubtful(criticism: Criticism) -> bool:
@@ -96,11 +127,7 @@ def search_place(
         return None
     written, length = float(places[0]), first.observations.length
     here = at_written(problem, optimum, written, settings)
-    found: list[AtPlace] = []
-    if here is not None:
-        for side in (-1.0, 1.0):
-            if thorough or _likely_beside(here, side, settings):
-                found += [*_outwards(here, side, settings)]
+    found = [] if here is None else _every_place(here, settings, thorough=thorough)
     if here is None or not found:
         return None
     here, found = _under_noise_of_best(here, found)
@@ -108,8 +135,18 @@ def search_place(
     gain = np.array([one.log_evidence for one in found]) - here.log_evidence
     away = np.stack([_away(problem, here, one, length) for one in found])
     far = np.abs(s - written) * length > _TOLERANCES * block.prior_sd[0]
-    weight, accused = _weights(s, gain, written), bool(np.any(far & (gain > ACCUSED)))
-    return PlaceSearch(written, s, gain, weight, away, accused)
+    accused = bool(np.any(far & (gain > ACCUSED)))
+    before = MEASURED if block.prior_sd[0] < 0.999 * PLACE_SD else BY_HAND
+    return PlaceSearch(written, s, gain, away, *place_posterior(s, gain, written, before), accused)
+
+
+def _every_place(here: AtPlace, settings: FitSettings, *, thorough: bool) -> list[AtPlace]:
+    """The fits at other places; none where those on either side have far less evidence, unless `thorough`."""
+    sides = [_outwards(here, side, settings) for side in (-1.0, 1.0)]
+    first = [one for one in (next(side, None) for side in sides) if one is not None]
+    if not thorough and all(one.log_evidence < here.log_evidence + _WORSE for one in first):
+        return []
+    return [*first, *(one for side in sides for one in side)]
 
 
 def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, list[AtPlace]]:
@@ -126,21 +163,20 @@ def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, 
     return again, [settled, *(one for one in every if one is not None)]
 
 
-def _likely_beside(here: AtPlace, side: float, settings: FitSettings) -> bool:
-    place = min(here.place + side * _FIRST, 1.0)
-    if abs(place - here.place) < 0.5 * _STEPS[0]:
-        return False
-    beside = moved(here, place, settings)
-    return beside is not None and beside.log_evidence > here.log_evidence + _WORSE
-
-
-def with_places(optimum: Optimum, search: PlaceSearch | None) -> Optimum:
-    """The optimum, its covariance with what is not known of the place of the push."""
-    if search is None:
+def with_places(problem: FitProblem, optimum: Optimum, search: PlaceSearch | None, sd: Array) -> Optimum:
+    """The optimum with what is not known of the place of the push; `sd` (S,) of log k at SHAPE_PLACES without it."""
+    if search is None or not search.open:
         return optimum
-    (pair,), covariance = optimum.covariance.pairs, optimum.covariance
-    wider = pair + (search.away.T * search.weight) @ search.away
-    return replace(optimum, covariance=JointCovariance(covariance.shared, (wider,), covariance.parts))
+    (pair,), covariance, shifts = optimum.covariance.pairs, optimum.covariance, search.shifts
+    wider = pair + (shifts.T * search.weight) @ shifts
+    index, onto = log_k_map(problem)
+    of_log_k = shifts[:, index] @ (problem.layout.spline.finer.basis(SHAPE_PLACES) @ onto).T  # (f, S)
+    farthest = np.stack([np.max(np.abs(of_log_k[search.likely(level)]), axis=0) for level in SHAPE_LEVELS])
+    normal, wider_sd = ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None], np.sqrt(sd**2 + search.weight @ of_log_k**2)
+    shape = (optimum.shape * sd + farthest / normal) / wider_sd
+    return replace(
+        optimum, covariance=JointCovariance(covariance.shared, (wider,), covariance.parts), shape=np.asarray(shape)
+    )
 
 
 def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtPlace]:
@@ -148,6 +184,7 @@ def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtP
     last, most = here, here.log_evidence
     for step in _STEPS:
         place = float(np.clip(here.place + side * step, INNERMOST, 1.0))
+        place = 1.0 if 1.0 - place < 0.5 * _STEPS[0] else place
         if abs(place - last.place) < 0.5 * _STEPS[0]:
             return
         tried = moved(last, place, settings)
@@ -160,18 +197,22 @@ def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtP
         last = tried
 
 
-def _weights(s: Array, gain: Array, written: float) -> Array:
-    """(n,) of the places tried: each stands for those nearer to it than to another one."""
-    order = np.argsort(s)
-    every = np.sort(np.append(s, written))
-    edges = np.concatenate([[INNERMOST], 0.5 * (every[1:] + every[:-1]), [1.0]])
-    own = np.diff(edges)[np.searchsorted(every, s[order])]
-    share = MISTAKEN * ((1.0 - AT_TIP) * own / (1.0 - INNERMOST) + AT_TIP * (s[order] > 1.0 - 1e-9))
-    most = max(float(np.max(gain)), 0.0)
-    weight = share * np.exp(gain[order] - most)
-    out = np.zeros(len(s))
-    out[order] = weight / (np.sum(weight) + (1.0 - MISTAKEN) * np.exp(-most))
-    return out
+def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HAND) -> tuple[Array, Array, float]:
+    """Places (f,) with their probabilities (f,) if the written one is wrong, and the probability that it is, from the
+    gains of log evidence (n,) at places s (n,) and its probability before. What was not tried has no evidence."""
+    known, order = np.append(s, written), np.argsort(np.append(s, written))
+    inner, outer = float(np.min(known)), float(np.max(known))
+    places = np.linspace(inner, outer, int(np.ceil((outer - inner) / _FINE)) + 1)
+    gains = PchipInterpolator(known[order], np.append(gain, 0.0)[order])(places)
+    share = np.gradient(places) / (1.0 - INNERMOST)
+    share[[0, -1]] *= 0.5
+    if written < 1.0 - 0.5 * _STEPS[0]:
+        share *= 1.0 - AT_TIP
+        share[-1] += AT_TIP * (outer > 1.0 - 1e-9)
+    most = max(float(np.max(gains)), 0.0)
+    evidence = share * np.exp(gains - most)
+    of_mistake = float(np.sum(evidence))
+    return places, evidence / of_mistake, of_mistake / (of_mistake + float(np.exp(-most)) * (1.0 - before) / before)
 
 
 def _away(problem: FitProblem, here: AtPlace, there: AtPlace, length: float) -> Array:

@@ -36,6 +36,7 @@ from onebend.learning.inference.optimizer import Optimum
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.readings import unwhitened, whitened
 from onebend.records import Array, IntArray
+from onebend.workers import each
 
 _BLIND = 1e-8  # share of the information on b: less remains only where the model's own parameters do the same
 _LEAST_REMOVED = 0.05  # share of the prior variance: a pull is judged where the data have removed more than this
@@ -77,7 +78,7 @@ class LinearisedFit:
 def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
     """The linearised model at an optimum."""
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
-    rows = tuple(residual_rows(now, n) for now, n in zip(optimum.predictions, noise, strict=True))
+    rows = each(residual_rows, optimum.predictions, noise)
     before = prior(problem, optimum.hyperparameters)
     posterior = solved(data_information(problem, rows, x, optimum.hyperparameters), before)
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
@@ -145,26 +146,26 @@ def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> lis
     for number, alternatives in enumerate(patterns):
         for one in alternatives:
             places.setdefault(one.suspect, []).append((number, one))
-    return [_score(fit, _freed(fit, suspect, shown)) for suspect, shown in places.items()]
+    return list(each(lambda suspect, shown: _score(fit, _freed(fit, suspect, shown)), places, places.values()))
 
 
 def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> _Freed:
-    each = [(number, *_mixed(fit, number, one.pattern)) for number, one in shown]
-    steps = [fit.step[fit.known[number]] for number, *_ in each]
-    bb = np.sum([one for *_, one, _, _ in each], axis=0)
-    g = np.sum([told - bx @ step for (*_, bx, told), step in zip(each, steps, strict=True)], axis=0)
-    if len(each) == 1:
-        (number, _, _, bx, _) = each[0]
+    every = [(number, *_mixed(fit, number, one.pattern)) for number, one in shown]
+    steps = [fit.step[fit.known[number]] for number, *_ in every]
+    bb = np.sum([one for *_, one, _, _ in every], axis=0)
+    g = np.sum([told - bx @ step for (*_, bx, told), step in zip(every, steps, strict=True)], axis=0)
+    if len(every) == 1:
+        (number, _, _, bx, _) = every[0]
         response = [fit.covariance.pairs[number] @ bx.T]
         marginal = bb - bx @ response[0]
     else:
         wide = np.zeros((fit.problem.layout.size, len(bb)))
-        for number, *_, bx, _ in each:
+        for number, *_, bx, _ in every:
             wide[fit.known[number]] += bx.T
         whole = fit.solved.times_covariance(wide)
-        response = [whole[fit.known[number]] for number, *_ in each]
+        response = [whole[fit.known[number]] for number, *_ in every]
         marginal = bb - wide.T @ whole
-    numbers, d = tuple(one[0] for one in each), tuple(one[1] for one in each)
+    numbers, d = tuple(one[0] for one in every), tuple(one[1] for one in every)
     return _Freed(suspect, shown[0][1].log_k, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
 
 
@@ -176,8 +177,7 @@ def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Arra
     unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
     weighted = unexplained.reshape(-1, d.shape[-1]) / noise.marker**2
     bb = weighted.T @ d.reshape(-1, d.shape[-1])
-    bx = weighted.T @ rows.slopes.written.reshape(-1, len(fit.known[number]))
-    return d, bb, bx, weighted.T @ rows.r.ravel()
+    return d, bb, rows.onto_parameters(weighted.reshape(d.shape)), weighted.T @ rows.r.ravel()
 
 
 def _score(fit: LinearisedFit, freed: _Freed) -> Score:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -17,6 +18,11 @@ class BlockRoot:
     sd: Array  # (n,) the diagonal; of no meaning where a block stands
     blocks: tuple[tuple[IntArray, Array], ...] = ()  # which rows and columns, and (m, m) lower triangular
 
+    @cached_property
+    def unit(self) -> bool:
+        """Whether L is the identity."""
+        return not self.blocks and bool(np.all(self.sd == 1.0))
+
     def times(self, z: Array) -> Array:
         """(n, ...) `L z`."""
         out = (self.sd * z.T).T
@@ -26,7 +32,9 @@ class BlockRoot:
         return out
 
     def transposed_times(self, v: Array) -> Array:
-        """(n, ...) `L' v`."""
+        """(n, ...) `L' v`; v itself where L is the identity."""
+        if self.unit:
+            return v
         out = (self.sd * v.T).T
         for where, root in self.blocks:
             rows = _rows(where)
@@ -41,7 +49,9 @@ class BlockRoot:
         return out
 
     def around(self, matrix: Array) -> Array:
-        """(n, n) `L' M L`."""
+        """(n, n) `L' M L`, a new array."""
+        if self.unit:
+            return matrix.copy()
         half = np.ascontiguousarray(self.transposed_times(matrix).T)  # rows in one piece are read faster
         return self.transposed_times(half).T
 

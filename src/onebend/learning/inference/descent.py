@@ -42,6 +42,7 @@ _OWN_PASSES = 2  # in which each frame's own force is settled: the second leaves
 _ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
 _LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
 _TOGETHER = 10.0  # recordings: of more, nearly all that a step gains is in the parameters of single ones
+_AS_SAID = 0.1  # of what a step moves the tags by: where they went no farther off, its derivatives do for the next one
 
 
 @dataclass(frozen=True)
@@ -176,29 +177,63 @@ def descend(
 
     Damped in z, in which the prior has covariance one: what the data hardly tell is held back, and what they fix well
     is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
-    of its length. It ends where an undamped step would gain next to nothing.
+    of its length. It ends where an undamped step would gain next to nothing. Of many recordings each keeps its
+    derivatives for as long as its tags go where these say; those of the end are always its own.
     """
     many = max(1.0, len(problem.recordings) / _TOGETHER)  # the more there are, the nearer it begins, too
     damping, enough, little = _FIRST_DAMPING / many**2, many * tolerance**2, many * max(_LITTLE, tolerance**2)
     for _ in range(most_steps):
         here = _Linearised(problem, estimate, before, rows_of(estimate))
-        if here.gain < enough:
-            return replace(estimate, converged=True)
-        cost, tried = here.cost(estimate), None
-        while damping <= _LARGEST_DAMPING:
-            tried, reached = _trial(here, damping, cost)
-            if reached <= cost + 1e-6:
-                break
-            damping *= _HARDER
-        else:
-            return replace(estimate, converged=here.gain < _ROUNDING)  # no step lowers the cost any more
-        settled = here.gain < _ROUNDING and cost - reached < little
-        del here  # with the derivatives of where it began
+        kept = any(p.nearby is not None for p in estimate.predictions)
+        found = None if here.gain < enough else _lowered(here, damping)
+        if found is None and not kept:
+            return replace(estimate, converged=here.gain < max(enough, _ROUNDING))
+        if found is None:
+            del here
+            _release_kept(estimate)
+            continue
+        tried, gained, damping = found
+        settled = here.gain < _ROUNDING and gained < little
+        if many > 1.0 and not settled:
+            tried = _with_slopes_kept(here, tried)
+        del here, found  # with the derivatives of where it began
         release(estimate)
         estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
-        if settled:
+        if settled and not kept:
             return replace(estimate, converged=True)
+    _release_kept(estimate)
     return replace(estimate, converged=False)
+
+
+def _release_kept(estimate: MapEstimate) -> None:
+    """Forget the derivatives of shapes near by, so that those of the recordings' own are worked out."""
+    for prediction in estimate.predictions:
+        if prediction.nearby is not None:
+            prediction.release()
+
+
+def _lowered(here: _Linearised, damping: float) -> tuple[MapEstimate, float, float] | None:
+    """A trial of lower cost, by how much it is lower, and the damping that it took; None where no step lowers the cost
+    any more."""
+    cost = here.cost(here.estimate)
+    while damping <= _LARGEST_DAMPING:
+        tried, reached = _trial(here, damping, cost)
+        if reached <= cost + 1e-6:
+            return tried, cost - reached, damping
+        damping *= _HARDER
+    return None
+
+
+def _with_slopes_kept(here: _Linearised, tried: MapEstimate) -> MapEstimate:
+    """The trial with the derivatives of its beginning in those recordings whose tags went where these had said."""
+    step, layout = tried.x - here.estimate.x, here.problem.layout
+
+    def kept(rows: ResidualRows, now: Prediction, r: Array) -> Prediction:
+        moved = rows.moved_by(step[layout.known_to(now.recording.number)])
+        near = float(np.sum((r - rows.r + moved) ** 2)) <= _AS_SAID**2 * float(np.sum(moved**2))
+        return replace(now, nearby=rows.whitened) if near else now
+
+    return replace(tried, predictions=each(kept, here.rows, tried.predictions, here.residuals_at(tried)))
 
 
 def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +13,9 @@ from onebend.learning.frequencies.frequency_data import FrequencyData
 from onebend.learning.frequencies.predicted import PredictedFrequencies, predicted_frequencies
 from onebend.learning.inference.block_root import BlockRoot
 from onebend.learning.model.fit_data import FitData
-from onebend.learning.model.parameters import Layout
+from onebend.learning.model.parameters import Block, Layout
 from onebend.records import Array, IntArray
+from onebend.workers import each
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,9 @@ class Prior:
 def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | None = None) -> Prior:
     """The prior at given hyperparameters; `log_k` (p,): mean of log k's coefficients, where it is not one level."""
     layout, h = problem.layout, hyperparameters
-    mean, sd, roots = np.zeros(layout.size), np.ones(layout.size), []
-    for part, inside in zip(layout.parts, layout.free_blocks, strict=True):
+    mean, sd = np.zeros(layout.size), np.ones(layout.size)
+
+    def root_of(part: slice, inside: Sequence[Block]) -> BlockRoot:
         blocks: list[tuple[IntArray, Array]] = []
         for block in inside:
             where, index = block.where, np.arange(block.where.start, block.where.stop) - part.start
@@ -103,8 +106,9 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
                 blocks += [(index[axis::2], of_axis) for axis in range(2)]
             else:
                 sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
-        roots.append(BlockRoot(sd[part], tuple(blocks)))
-    return Prior(mean, layout.parts, tuple(roots))
+        return BlockRoot(sd[part], tuple(blocks))
+
+    return Prior(mean, layout.parts, each(root_of, layout.parts, layout.free_blocks))
 
 
 def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:

@@ -37,7 +37,7 @@ from onebend.learning.inference.stiffness_prior import (
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.force_error import ForceError
 from onebend.records import Array, IntArray
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
 # One sd of their logs. The coloured noise behind the filter is known to a factor of two in size and two and a half in
@@ -93,7 +93,7 @@ class Evidence:
 
         def of(z: Array) -> float:
             sizes = self.hyperparameters_at(start, z)
-            roots = [BlockRoot(np.zeros(0)) if e is None else _error_root(e, sizes) for e in errors]
+            roots = each(partial(_error_root, sizes=sizes), errors)
             try:
                 told = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
@@ -115,7 +115,9 @@ class Evidence:
         return np.asarray(np.log(_chosen(hyperparameters) / _chosen(self.problem.expected)) / SPREAD)
 
 
-def _error_root(error: ForceError, sizes: Hyperparameters) -> BlockRoot:
+def _error_root(error: ForceError | None, sizes: Hyperparameters) -> BlockRoot:
+    if error is None:
+        return BlockRoot(np.zeros(0))
     of_axis = error.root(*(getattr(sizes, name) for name in CHOSEN))
     count = 2 * len(of_axis)
     return BlockRoot(np.ones(count), tuple((np.arange(axis, count, 2), of_axis) for axis in range(2)))
@@ -153,7 +155,7 @@ def averaged_posterior(
     nodes, weights = _cubature(evidence, hyperparameters)
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
-    pairs, forms, mean = [np.zeros((len(index), len(index))) for index in known], [], np.zeros(len(best))
+    pairs, forms, mean = [in_own_pages(np.zeros((len(i), len(i)))) for i in known], [], np.zeros(len(best))
 
     def add(pair: Array, number: int, index: IntArray, posterior: Solved, weight: float) -> None:
         away = (posterior.mean - best)[index]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import overload
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -19,7 +20,7 @@ from onebend.learning.inference.fit_problem import Prior
 from onebend.learning.inference.information_form import InformationForm, in_z, total
 from onebend.learning.inference.joint_covariance import JointCovariance
 from onebend.records import Array, IntArray
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
     information, vector = form.matrix[kept:, kept:], form.vector[kept:]
     inside = root.around(information)
     inside[np.diag_indices(len(inside))] += 1.0 + damping
-    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
+    factor = in_own_pages(np.asarray(np.linalg.cholesky(inside), dtype=float))
     cross = form.matrix[kept:, :kept]
     across = _lower(factor, root.transposed_times(cross))
     white = _lower(factor, root.transposed_times(vector - information @ mean))
@@ -161,7 +162,33 @@ class Solved:
     @property
     def covariance(self) -> JointCovariance:
         """Of the parameters."""
-        return JointCovariance(len(self._of_shared), each(self.pair, range(len(self.own))), self.before.parts)
+        return JointCovariance(len(self._of_shared), _Pairs(self), self.before.parts)
+
+
+class _Pairs(Sequence[Array]):
+    """`Solved.pair` of each recording, worked out where asked for: all of them take much memory. The last one is
+    remembered."""
+
+    def __init__(self, posterior: Solved) -> None:
+        self._posterior = posterior
+        self._last: tuple[int, Array] | None = None
+
+    def __len__(self) -> int:
+        return len(self._posterior.own)
+
+    @overload
+    def __getitem__(self, number: int) -> Array: ...
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[Array]: ...
+    def __getitem__(self, number: int | slice) -> Array | Sequence[Array]:
+        if isinstance(number, slice):
+            return [self[i] for i in range(*number.indices(len(self)))]
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        last = self._last
+        if last is None or last[0] != number:
+            last = self._last = number, self._posterior.pair(number)
+        return last[1]
 
 
 def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solved:
@@ -182,7 +209,8 @@ def own_in_z(form: InformationForm, before: Prior, number: int) -> InformationFo
     once."""
     part, shared = before.parts[1 + number], before.parts[0].stop
     mean = np.concatenate([np.zeros(shared), before.mean[part]])
-    return in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
+    own = in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
+    return replace(own, matrix=in_own_pages(own.matrix))
 
 
 def prior_in_own_z(before: Prior) -> Prior:
@@ -196,19 +224,22 @@ def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> t
     """Data and prior of some of each recording's own parameters, and of the shared ones that couple them; all else is
     integrated out. `own` (m,) of each recording: where they stand in its part. One recording alone has no coupling.
     """
-    shared, forms, parts = before.parts[0], [], []
+    shared = before.parts[0]
     count = shared.stop if len(own) > 1 else 0
-    means, roots, start = [before.mean[:count]], [before.roots[0].take(np.arange(count))], count
-    for form, part, root, mine in zip(data.forms, before.parts[1:], before.roots[1:], own, strict=True):
+
+    def told(form: InformationForm, part: slice, root: BlockRoot, mine: IntArray) -> InformationForm:
         mean = np.concatenate([before.mean[shared], before.mean[part]])
-        both = beside(before.roots[0], root)
-        forms.append(marginal(form, mean, both, np.concatenate([np.arange(count), shared.stop + mine])))
-        means.append(before.mean[part][mine])
-        roots.append(root.take(mine))
-        parts.append(slice(start, start + len(mine)))
-        start += len(mine)
-    every = (slice(0, count), *parts)
-    return JointInformation(tuple(forms), every), Prior(np.concatenate(means), every, tuple(roots))
+        return marginal(
+            form, mean, beside(before.roots[0], root), np.concatenate([np.arange(count), shared.stop + mine])
+        )
+
+    forms = each(told, data.forms, before.parts[1:], before.roots[1:], own)
+    means = [before.mean[part][mine] for part, mine in zip(before.parts[1:], own, strict=True)]
+    roots = [root.take(mine) for root, mine in zip(before.roots[1:], own, strict=True)]
+    ends = np.cumsum([count, *(len(mine) for mine in own)]).tolist()
+    every = tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+    all_roots = (before.roots[0].take(np.arange(count)), *roots)
+    return JointInformation(forms, every), Prior(np.concatenate([before.mean[:count], *means]), every, all_roots)
 
 
 def _lower(factor: Array, right: Array) -> Array:

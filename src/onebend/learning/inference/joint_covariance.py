@@ -30,7 +30,7 @@ class JointCovariance:
     """(P, P), by recording."""
 
     shared: int  # parameters that all recordings share; they come first
-    pairs: tuple[Array, ...]  # (n, n) of each recording: of the shared parameters and its own
+    pairs: Sequence[Array]  # (n, n) of each recording: of the shared parameters and its own
     parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
 
     @property

@@ -28,7 +28,7 @@ from onebend.learning.model.forward import Prediction, Slopes
 from onebend.learning.model.parameters import Layout
 from onebend.learning.model.readings import whitened
 from onebend.records import Array
-from onebend.workers import each
+from onebend.workers import each, in_own_pages
 
 _ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
 _REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
@@ -46,11 +46,16 @@ class ResidualRows:
     @property
     def slopes(self) -> Slopes:
         """The rows' derivatives, weighted: a copy."""
-        return replace(self.whitened, j=self.root_weight[..., None] * self.whitened.j, a=self.a)
+        weight, plain = self.root_weight[..., None], self.whitened
+        return replace(plain, j=weight * plain.j, a=self.a, added=None if plain.added is None else weight * plain.added)
 
     def moved_by(self, step: Array) -> Array:
         """(F, R): what a step (C,) of the parameters does to the rows."""
         return np.asarray(self.root_weight * self.whitened.times(step))
+
+    def onto_parameters(self, v: Array) -> Array:
+        """(n, C) `v' J` of rows v (F, R, n)."""
+        return self.whitened.transposed_times(self.root_weight[..., None] * v).T
 
     @cached_property
     def a(self) -> Array:
@@ -126,37 +131,58 @@ def tag_information(
     """Log likelihood of one recording's tags at given noise, all but the frames' own forces as parameters.
 
     The slow error of the log moves a frame's tags as the frame's own force does, so the information on its knots
-    follows from that on the force: `A' S^-1 = ((s/f)^2 + A' A)^-1 A' / f^2`.
+    follows from that on the force: `A' S^-1 = ((s/f)^2 + A' A)^-1 A' / f^2`. Where the material remembers, a force that
+    lasts does somewhat more in its frame, and goes on in those after it.
     """
-    mine, slopes = layout.known_to(number), rows.slopes
-    (frames, k), variance = slopes.weights.shape, noise.marker**2
+    mine, slopes, variance = layout.known_to(number), rows.slopes, noise.marker**2
     y = rows.r + rows.moved_by(x[mine])
     shrinkage, ay = force_shrinkage(rows, noise), rows.by_force(y)
-    aj = np.swapaxes(rows.a, 1, 2) @ slopes.j  # (F, 2, C - 2 K)
-    j, count = slopes.j.reshape(-1, aj.shape[-1]), aj.shape[-1]
-    lowered = shrinkage @ np.concatenate([aj, rows.gram @ slopes.axes], axis=-1)
-    by_j, by_log = np.split(lowered, [count], axis=-1)
-    inside = np.zeros((len(mine), len(mine)))
-    inside[:count, :count] = (j.T @ j - aj.reshape(-1, count).T @ by_j.reshape(-1, count)) / variance
-    onto = -slopes.axes.T / noise.force**2
-    across = (slopes.weights.T @ (onto @ by_j).reshape(frames, -1)).reshape(2 * k, count)
-    inside[count:, :count], inside[:count, count:] = across, across.T
-    pairs = (slopes.weights[:, :, None] * (-onto @ by_log).reshape(frames, 1, 4)).reshape(frames, 4 * k)
-    knots = (slopes.weights.T @ pairs).reshape(k, k, 2, 2)
-    inside[count:, count:] = knots.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
+    aj = np.swapaxes(rows.a, 1, 2) @ slopes.j  # (F, 2, D)
+    by_j = shrinkage @ aj
+    j, stacked = slopes.j.reshape(-1, aj.shape[-1]), (-1, aj.shape[-1])
+    dense = (j.T @ j - aj.reshape(stacked).T @ by_j.reshape(stacked)) / variance
+    by_push, of_push = by_j / noise.force**2, shrinkage @ rows.gram / noise.force**2
+    if slopes.added is not None:
+        more = np.swapaxes(slopes.added, 1, 2)
+        both = more @ rows.a
+        shared = both @ shrinkage / noise.force**2
+        by_push += (more @ slopes.j - both @ by_j) / variance
+        of_push += shared + np.swapaxes(shared, 1, 2)
+        of_push += (more @ slopes.added - both @ shrinkage @ np.swapaxes(both, 1, 2)) / variance
     c = (np.sum(y**2) - np.sum(ay * np.einsum("fde,fe->fd", shrinkage, ay))) / variance
     spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * rows.gram)[1]
     log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
+    inside = _with_knots(slopes, dense, by_push, of_push)
     return InformationForm(inside, tag_score(rows, y, noise), float(c), log_noise)
+
+
+def _with_knots(slopes: Slopes, dense: Array, by_push: Array, of_push: Array) -> Array:
+    """(C, C) information on the parameters, from that on the columns of `slopes.j` (D, D), on these with each frame's
+    lasting push (F, 2, D), and on that push (F, 2, 2)."""
+    count, k, keys = slopes.others, slopes.weights.shape[1], slopes.keys
+    own = slopes.onto_knots(by_push)  # (2 K, D)
+    across = own + slopes.onto_knots(dense[count:].reshape(len(keys), 2, len(dense)), keys)
+    pairs = slopes.weights[:, :, None] * (slopes.axes.T @ of_push @ slopes.axes).reshape(-1, 1, 4)
+    by_axes = (slopes.weights.T @ pairs.reshape(len(pairs), 4 * k)).reshape(k, k, 2, 2)
+    of_knots = by_axes.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
+    if len(keys):
+        first, second = (slopes.onto_knots(m[:, count:].T.reshape(len(keys), 2, 2 * k), keys) for m in (across, own))
+        of_knots = of_knots + first.T + second
+    inside = np.empty((count + 2 * k, count + 2 * k))
+    inside[:count, :count], inside[count:, count:] = dense[:count, :count], of_knots
+    inside[count:, :count], inside[:count, count:] = across[:, :count], across[:, :count].T
+    return inside
 
 
 def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
     """(C,) `J' S^-1 r` of weighted residuals r (F, R) of one recording, over the parameters that it knows."""
     slopes = rows.whitened
     unexplained, force = split_off_force(rows, r, noise)
-    of_tags = (rows.root_weight * unexplained).ravel() @ slopes.j.reshape(-1, slopes.j.shape[-1]) / noise.marker**2
-    of_knots = -slopes.weights.T @ (force @ slopes.axes) / noise.force**2
-    return np.concatenate([of_tags, of_knots.ravel()])
+    weighted = rows.root_weight * unexplained / noise.marker**2
+    dense, by_push = weighted.ravel() @ slopes.j.reshape(-1, slopes.j.shape[-1]), force / noise.force**2
+    if slopes.added is not None:
+        by_push = by_push + np.einsum("frd,fr->fd", slopes.added, weighted)
+    return slopes.with_knots(dense[:, None], by_push[..., None])[:, 0]
 
 
 def rest_information(problem: FitProblem, number: int) -> InformationForm:
@@ -221,7 +247,8 @@ def data_information(
     """Log likelihood of all tags, rests and frequencies."""
 
     def of(number: int, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
-        return recording_information(problem, number, r, x, noise)
+        form = recording_information(problem, number, r, x, noise)
+        return replace(form, matrix=in_own_pages(form.matrix))
 
     return JointInformation(each(of, range(len(rows)), rows, hyperparameters.noise), problem.layout.parts)
 

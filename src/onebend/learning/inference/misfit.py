@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.errors import LearningError
+from onebend.learning.inference.descent import MapEstimate
+from onebend.learning.inference.fit_problem import FitProblem
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction
 from onebend.learning.model.frames import distances, marker_rms
@@ -70,6 +73,38 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
         return None
     share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
     return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+
+
+def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
+    """Where every log's error, as fitted, changes by more than the force that it leaves, nothing tells the force: the
+    fit can take all of the log for error, and k(s) for zero. A zero that is off does not count.
+
+    Raises:
+        LearningError: it is so; it says how large both are.
+    """
+    lost = []
+    for recording in problem.recordings:
+        loaded = np.any(recording.force != 0.0, axis=1)
+        if not len(recording.error.knots) or not np.any(loaded):
+            return
+        values = problem.layout.get(estimate.x, "force", recording.number).reshape(-1, 2)
+        error = (recording.error_weights @ values)[loaded]
+        of_error, of_force = _rms_change(error), _rms_change(recording.force[loaded] - error)
+        if of_error <= of_force:
+            return
+        name = recording.observations.source.name
+        lost.append(f"{name}: the error of the force log changes by {of_error:.2g} N, the force by {of_force:.2g} N")
+    if lost:
+        raise LearningError(
+            f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
+            "Push harder, or take a force sensor that is exact to a tenth of the push; zero it just before, and let go "
+            "before the log ends, so that its drift shows"
+        )
+
+
+def _rms_change(force: Array) -> float:
+    """N, root mean square of (T, 2) about its mean."""
+    return float(np.sqrt(np.mean(np.sum((force - np.mean(force, axis=0)) ** 2, axis=1))))
 
 
 def doubts_of(observations: Observations) -> tuple[str, ...]:

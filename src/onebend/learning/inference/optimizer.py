@@ -28,6 +28,7 @@ from onebend.learning.inference.linear_gaussian import (
     own_information,
     residuals,
 )
+from onebend.learning.inference.misfit import refuse_lost_force
 from onebend.learning.model.forward import Prediction, predict
 from onebend.progress import Progress
 from onebend.records import Array
@@ -91,23 +92,32 @@ def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | 
 def find_maximum(
     problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
 ) -> MapEstimate:
-    """The maximum a posteriori, from an estimate to begin with."""
+    """The maximum a posteriori, from an estimate to begin with.
+
+    Raises:
+        LearningError: force logs with more error than force, so that k(s) goes to zero and the force with it.
+    """
     steady = False
-    for round_number in range(settings.rounds):
-        last = steady or round_number == settings.rounds - 1
-        if round_number < settings.coarse_rounds:
-            estimate = replace(estimate, hyperparameters=_coarse(problem, estimate.predictions))
-        most, tolerance = (
-            (settings.most_steps, settings.tolerance) if last else (_STEPS_ON_THE_WAY, settings.on_the_way)
-        )
-        estimate = descend(problem, estimate, prior(problem, estimate.hyperparameters), most, tolerance)
-        progress.advance()
-        if last:
-            break
-        if round_number >= settings.coarse_rounds - 1:
-            before, after = estimate.hyperparameters, _new_hyperparameters(problem, estimate)
-            estimate = replace(estimate, hyperparameters=after)
-            steady = round_number >= settings.coarse_rounds and _noise_is_steady(before, after)
+    try:
+        for round_number in range(settings.rounds):
+            last = steady or round_number == settings.rounds - 1
+            if round_number < settings.coarse_rounds:
+                estimate = replace(estimate, hyperparameters=_coarse(problem, estimate.predictions))
+            most, tolerance = (
+                (settings.most_steps, settings.tolerance) if last else (_STEPS_ON_THE_WAY, settings.on_the_way)
+            )
+            estimate = descend(problem, estimate, prior(problem, estimate.hyperparameters), most, tolerance)
+            progress.advance()
+            if last:
+                break
+            if round_number >= settings.coarse_rounds - 1:
+                before, after = estimate.hyperparameters, _new_hyperparameters(problem, estimate)
+                estimate = replace(estimate, hyperparameters=after)
+                steady = round_number >= settings.coarse_rounds and _noise_is_steady(before, after)
+    except np.linalg.LinAlgError:
+        refuse_lost_force(problem, estimate)
+        raise
+    refuse_lost_force(problem, estimate)
     return estimate
 
 
@@ -180,8 +190,7 @@ def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
 def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
     """Noise of every recording from its residuals, then all else by the evidence."""
     hyperparameters, rows = estimate.hyperparameters, rows_of(estimate)
-    every = zip(problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows), strict=True)
-    noise = tuple(new_noise(*one) for one in every)
+    noise = each(new_noise, problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows))
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))

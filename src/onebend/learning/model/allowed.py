@@ -39,6 +39,12 @@ def allowed_length(recording: FitData, layout: Layout, x: Array) -> Array:
     return np.asarray(recording.observations.length * np.exp(sum(change)))
 
 
+def allowed_clamp(recording: FitData, layout: Layout, x: Array) -> Array:
+    """() or (F, 1) rad, the clamp's angle."""
+    angle, gives = layout.get(x, "clamp", recording.number)[0], allowed(recording, layout, x, "clamp")
+    return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
+
+
 def allowed_section(recording: FitData, layout: Layout, x: Array) -> tuple[RectangularSection | None, float]:
     """By which the beam stretches and shears, None where it does neither, and how it goes with the parameter: see
     `section_at`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from onebend.beam.statics.sensitivity import of_force, of_moment, of_rest_curvat
 from onebend.learning.model.allowed import (
     allowance_changes,
     allowed,
+    allowed_clamp,
     allowed_length,
     allowed_section,
     clamp_blocks,
@@ -25,7 +26,7 @@ from onebend.learning.model.allowed import (
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.held_ends import moved, put_ends, solve, with_ends_held
 from onebend.learning.model.memory import remembered_poses
-from onebend.learning.model.parameters import Layout, rest_curvature
+from onebend.learning.model.parameters import Layout, log_axes, rest_curvature
 from onebend.learning.model.readings import ruler_places, whitened, zeroed_coordinates
 from onebend.learning.model.tag_jacobian import (
     BentBeam,
@@ -40,37 +41,68 @@ from onebend.learning.model.tag_jacobian import (
     response_columns,
 )
 from onebend.records import Array, IntArray
+from onebend.workers import in_own_pages
 
 
 @dataclass(frozen=True)
 class Slopes:
     """Derivatives of R numbers a frame with the parameters of a film (`at.known_to`) and with each frame's force.
 
-    The slow error of the force log comes last of the parameters. It enters by its value in the frame alone, so its K
-    knots are not written out: they have `-a axes` times the frame's weights. Where the material remembers earlier
-    frames they are written out, and K is 0.
+    The slow error of the force log comes last of the parameters. It enters by its value in the frame and, where the
+    material remembers, by those in n key frames before it, so its K knots are not written out.
     """
 
-    j: Array  # (F, ..., C - 2 K) with all parameters but that error
+    j: Array  # (F, ..., C - 2 K + 2 n) with all parameters but that error, and with the push in the key frames
     a: Array  # (F, ..., 2) with the frame's force
     axes: Array  # (2, 2) by which the logged force is turned
     weights: Array  # (F, K): that error is `weights @ values`
+    added: Array | None = None  # (F, ..., 2) what memory adds to `a` for a part of the push that lasts
+    keys: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # (n,) the key frames
+
+    @property
+    def others(self) -> int:
+        """How many parameters there are but that error's."""
+        return int(self.j.shape[-1]) - 2 * len(self.keys)
+
+    @property
+    def lasting(self) -> Array:
+        """(F, ..., 2) with a push that lasts, as that error does."""
+        return self.a if self.added is None else self.a + self.added
 
     @property
     def written(self) -> Array:
         """(F, ..., C) with all parameters."""
-        count, frames = self.j.shape[-1], (len(self.weights), *[1] * (self.a.ndim - 2))
+        count, frames = self.others, (len(self.weights), *[1] * (self.a.ndim - 2))
         out = np.empty((*self.a.shape[:-1], count + 2 * self.weights.shape[1]))
-        out[..., :count] = self.j
-        by_knots = -(self.a @ self.axes)[..., None, :] * self.weights.reshape(*frames, -1, 1)
+        out[..., :count] = self.j[..., :count]
+        by_knots = -(self.lasting @ self.axes)[..., None, :] * self.weights.reshape(*frames, -1, 1)
         out[..., count:] = by_knots.reshape(*self.a.shape[:-1], -1)
+        if len(self.keys):
+            out[..., count:] -= self.j[..., count:] @ np.kron(self.weights[self.keys], self.axes)
         return out
 
     def times(self, step: Array) -> Array:
         """(F, ...): what a step (C,) of the parameters does."""
-        count = self.j.shape[-1]
-        error = self.weights @ step[count:].reshape(-1, 2) @ self.axes.T
-        return np.asarray(self.j @ step[:count] - np.einsum("t...d,td->t...", self.a, error))
+        error = self.weights @ step[self.others :].reshape(-1, 2) @ self.axes.T
+        with_keys = np.concatenate([step[: self.others], -error[self.keys].ravel()])
+        return np.asarray(self.j @ with_keys - np.einsum("t...d,td->t...", self.lasting, error))
+
+    def transposed_times(self, v: Array) -> Array:
+        """(C, n): what n sets of R numbers a frame, v (F, R, n), have with each parameter."""
+        dense = self.j.reshape(-1, self.j.shape[-1]).T @ v.reshape(-1, v.shape[-1])
+        return self.with_knots(dense, np.swapaxes(self.lasting, 1, 2) @ v)
+
+    def with_knots(self, dense: Array, by_push: Array) -> Array:
+        """(C, n) from what is known with the columns of `j` (., n) and with each frame's lasting push (F, 2, n)."""
+        count = self.others
+        by_keys = dense[count:].reshape(len(self.keys), 2, dense.shape[1])  # x and y in turn
+        return np.concatenate([dense[:count], self.onto_knots(by_push) + self.onto_knots(by_keys, self.keys)])
+
+    def onto_knots(self, by_push: Array, frames: IntArray | slice = slice(None)) -> Array:
+        """(2 K, n) with that error's knots, from what is known with the push in some frames (., 2, n)."""
+        weights, count = self.weights[frames], by_push.shape[-1]
+        by_error = -self.axes.T @ by_push  # the error is taken off the log
+        return (weights.T @ by_error.reshape(len(weights), 2 * count)).reshape(2 * weights.shape[1], count)
 
 
 @dataclass(frozen=True)
@@ -84,6 +116,7 @@ class Prediction:
     pose: Array  # (F, m, 3)
     force: Array  # (F, 2) N, the corrected force, `own` with it
     own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
+    nearby: Slopes | None = None  # whitened ones of shapes so near that they do for these as well
 
     @property
     def slopes(self) -> Slopes:
@@ -93,9 +126,12 @@ class Prediction:
     @cached_property
     def whitened_slopes(self) -> Slopes:
         """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
+        if self.nearby is not None:
+            return self.nearby
         whiten, shapes = self.recording.whiten, replace(self.solved, problem=replace(self.solved.problem))
         slopes = replace(self, solved=shapes).slopes  # what is worked out of the shapes on the way is not kept
-        return replace(slopes, j=whitened(whiten, slopes.j), a=whitened(whiten, slopes.a))
+        added = None if slopes.added is None else whitened(whiten, slopes.added)
+        return replace(slopes, j=in_own_pages(whitened(whiten, slopes.j)), a=whitened(whiten, slopes.a), added=added)
 
     @property
     def whitened_by_force(self) -> Slopes:
@@ -107,8 +143,10 @@ class Prediction:
         return Slopes(a[..., :0], a, np.eye(2), np.zeros((frames, 0)))
 
     def release(self) -> None:
-        """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for."""
+        """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for, and
+        then its own ones."""
         self.__dict__.pop("whitened_slopes", None)
+        self.__dict__["nearby"] = None
 
 
 def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
@@ -117,7 +155,7 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
     r = recording.number
     own = np.zeros_like(recording.force) if own is None else own
     slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
-    force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ _axes(layout, x, r).T + own
+    force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ log_axes(layout, x, r).T + own
     force = force + allowed(recording, layout, x, "force")
     k = np.exp(
         recording.offset + recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k")
@@ -131,7 +169,7 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
         length=allowed_length(recording, layout, x),
         section=allowed_section(recording, layout, x)[0],
         q0=recording.rest_on_nodes @ rest_curvature(layout, x, r),
-        alpha0=_clamp_angle(recording, layout, x),
+        alpha0=allowed_clamp(recording, layout, x),
         dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
     )
     if recording.ends is not None:
@@ -151,7 +189,7 @@ def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, o
 
 def _slopes(now: Prediction) -> Slopes:
     recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
-    bent, axes = _bent(now), _axes(layout, x, r)
+    bent, axes = _bent(now), log_axes(layout, x, r)
     logged = now.force - now.own - allowed(recording, layout, x, "force")
     pushes = {name: pushed_by(bent.beyond, f) for name, f in push_forces(logged, axes, recording.rate).items()}
     columns = response_columns(balance_changes(bent) | pushes | allowance_changes(recording, bent))
@@ -169,7 +207,9 @@ def _slopes(now: Prediction) -> Slopes:
     if has_memory:
         memory = remembered_poses(recording, layout, x, solved, columns, by_node)
         carried = carried + ride.carry(memory.by_parameters)
-        slopes = _with_memory(slopes, ride.carry(memory.by_push), ride.carry(memory.by_pushes), memory.keys)
+        if error is not None:
+            out = np.concatenate([out, ride.carry(memory.by_pushes)], axis=-1)
+            slopes = replace(slopes, j=out, added=ride.carry(memory.by_push), keys=memory.keys)
     blocks = columns.split(carried)
     blocks = blocks | {"rest change": blocks["curvature"]} | clamp_blocks(recording, blocks["clamp"])
     put_blocks(slopes.j, free, blocks)
@@ -191,16 +231,6 @@ def _responses(now: Prediction, changes: Perturbations) -> tuple[Array, Array]:
         return respond(solved, changes).poses(s), np.zeros((0, s.shape[-1], 3, 3))
     wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
     return with_ends_held(respond(solved, changes + wrench).poses(np.append(s, 1.0)), recording.ends)
-
-
-def _with_memory(slopes: Slopes, by_push: Array, by_pushes: Array, keys: IntArray) -> Slopes:
-    """With what the memory adds to the derivatives of the tags with the push: (F, m, 3, 2) of the frame itself,
-    (F, m, 3, 2 n) of n key frames. It goes to the knots of the force log's slow error, which are written out."""
-    written = replace(slopes, a=slopes.a + by_push).written
-    late = (by_pushes.reshape(*by_pushes.shape[:3], -1, 2) @ slopes.axes).swapaxes(-1, -2)  # (F, m, 3, 2, n)
-    by_knots = (late @ slopes.weights[keys]).swapaxes(-1, -2)  # the error is taken off the log
-    written[..., slopes.j.shape[-1] :] -= by_knots.reshape(*by_pushes.shape[:3], -1)
-    return Slopes(written, slopes.a, slopes.axes, slopes.weights[:, :0])
 
 
 def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
@@ -266,16 +296,3 @@ def _pushed(recording: FitData, layout: Layout, x: Array) -> Array:
     """(F, Q) share of the push that acts beyond the node."""
     place = layout.get(x, "place", recording.number) + allowed(recording, layout, x, "place")  # (1,) or (F,) m
     return np.asarray(recording.beyond + place[:, None] * recording.farther)
-
-
-def _clamp_angle(recording: FitData, layout: Layout, x: Array) -> Array:
-    """() or (F, 1) rad."""
-    angle, gives = layout.get(x, "clamp", recording.number)[0], allowed(recording, layout, x, "clamp")
-    return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
-
-
-def _axes(layout: Layout, x: Array, r: int) -> Array:
-    """(2, 2) by which the logged force is turned."""
-    turn = float(layout.get(x, "direction", r)[0])
-    cos, sin = np.cos(turn), np.sin(turn)
-    return np.array([[cos, -sin], [sin, cos]])

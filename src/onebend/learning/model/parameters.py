@@ -231,6 +231,13 @@ def rest_curvature(layout: Layout, x: Array, recording: int) -> Array:
     return np.asarray(layout.get(x, "curvature") + layout.get(x, "rest change", recording))
 
 
+def log_axes(layout: Layout, x: Array, recording: int) -> Array:
+    """(2, 2) by which the logged force is turned."""
+    turn = float(layout.get(x, "direction", recording)[0])
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
 def scale_sd(one: Observations, priors: Priors) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
     if one.source.view is None:

@@ -219,8 +219,8 @@ def _sensed(
         out = replace(out, moment=moment)
     if n == 4:
         out = replace(out, second=_second(load, covariance, share, searched, two))
-    sensor = None if n > 3 or not out.explained else _judged(out, o, frames)
-    return replace(out, sensor=sensor, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
+    out = replace(out, sensor=None if n > 3 or not out.explained else _judged(out, o, frames))
+    return replace(out, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
 
 
 def _places(
@@ -264,7 +264,8 @@ def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | Non
     covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)
     common = np.where(bare[:, None, None], 0.0, out.common)
     told = ToldForces(out.time, force, covariance, common, out.prior_sd)
-    return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force)
+    clock_sd = 0.0 if o.source.clock is None else o.source.clock.sd
+    return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force, clock_sd)
 
 
 def _over_time(

@@ -226,6 +226,13 @@ def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Re
             + ("" if sensed.settings.force_prior is None else ". Or --force-prior-N is far too small for this force")
         )
         out.append(Remark("warning", text, about="sensed misfit"))
+    if sensed.sensor is not None and not sensed.sensor.scale_agrees(o.stated.gain_sd):
+        gain, sd = sensed.sensor.gain
+        text = (
+            f"The log shows {gain:.3g} ± {WIDE * sd:.2g} times the force that the shape tells: the sensor's scale is "
+            "off, or the model's k(s) is by as much, which no shape tells. A weight hung on the beam tells which"
+        )
+        out.append(Remark("warning", text, about="sensed gain"))
     if not banded:
         out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
     if not np.isfinite(o.rest_xy).any():

@@ -3,9 +3,11 @@
 The log is taken to be `(1 + g) R(d) F(t - tau) + b + c (t - t0) + w(t)`. The force F that the shape tells has errors
 `S_t e`, which the frames have in common, e normal of sd one, and one of each frame. The log's own error w is that of
 the fit of k(s) (`model/force_error.py`): coloured noise behind the low-pass, a walk, and what comes with the load; the
-sizes of its parts are those of greatest evidence. A slow error of a few hundredths of the force looks like axes that
+sizes of its parts are drawn from their posterior: of a log with few changes of the load nobody knows them well, and
+the numbers are as unsure as a mixture over them. A slow error of a few hundredths of the force looks like axes that
 are turned, so it must not be taken for noise that averages out over the frames. Gauss-Newton for the seven numbers,
-e and w being integrated out.
+e and w being integrated out. The clock on which the delay counts was found by the same log, whose error moves both:
+what is unknown of the clock is unknown of the delay.
 
 The told forces are means of a posterior, drawn towards a prior of mean zero, alike in all frames: that prior is divided
 out first.
@@ -13,6 +15,7 @@ out first.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,16 +27,19 @@ from onebend.learning.model.force_error import ForceError
 from onebend.records import Array, CleanForce, IntArray
 
 _ROUNDS, _CHOICES = 6, 2
-_MOST = 240  # frames: the log behind its low-pass has no more to say
+_MOST = 160  # frames: the log behind its low-pass has no more to say
 FEWEST = 12  # frames
+SURELY = 3.3  # sds: by chance in one of a thousand
 _MEMORIES = (0.1, 0.2, 0.4, 0.8, 1.6)  # s, of the force in time
 _DIRECTION_SD = 0.05  # rad, of the log's axes before the film: by hand and eye
+_GAIN_SD, _DELAY_SD = 0.3, 0.25  # before the film, s: no sensor is farther off, nor a clock that was found
 _LEAST = 1e-2  # of the largest force: the shape's errors, taken as linear, tell no frame's force more exactly
 _TOLD = 1e-3  # of the prior's information: what a frame tells less of in a direction, it does not tell
 _FRAME = 0.3  # noise of each frame over the coloured part that is expected
 _FARTHEST = 4.0  # sd of their logs from what is expected
 START = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # a log that is right
-_LOOSE = np.array([1e-12, _DIRECTION_SD**-2, *np.full(5, 1e-12)])
+_LOOSE = np.array([_GAIN_SD**-2, _DIRECTION_SD**-2, _DELAY_SD**-2, *np.full(4, 1e-12)])
+_DRAWS, _EVERY, _STRIDE = 240, 4, 0.6  # of the sizes, by Metropolis: every fourth is kept; sd of a step
 
 
 @dataclass(frozen=True)
@@ -42,11 +48,16 @@ class SensorCheck:
 
     gain: tuple[float, float]  # 1: right
     direction: tuple[float, float]  # rad, by which the log's axes are turned against the beam's, as they are stated
-    delay: tuple[float, float]  # s, of the log behind the film, on the clock that was found
+    delay: tuple[float, float]  # s, of the log behind the film, on the clock that was found, whose sd is in it
     bias: tuple[Array, Array]  # (2,) N each, beam's frame; in the middle of the film, with what was taken off as zero
     drift: tuple[Array, Array]  # (2,) N/s each, likewise
     noise: float  # N, RMS of what is left of the log in each component
     frames: int
+
+    def scale_agrees(self, stated_sd: float) -> bool:
+        """Whether log and shape may have the same scale, which is stated to be known to `stated_sd` (a share)."""
+        gain, sd = self.gain
+        return abs(gain - 1.0) <= SURELY * float(np.hypot(sd, stated_sd))
 
 
 @dataclass(frozen=True)
@@ -84,9 +95,11 @@ class ToldForces:
         )
 
 
-def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: CleanForce | None) -> SensorCheck | None:
-    """Of the log (T, 2) [N] at the frames of `told`, with the `error` that is expected of it at these T frames; None
-    where too few frames have both."""
+def check_sensor(
+    told: ToldForces, logged: Array, error: ForceError, clean: CleanForce | None, clock_sd: float = 0.0
+) -> SensorCheck | None:
+    """Of the log (T, 2) [N] at the frames of `told`, with the `error` that is expected of it at these T frames, on a
+    clock that is known to `clock_sd` [s]; None where too few frames have both."""
     good = np.flatnonzero(np.isfinite(told.force).all(axis=1) & np.isfinite(logged).all(axis=1)).astype(np.int64)
     if len(good) < FEWEST:
         return None
@@ -99,8 +112,11 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
         x, _ = check.settled(x, sizes)
         sizes = check.chosen(x, sizes)
     check.see(x, sizes)
-    x, spread = check.settled(x, sizes)
-    sd = np.sqrt(np.diag(spread))
+    x, _ = check.settled(x, sizes)
+    noise = check.noise(x, sizes)
+    x, spread = check.over_sizes(x, sizes)
+    along = spread[2] / spread[2, 2]  # what a delay does to the other numbers
+    sd = np.sqrt(np.diag(spread) + (clock_sd * along) ** 2)
     zero, slope = (np.zeros(2), np.zeros(2)) if clean is None else (clean.tare, np.nan_to_num(clean.drift))
     return SensorCheck(
         gain=(float(x[0]), float(sd[0])),
@@ -108,7 +124,7 @@ def check_sensor(told: ToldForces, logged: Array, error: ForceError, clean: Clea
         delay=(float(x[2]), float(sd[2])),
         bias=(x[3:5] + zero, sd[3:5]),
         drift=(x[5:7] + slope, sd[5:7]),
-        noise=check.noise(x, sizes),
+        noise=noise,
         frames=len(good),
     )
 
@@ -148,19 +164,43 @@ class _Check:
         if not len(sizes):
             return sizes
         slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
-        before = _LOOSE * (x - START)
 
         def cost(z: Array) -> float:
-            factor = cho_factor(self._covariance(x, z), lower=True)
-            weighed = cho_solve(factor, np.column_stack([slopes, away]))
-            normal, right = slopes.T @ weighed[:, :-1] + np.diag(_LOOSE), slopes.T @ weighed[:, -1] - before
-            misfit = float(away @ weighed[:, -1] - right @ np.linalg.solve(normal, right))
-            told = 2.0 * float(np.sum(np.log(np.diag(factor[0])))) + float(np.linalg.slogdet(normal)[1])
-            return 0.5 * (float(z @ z) + misfit + told)
+            return self._linear(x, slopes, away, z)[0]
 
         options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
         bounds = [(-_FARTHEST, _FARTHEST)] * len(sizes)
         return np.asarray(minimize(cost, sizes, method="L-BFGS-B", bounds=bounds, options=options).x)
+
+    def over_sizes(self, x: Array, sizes: Array) -> tuple[Array, Array]:
+        """Mean (7,) and covariance (7, 7) of the seven numbers, averaged over sizes as likely as the log makes them;
+        from `x` and `sizes` on, about which the model is linear."""
+        slopes, away = self._slopes(x).reshape(-1, len(x)), self._away(x).ravel()
+        now = self._linear(x, slopes, away, sizes)
+        kept, rng = [now], np.random.default_rng(0)
+        for draw in range(_DRAWS if len(sizes) else 0):
+            other = sizes + _STRIDE * rng.standard_normal(len(sizes))
+            if np.max(np.abs(other)) < _FARTHEST:
+                there = self._linear(x, slopes, away, other)
+                if math.log(rng.random()) < now[0] - there[0]:
+                    sizes, now = other, there
+            if draw % _EVERY == 0:
+                kept.append(now)
+        means = np.array([one[1] for one in kept])
+        apart = np.cov(means, rowvar=False, bias=True) if len(kept) > 1 else 0.0
+        return np.mean(means, axis=0), np.mean([one[2] for one in kept], axis=0) + apart
+
+    def _linear(self, x: Array, slopes: Array, away: Array, sizes: Array) -> tuple[float, Array, Array]:
+        """Minus the log evidence of `sizes` but for a constant; mean (7,) and covariance (7, 7) of the numbers, the
+        model being linear about `x`."""
+        factor = cho_factor(self._covariance(x, sizes), lower=True)
+        weighed = cho_solve(factor, np.column_stack([slopes, away]))
+        normal = slopes.T @ weighed[:, :-1] + np.diag(_LOOSE)
+        right = slopes.T @ weighed[:, -1] - _LOOSE * (x - START)
+        left = np.linalg.inv(normal)
+        misfit = float(away @ weighed[:, -1] - right @ left @ right)
+        told = 2.0 * float(np.sum(np.log(np.diag(factor[0])))) + float(np.linalg.slogdet(normal)[1])
+        return 0.5 * (float(sizes @ sizes) + misfit + told), x + left @ right, left
 
     def settled(self, x: Array, sizes: Array) -> tuple[Array, Array]:
         """The seven numbers (7,) after Gauss-Newton from `x`, and their covariance (7, 7)."""

@@ -78,6 +78,21 @@ def tags_of(
     return Tags(solved, pose, moved[..., :n], moved[..., n:ends], np.concatenate(blocks, axis=-1))
 
 
+def by_forces_at(bench: Bench, frames: IntArray, solved: Equilibrium, place: Array) -> Array:
+    """(F, m, 3, P, 2) m, m, rad per N: by how much the components of a force at each of the places (P,) move the tags
+    of `frames` (F,), wherever the grid has its nodes."""
+    _, ride, s = poses_of(bench, frames, solved)
+    problem = solved.problem
+    nodes, weights = (np.asarray(each).reshape(-1) for each in (problem.grid.nodes, problem.weights))
+    beyond = np.asarray(nodes < place[:, None], dtype=float)
+    short = place - beyond @ weights  # of s from the last node's share of the beam to the place
+    beyond = beyond + float(problem.length) * short[:, None] * share_farther(problem, place)
+    force = np.einsum("pq,cd->qcpd", beyond, np.eye(2)).reshape(1, len(nodes), 2, -1)
+    changes = Perturbation(force, None, None, np.zeros(2 * len(place)))
+    moved = ride.carry(respond(solved, changes).poses(s))
+    return moved.reshape(*moved.shape[:3], len(place), 2)
+
+
 def _of_own(bench: Bench, problem: Problem, load: Array, place: Array) -> Perturbation:
     """n of the load, and as many as there are places of these."""
     every, (count, n) = places_in(place), load.shape

@@ -18,6 +18,7 @@ LONG = 12.0  # s: a longer range is searched roughly first
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are searched finely, and how far around each, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: residual of an offset on the rough, the fine grid
+IMPROBABLE = 8.0  # log posterior below the highest peak at which another one is left: a share of 3e-4
 LEAST = 0.2  # s, searched finely on either side of the first estimate at least
 
 
@@ -37,6 +38,26 @@ def likely_span(
     log_ratio = np.max([search.log_posterior - search.log_posterior.max() for search in searches], axis=0)
     good = coarse[log_ratio > -UNLIKELY]
     return max(low, min(float(good.min()), first - LEAST)), min(high, max(float(good.max()), first + LEAST))
+
+
+def peaks(searches: Sequence[OffsetScan], coarse: Array) -> list[float]:
+    """s, the offsets at which the posterior of a search has a maximum that may be the right one; the highest of each
+    search first."""
+    found: list[tuple[float, float]] = []
+    for search in searches:
+        p = np.concatenate([[-np.inf], search.log_posterior - search.log_posterior.max(), [-np.inf]])
+        top = (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]) & (p[1:-1] > -IMPROBABLE)
+        found += zip((-p[1:-1][top]).tolist(), coarse[top].tolist(), strict=True)
+    return [offset for _, offset in sorted(found, key=lambda one: one[0])]
+
+
+def apart(offsets: Sequence[float], distance: float) -> list[float]:
+    """Those of the offsets [s] that are farther than a distance from all before them."""
+    kept: list[float] = []
+    for one in offsets:
+        if all(abs(one - other) > distance for other in kept):
+            kept.append(one)
+    return kept
 
 
 def likely_offsets(track: Track, rows: BinnedLog, low: float, high: float, rate: float) -> Array:

@@ -67,32 +67,61 @@ class LogError:
     probability: float = 1.0  # of this error, among the likely ones
 
 
+@dataclass(frozen=True)
+class _Found:
+    """Where the search from one estimate ended."""
+
+    mean: float  # s
+    sd: float  # s
+    log_evidence: float
+    noise: ForceNoise
+
+
 def offset_from_moments(
-    moments: Moments, rows: BinnedLog, span: tuple[float, float], first: float, prior: Prior
+    moments: Moments, rows: BinnedLog, span: tuple[float, float], first: Sequence[float], prior: Prior
 ) -> tuple[float, float, ForceNoise] | None:
     """Mean [s] and sd [s] of the offset within `span` [s], and the noise; None where film and log share too little.
 
-    `first` [s] is an estimate of the offset. The noise is fitted there first, then at the mean, until that settles.
+    `first` [s] are estimates of the offset. From each the noise is fitted there, then at the mean, until that settles:
+    what is an error of the log at one offset is force at another one, so that a search stays near where it began. The
+    ends of the searches count by their evidence.
     """
     wide = span[1] - span[0]
     offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST_OFFSETS - 1)))
-    shared, z = common_rows(moments, rows, np.append(offsets, first), first)
+    every = np.append(offsets, first)
+    found = [one for begin in first if (one := _found_from(moments, rows, offsets, every, begin, prior)) is not None]
+    if not found:
+        return None
+    size = np.array([one.log_evidence for one in found])
+    share = np.exp(size - np.logaddexp.reduce(size))
+    mean = float(share @ [one.mean for one in found])
+    sd = float(np.sqrt(share @ [one.sd**2 + (one.mean - mean) ** 2 for one in found]))
+    return mean, sd, found[int(np.argmax(share))].noise
+
+
+def _found_from(
+    moments: Moments, rows: BinnedLog, offsets: Array, every: Array, first: float, prior: Prior
+) -> _Found | None:
+    """The search on the grid `offsets`, from one of them all."""
+    shared, z = common_rows(moments, rows, every, first)
     if shared is None:
         return None
     best = first
     for _ in range(MOST_TURNS):
         errors = likely_errors(shared, best, z)
-        mean, sd = scan_closer(shared, offsets, errors, prior)
+        mean, sd, log_evidence = scan_closer(shared, offsets, errors, prior)
         previous, best, z = best, mean, errors[0].z
         if abs(best - previous) < max(SETTLED, sd):
             break
     # A jump at a wrong time shifts the offset, and a larger jump shifts it more.
     size = sum(error.probability * min(error.jump_sd / (LARGE * shared.model.force), 1.0) ** 2 for error in errors)
-    return mean, float(np.hypot(max(sd, FINEST), np.sqrt(size) * STEP_DOUBT)), errors[0].noise
+    return _Found(mean, float(np.hypot(max(sd, FINEST), np.sqrt(size) * STEP_DOUBT)), log_evidence, errors[0].noise)
 
 
-def scan_closer(shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior) -> tuple[float, float]:
-    """Mean and sd of the offset, on the grid `offsets` refined around its mean."""
+def scan_closer(
+    shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior
+) -> tuple[float, float, float]:
+    """Mean and sd of the offset, on the grid `offsets` refined around its mean, and the log evidence."""
     span = float(offsets[0]), float(offsets[-1])
     log_density = log_posterior(shared, offsets, errors, prior)
     for _ in range(REFINEMENTS):
@@ -105,7 +134,9 @@ def scan_closer(shared: CommonRows, offsets: Array, errors: Sequence[LogError], 
         )
         order = np.argsort(offsets)
         offsets, log_density = offsets[order], log_density[order]
-    return moments_of(offsets, log_density)
+    most = float(log_density.max())
+    weight = np.exp(log_density - most) @ np.gradient(offsets)
+    return *moments_of(offsets, log_density), most + float(np.log(weight))
 
 
 def likely_errors(shared: CommonRows, offset: float, z: Array) -> list[LogError]:

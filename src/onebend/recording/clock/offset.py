@@ -16,12 +16,21 @@ sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force lea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onebend.recording.clock.binned_log import BinnedLog, binned, thinned
-from onebend.recording.clock.feature_search import coarse_search, likely_offsets, likely_span, refined
+from onebend.recording.clock.feature_search import (
+    OffsetScan,
+    apart,
+    coarse_search,
+    likely_offsets,
+    likely_span,
+    peaks,
+    refined,
+)
 from onebend.recording.clock.messages import TOO_LITTLE, remarks_on, unsettled_remark
 from onebend.recording.clock.moment_posterior import STEP_DOUBT, Prior, offset_from_moments
 from onebend.recording.clock.offset_prior import ROUGHLY, prior_spread, search_range
@@ -29,6 +38,8 @@ from onebend.recording.clock.polynomial_features import Track, make_track
 from onebend.recording.clock.span_moments import make_moments
 from onebend.recording.signals import bandwidth
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, Markers, Remark
+
+APART, MOST_FIRST = 0.15, 6  # s: estimates of the offset that are farther apart are each looked at closely
 
 
 @dataclass(frozen=True)
@@ -148,23 +159,30 @@ def matched(
     moments = None
     if push_s is not None:
         moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
-    if moments is None:  # the same with an error that changes with the load; the data say which it is
-        which = int(np.argmax([search.log_posterior.max() for search in searches]))
-        stepped = tracks(markers, push_s, settings, settings.steps)[which]
-        searches.append(coarse_search(stepped, rows, coarse, prior))
-    searches = [search for search in searches if np.isfinite(search.log_posterior).any()]
+    which = int(np.argmax([search.log_posterior.max() for search in searches]))
+    stepped = coarse_search(tracks(markers, push_s, settings, settings.steps)[which], rows, coarse, prior)
+    searches = [search for search in (*searches, stepped) if np.isfinite(search.log_posterior).any()]
     if not searches:
         return None
     best = max(searches, key=lambda search: float(search.log_posterior.max()))
     offset, sd = refined(best, rows, coarse, prior)
     if moments is not None:
         few = thinned(rows, max(4 * rate, settings.sharp_rows / (moments.track.duration + settings.hold)))
-        sharp = offset_from_moments(moments, few, likely_span(searches, coarse, offset, low, high), offset, prior)
+        firsts = apart([offset, *peaks(searches, coarse)], APART)[:MOST_FIRST]
+        sharp = offset_from_moments(moments, few, likely_span(searches, coarse, offset, low, high), firsts, prior)
         if sharp is not None:
             return sharp
-    if best is searches[-1] and len(searches) > len(feature_tracks):
-        sd = float(np.hypot(sd, STEP_DOUBT))
-    return offset, sd, best.noise
+    ends = [(offset, sd) if search is best else refined(search, rows, coarse, prior) for search in searches]
+    ends[-1] = ends[-1][0], float(np.hypot(ends[-1][1], STEP_DOUBT))
+    return *averaged_over(searches, ends), best.noise
+
+
+def averaged_over(searches: Sequence[OffsetScan], ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Mean and sd [s] of the offset, over sets of features that the log's evidence does not tell apart."""
+    mass = np.array([np.logaddexp.reduce(search.log_posterior) for search in searches])
+    share, (mean, sd) = np.exp(mass - np.logaddexp.reduce(mass)), np.transpose(ends)
+    middle = float(share @ mean)
+    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:

@@ -9,6 +9,7 @@ the offset, with features of the tags that went through such a filter themselves
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -58,16 +59,17 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
     rested = resting(track)
     slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
-    found = {}
-    for lag in slow[1::2]:
-        found[lag] = evidence(rested, rows, offset, lag, prior)
-        if found[lag] > 0.0:
-            break
-    else:
+
+    @cache
+    def at(i: int) -> float:
+        return evidence(rested, rows, offset, slow[i], prior)
+
+    best = next((i for i in range(1, len(slow), 2) if at(i) > 0.0), None)
+    if best is None:
         return None
-    logs = np.array([found[lag] if lag in found else evidence(rested, rows, offset, lag, prior) for lag in slow])
-    best = int(np.argmax(logs))
-    if best + 1 >= len(slow) or not float(logs[best]) > CERTAIN:
+    while (higher := max(range(max(best - 1, 0), min(best + 2, len(slow))), key=at)) != best:
+        best = higher
+    if best + 1 >= len(slow) or not at(best) > CERTAIN:
         return None  # at the end of the range it is something else
     fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 2 * REFINED + 3)
     logs = np.array([evidence(rested, rows, offset, lag, prior, within=float(fine[-1])) for lag in fine])
@@ -79,7 +81,8 @@ def evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Pr
     """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
 
     The offset found holds the delay too. Evidences of different rows cannot be compared: the rows are those that every
-    offset covers, up to a lag of `within` [s] where that is longer. Minus infinity where they are too few.
+    offset covers, up to a lag of `within` [s] where that is longer. Minus infinity where they are too few. Where it is
+    negative already over a sensor without a lag, other quick ones are not asked.
     """
     apart, reach = max(APART, OF_LAG * tau), REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
@@ -88,10 +91,14 @@ def evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Pr
     if known.sum() < FEWEST:
         return -np.inf
     same = replace(rows, time=rows.time[known], force=rows.force[known])
-    slow, *quick = (
-        float(np.max(coarse_search(lagging(track, lag), same, offsets, prior).log_posterior)) for lag in (tau, *QUICK)
-    )
-    return slow - max(quick) if np.isfinite(max(quick)) else -np.inf
+
+    def at_best(lag: float) -> float:
+        return float(np.max(coarse_search(lagging(track, lag), same, offsets, prior).log_posterior))
+
+    quick, slow = at_best(QUICK[0]), at_best(tau)
+    if slow > quick:
+        quick = max(quick, *(at_best(lag) for lag in QUICK[1:]))
+    return slow - quick if np.isfinite(quick) else -np.inf
 
 
 def resting(track: Track) -> Track:

@@ -26,15 +26,15 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
         name = "k(s) as the model" if trial.factor == 1.0 else f"k(s) times {trial.factor:.3g}"
         if trial.beam.drawn:  # one entry of the legend stands for all
             name = "k(s) drawn from its band" if i == 1 else ""
-        away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash, label=name)
-        force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash)
+        away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash)
+        force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
     away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at {_place(control)} mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
-    away.legend(loc="upper right")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
     _said(force, ahead, "feedforward")
+    force.legend(loc="lower right")  # under the forces, which begin at 0 and stay
     force.set(xlabel="time [s]", ylabel="force asked for [N]", ylim=(0.0, None))
     return figure
 

@@ -31,8 +31,8 @@ def sensing(found: Sensed) -> Figure:
             _band(axes, found.time, found.second.force[:, c], sd, f"second along {'xy'[c]} [N]")
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
-    x.set_title("Force from the shape, 95 % bands")
-    x.legend(loc="upper left", ncols=3)
+    x.set_title("Force from the shape, 95 % bands", loc="left")
+    x.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
     low, high = found.place - WIDE * found.place_sd, found.place + WIDE * found.place_sd
     shown = found.touched
     place.fill_between(found.time, low, high, where=shown, color=ORANGE, alpha=0.25, lw=0.0)

@@ -1,12 +1,11 @@
 import { bend } from "./bend.js";
 import { h } from "./dom.js";
-import { learn } from "./learn.js";
 import { connect, onReturn, say, SILENT } from "./net.js";
 import { leave, params, roomName } from "./place.js";
 const ROOMS = {
     record: ["Record", async () => (await import("./record.js")).record],
     recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
-    learn: ["Learn", async () => learn],
+    learn: ["Learn", async () => (await import("./learn.js")).learn],
     bend: ["Bend", async () => bend],
     rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
 };
@@ -20,7 +19,7 @@ async function show() {
         else
             link.removeAttribute("aria-current");
     }
-    if (shown === room)
+    if (shown === room && !location.hash.includes("?"))
         return;
     shown = room;
     leave();

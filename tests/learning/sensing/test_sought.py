@@ -1,0 +1,56 @@
+"""The region of one force whose place nobody knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from onebend.beam.loads import push
+from onebend.learning.sensing.estimate import PLACE_PRIOR, estimate
+from onebend.learning.sensing.joint import together
+from onebend.learning.sensing.search import first
+from onebend.learning.sensing.sense import bench_of, priors_of
+from onebend.learning.sensing.sensed import SenseSettings
+from tests.learning.sensing.drawn import BAND, BEAM, contacts, drawn
+from tests.learning.sensing.test_loads import sought
+
+
+def test_force_and_region_are_those_summed_over_a_grid_of_places() -> None:
+    places, force, _ = contacts(0)
+    o, _ = drawn(0, push(force, places[0]))
+    settings, frame = SenseSettings(place="unknown"), np.array([3])
+    bench, sd = bench_of(BEAM, o, BAND, None, settings), priors_of(BEAM, settings)
+    _, found, _ = together(bench, frame, first(bench, frame, None, sd)[0], sd, seek_place=True)
+    region, place, place_sd = found.covariance[0, :2, :2], found.place[0], np.sqrt(found.covariance[0, 2, 2])
+    grid = place + place_sd * np.linspace(-3.5, 3.5, 11)
+    log, means, covariances = [], [], []
+    for at in grid[:, None]:
+        begin = estimate(bench, frame, at, sd, seek_place=False, force=found.force)
+        _, said, fit = together(bench, frame, begin, sd, seek_place=False)
+        log.append(fit.evidence - 0.5 * ((at[0] - PLACE_PRIOR[0]) / PLACE_PRIOR[1]) ** 2)
+        means.append(said.force[0])
+        covariances.append(said.covariance[0])
+    share, each = np.exp(np.array(log) - max(log)), np.array(means)
+    share /= share.sum()
+    mean = share @ each
+    within = np.einsum("p,pij->ij", share, np.array(covariances))
+    whole = within + np.einsum("p,pi,pj->ij", share, each - mean, each - mean)
+    root = np.linalg.inv(np.linalg.cholesky(region))
+    assert np.linalg.norm(root @ (found.force[0] - mean)) < 0.2
+    assert np.sqrt(np.linalg.eigvalsh(root @ whole @ root.T)) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(np.linalg.eigvalsh(root @ within @ root.T))[0] < 0.8  # the place's share is what is tested
+    assert place_sd == pytest.approx(np.sqrt(share @ (grid - share @ grid) ** 2), rel=0.15)
+
+
+@pytest.mark.slow
+def test_regions_hold_a_force_whose_place_is_sought() -> None:
+    hits, placed = [], []
+    for seed in range(60):
+        found, places, load = sought(seed, second=False, asked="1")
+        away = found.force - load[:, :2]
+        distance = np.einsum("fi,fi->f", away, np.linalg.solve(found.covariance, away[..., None])[..., 0])
+        hits += list(distance < chi2.ppf(0.95, 2))
+        placed += list(np.abs(found.place - places[0]) < 1.96 * found.place_sd)
+    assert 0.87 < np.mean(hits) < 0.995  # frames of a run share k(s): 60 runs tell it to 0.03
+    assert 0.92 < np.mean(placed) < 0.99

@@ -1,0 +1,68 @@
+"""Work that threads share: its order, its results to the bit, a piece that fails; arrays in pages of their own."""
+
+from __future__ import annotations
+
+import mmap
+import threading
+
+import numpy as np
+import pytest
+
+from onebend import workers
+from onebend.workers import each, in_own_pages
+
+
+def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    matrices, seen = np.random.default_rng(1).standard_normal((20, 40, 40)), set()
+
+    def work(number: int, matrix: np.ndarray) -> tuple[int, np.ndarray]:
+        seen.add(threading.get_ident())
+        return number, np.linalg.inv(matrix) @ matrix.T
+
+    every = []
+    for cores in (1, 2, 5):
+        monkeypatch.setattr(workers, "available_cores", lambda cores=cores: cores)
+        seen.clear()
+        every.append(each(work, range(20), matrices))
+        assert (seen == {threading.get_ident()}) == (cores == 1)
+    for one in every[1:]:
+        assert [number for number, _ in one] == list(range(20))
+        assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(every[0], one, strict=True))
+
+
+@pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt])
+def test_a_piece_that_fails_ends_all_and_leaves_no_thread(
+    failure: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "available_cores", lambda: 2)
+    before = threading.active_count()
+
+    def work(number: int) -> int:
+        if number == 3:
+            raise failure
+        return number
+
+    with pytest.raises(failure):
+        each(work, range(10))
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_large_array_is_copied_as_it_is_to_pages_that_go_with_it(turned: bool) -> None:
+    array = np.random.default_rng(1).standard_normal((400, 300))
+    array = array.T if turned else array
+    out = in_own_pages(array)
+    np.testing.assert_array_equal(out, array)
+    assert out.flags.f_contiguous == array.flags.f_contiguous
+    assert not np.shares_memory(out, array)
+    base: object = out
+    while isinstance(base, np.ndarray):
+        base = base.base
+    assert isinstance(base.obj if isinstance(base, memoryview) else base, mmap.mmap)
+    out[0, 0] = 7.0
+    assert out[0, 0] == 7.0
+
+
+def test_a_small_array_stays_where_it_is() -> None:
+    array = np.zeros((100, 100))
+    assert in_own_pages(array) is array
