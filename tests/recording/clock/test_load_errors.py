@@ -45,3 +45,6 @@ def test_sets_of_features_count_by_their_evidence() -> None:
     assert mean == pytest.approx(-0.1)
     assert sd == pytest.approx(np.sqrt(0.3**2 + 0.5 * (0.03**2 + 0.04**2)))
     assert averaged_over([scan((-0.4, 23.0)), scan((0.2, 3.0))], ends) == pytest.approx((-0.4, 0.03), abs=1e-6)
+    unknown = [(-0.4, np.inf), (0.2, 0.04)]
+    assert averaged_over([scan((-0.4, 90.0)), scan((0.2, 3.0))], unknown) == pytest.approx((0.2, 0.04))
+    assert averaged_over([scan((-0.4, 90.0)), scan((0.2, 3.0))], [(-0.4, np.inf), (0.2, np.inf)]) == (-0.4, np.inf)

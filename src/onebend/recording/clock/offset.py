@@ -178,11 +178,16 @@ def matched(
 
 
 def averaged_over(searches: Sequence[OffsetScan], ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and sd [s] of the offset, over sets of features that the log's evidence does not tell apart."""
+    """Mean and sd [s] of the offset, over sets of features that the log's evidence does not tell apart; those whose
+    peak has no finite sd are left out, and where none has one the sd is infinite."""
+    mean, sd = np.transpose(ends)
     mass = np.array([np.logaddexp.reduce(search.log_posterior) for search in searches])
-    share, (mean, sd) = np.exp(mass - np.logaddexp.reduce(mass)), np.transpose(ends)
-    middle = float(share @ mean)
-    return middle, float(np.sqrt(share @ (sd**2 + (mean - middle) ** 2)))
+    kept = np.isfinite(sd)
+    if not kept.any():
+        return float(mean[int(np.argmax(mass))]), float("inf")
+    share = np.exp(mass[kept] - np.logaddexp.reduce(mass[kept]))
+    middle = float(share @ mean[kept])
+    return middle, float(np.sqrt(share @ (sd[kept] ** 2 + (mean[kept] - middle) ** 2)))
 
 
 def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, steps: float = 0.0) -> list[Track]:
