@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+import av
+import numpy as np
+
 from onebend.capture.clocks import Clock, StampTiming
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -73,6 +76,12 @@ class ForceSource(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+def of_yuyv(pairs: Picture) -> tuple[Picture, Any]:
+    """Luma (H, W), and the same with its colours as an `av.VideoFrame`, of YUYV's bytes (H, W, 2): luma, one of two
+    colours."""
+    return pairs[..., 0].copy(), av.VideoFrame.from_ndarray(np.ascontiguousarray(pairs), format="yuyv422")
 
 
 def files_of(*sources: CameraSource | ForceSource | None) -> tuple[Path, ...]:

@@ -27,6 +27,14 @@ def test_band_is_the_quantiles_of_the_draws(gain_sd: float) -> None:
     np.testing.assert_allclose(band.k, one.profile(S), rtol=1e-12)
 
 
+def test_a_seed_gives_the_same_draws_whatever_eigenvectors_the_machine_finds() -> None:
+    alike = 0.05 * np.eye(5) + 0.03  # four equal eigenvalues: any four vectors of a space are right
+    one = UncertainStiffness(KNOTS, np.zeros(5), alike @ alike)
+    expected = np.random.default_rng(7).standard_normal((3, 5)) @ alike
+    drawn = np.array([k.coefficients for k in one.draw(3, seed=7)])
+    np.testing.assert_allclose(drawn, expected, atol=1e-12)
+
+
 def test_the_common_scale_widens_the_band_but_hides_nothing() -> None:
     assert np.array_equal(made(0.3).band(S).identified, made().band(S).identified)
     assert np.all(made(0.3).band(S).high > made().band(S).high)

@@ -126,10 +126,10 @@ class UncertainStiffness:
         return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
 
     def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
-        """Stiffness distributions as probable as this one says."""
+        """Stiffness distributions as probable as this one says; a seed gives the same ones on every machine."""
         rng = np.random.default_rng(seed)
         values, vectors = np.linalg.eigh(self.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # the symmetric one: no sign or order is free
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))
         return tuple(self._with(c) for c in drawn)

@@ -11,12 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import av
 import numpy as np
 
 from onebend.capture.clocks import Clock, StampTiming
 from onebend.capture.devices.packages import package
-from onebend.capture.sources import End, Frame
+from onebend.capture.sources import End, Frame, of_yuyv
 from onebend.errors import RecordingError
 
 Stream = Literal["color", "infrared"]
@@ -98,9 +97,8 @@ class RealSenseCamera:
         self._heard = now
         if infrared:
             return Frame(data.copy(), stamp, now, number)
-        pairs = np.ascontiguousarray(data).view(np.uint8).reshape(*data.shape[:2], 2)  # luma and one of two colours
-        colour = av.VideoFrame.from_ndarray(pairs, format="yuyv422")
-        return Frame(pairs[..., 0].copy(), stamp, now, number, colour)
+        luma, colour = of_yuyv(np.ascontiguousarray(data).view(np.uint8).reshape(*data.shape[:2], 2))
+        return Frame(luma, stamp, now, number, colour)
 
     def close(self) -> None:
         """Stop it."""

@@ -21,7 +21,7 @@ import av
 import numpy as np
 
 from onebend.capture.clocks import Clock, StampTiming
-from onebend.capture.sources import End, Frame
+from onebend.capture.sources import End, Frame, of_yuyv
 from onebend.errors import RecordingError
 from onebend.recording.video import Picture, luma_of
 
@@ -224,9 +224,7 @@ class V4l2Camera:
         plane = np.frombuffer(data, np.uint8, rows * height).reshape(height, rows)
         if self._packed != "YUYV":
             return plane[:, :width].copy(), None
-        whole = plane[:, : 2 * width]
-        colour = av.VideoFrame.from_ndarray(np.ascontiguousarray(whole.reshape(height, width, 2)), format="yuyv422")
-        return whole[:, ::2].copy(), colour
+        return of_yuyv(plane[:, : 2 * width].reshape(height, width, 2))
 
     def _decoded(self, data: bytes) -> Iterator[Any]:
         try:
