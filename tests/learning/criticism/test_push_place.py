@@ -181,7 +181,7 @@ def test_a_right_place_inside_gains_nothing_on_either_side() -> None:
 
 def test_places_are_compared_under_one_noise() -> None:
     one = fitted(0.75, 0.75)
-    here = at_written(one.problem, one.optimum, 0.75, SETTINGS)
+    here = at_written(one.problem, one.optimum, 0.75)
     assert here is not None
     there = moved(here, 0.85, SETTINGS)
     assert there is not None

@@ -3,8 +3,8 @@
 The moment of a push is its force times the way to it, so to first order a push said at a' that acts at a makes k(s)
 wrong by `(a' - s) / (a - s)`: zero or infinite at the nearer of the two. Such a k hardly misses the tags, but none like
 it is expected of a beam. So the evidence is compared, in which the prior of k takes part: the fit is made again with
-the push at places farther and farther from the written one, on a few frames (`place_evidence.py`), first under the
-noise of the fit at the written place, then under that of the best.
+the push at places farther and farther from the written one (`place_evidence.py`), first under the noise of the fit at
+the written place, then under that of the best.
 
 A place that was written wrongly may be anywhere, and how often that happens nobody knows. So the band does not go by
 how likely it is, but holds in either case, unless the recording rules the mistake out: a place that has nothing to do
@@ -126,7 +126,7 @@ def search_place(
     if not one_place or first.observations.source.place_seen:
         return None
     written, length = float(places[0]), first.observations.length
-    here = at_written(problem, optimum, written, settings)
+    here = at_written(problem, optimum, written)
     found = [] if here is None else _every_place(here, settings, thorough=thorough)
     if here is None or not found:
         return None
@@ -159,8 +159,14 @@ def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, 
     again = None if settled is None else under(here, settled.estimate.hyperparameters)
     if settled is None or again is None:
         return here, found
-    every = [under(one, settled.estimate.hyperparameters) for one in found if one is not best]
-    return again, [settled, *(one for one in every if one is not None)]
+    out = [settled]
+    for one in found:
+        behind = best.log_evidence - one.log_evidence
+        if behind > 2.0 * _HOPELESS:  # under any noise
+            out.append(replace(one, log_evidence=settled.log_evidence - behind))
+        elif one is not best and (under_it := under(one, settled.estimate.hyperparameters)) is not None:
+            out.append(under_it)
+    return again, out
 
 
 def with_places(problem: FitProblem, optimum: Optimum, search: PlaceSearch | None, sd: Array) -> Optimum:
@@ -187,7 +193,7 @@ def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtP
         place = 1.0 if 1.0 - place < 0.5 * _STEPS[0] else place
         if abs(place - last.place) < 0.5 * _STEPS[0]:
             return
-        tried = moved(last, place, settings)
+        tried = moved(last, place, settings, most)
         if tried is None:
             return
         yield tried

@@ -21,7 +21,7 @@ from onebend.learning.model.fit_data import FitData, fit_data
 from onebend.learning.model.frames import chosen_frames
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
-from onebend.records import Array, Observations
+from onebend.records import Array, BoolArray, Observations
 from onebend.workers import each
 
 _FEWEST_FRAMES = 20  # of each of very many recordings
@@ -62,7 +62,7 @@ def first_problem(
     data = _data(recordings, min(settings.first_frames, settings.most_frames), spline, settings.allowances)
     layout = _layout(recordings, data, spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
-    x, level = _start(layout, start)
+    x, level = starting(layout, start)
     expected = Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
     return FitProblem(data, layout, level, expected, frequency_data(recordings, spline)), x
 
@@ -76,6 +76,14 @@ def whole_problem(recordings: Sequence[Observations], problem: FitProblem, setti
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
 
 
+def rewritten_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+    """The problem with the same frames of the same recordings, of which something else is written."""
+    frames = [one.frames for one in problem.recordings]
+    data = _data_of(recordings, frames, problem.layout.spline, settings.allowances)
+    layout = _layout(recordings, data, problem.layout.spline, settings)
+    return replace(problem, recordings=data, layout=layout)
+
+
 def _layout(
     recordings: Sequence[Observations], data: Sequence[FitData], spline: Spline, settings: FitSettings
 ) -> Layout:
@@ -86,18 +94,28 @@ def _layout(
 def _data(
     recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
 ) -> tuple[FitData, ...]:
+    frames = each(lambda one: chosen_frames(one, most), recordings)
+    return _data_of(recordings, frames, spline, allowances)
+
+
+def _data_of(
+    recordings: Sequence[Observations],
+    frames: Sequence[BoolArray],
+    spline: Spline,
+    allowances: frozenset[AllowanceName],
+) -> tuple[FitData, ...]:
     known = known_shape(recordings)
 
-    def of(number: int, one: Observations) -> FitData:
-        return fit_data(one, number, chosen_frames(one, most), spline, allowances, known)
+    def of(number: int, one: Observations, mask: BoolArray) -> FitData:
+        return fit_data(one, number, mask, spline, allowances, known)
 
-    data = each(of, range(len(recordings)), recordings)
+    data = each(of, range(len(recordings)), recordings, frames)
     if len(data) == 1 or BETWEEN not in allowances:
         return data
     return tuple(replace(one, allowances=(*one.allowances, between_recordings(one.problem.grid.nodes))) for one in data)
 
 
-def _start(layout: Layout, start: Profile | float) -> tuple[Array, float]:
+def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
     """Parameters (P,) and the level of log k to begin with."""
     s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
     k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
