@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +158,13 @@ def test_gaps_stay_gaps() -> None:
 def test_cutoff_is_twice_the_motion() -> None:
     assert choose_cutoff(0.7, ForceSettings()) == pytest.approx(1.4)
     assert choose_cutoff(math.nan, ForceSettings()) == math.inf
+
+
+@pytest.mark.parametrize(("share", "levels"), [(0.1, []), (0.3, [False]), (0.6, [True])])
+def test_a_zero_that_drifts_by_more_than_half_of_the_push_is_a_doubt(share: float, levels: list[bool]) -> None:
+    pushed = Pushed()
+    largest, log = float(np.abs(pushed.true_force(np.linspace(0.0, 8.0, 400))).max()), pushed.log()
+    before, after = (-np.inf, pushed.offset + 1.4), (pushed.offset + 6.6, np.inf)
+    slow = np.interp(log.time - pushed.offset, [1.4, 6.6], [0.0, share * largest])[:, None] * np.array([1.0, 0.0])
+    clean = clean_force(replace(log, force=log.force + slow), [before, after], cutoff=2.5)
+    assert [remark.doubt for remark in clean.remarks if remark.about == "drift"] == levels

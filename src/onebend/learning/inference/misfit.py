@@ -17,7 +17,10 @@ from onebend.records import Array, Observations, covariance_with_camera
 
 MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
 HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
-DOUBTS = {"tool place": "the film shows the tool elsewhere"}  # by what a remark on the recording is about
+DOUBTS = {  # by what a remark on the recording is about
+    "tool place": "the film shows the tool elsewhere",
+    "drift": "the force's zero drifted by more than half of the push",
+}
 CONTRADICTED = "the force contradicts the bending"  # what all others say
 _LEAST_MISS = 3.0  # times a tag's own noise: a smaller distance is no miss, however little the tag moves
 

@@ -13,6 +13,9 @@ from onebend.recording.force.noise import first_guess
 from onebend.recording.signals import at_times, low_pass, outliers, step
 from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, Remark
 
+_DRIFTED = 0.2  # of the largest force: a zero that changes by more between two rests is warned of
+_LOST = 0.5  # by more than this, the log hardly tells the force
+
 
 @dataclass(frozen=True)
 class ForceSettings:
@@ -74,13 +77,14 @@ def clean_force(
     force[bad] = np.stack([np.interp(log.time[bad], log.time[~bad], column[~bad]) for column in force.T], axis=1)
     smooth = low_pass(log.time, force, cutoff, longest_gap=gap_limit(log.time, cutoff, settings))
     zero = zero_of(log.time, force, rests, noise, settings)
-    remarks = zero_remarks(zero, float(np.ptp(smooth, axis=0).max()), cutoff)
+    clean = smooth - zero.at(log.time)
+    remarks = zero_remarks(zero, float(np.abs(clean).max()), cutoff)
     drift = np.full(2, np.nan)
     if len(zero.time) > 1:
         drift = (zero.value[-1] - zero.value[0]) / (zero.time[-1] - zero.time[0])
     return CleanForce(
         time=log.time,
-        force=smooth - zero.at(log.time),
+        force=clean,
         push_s=log.push_s,
         noise_sd=remaining_sd(log.time, smooth, rests, zero, cutoff, noise),
         tare=zero.value[0] if len(zero.time) else np.zeros(2),
@@ -159,18 +163,23 @@ def remaining_sd(
 
 
 def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...]:
-    """Remarks on the zero and the filter."""
+    """Remarks on the zero and the filter; `largest`: N, of the clean force's two parts."""
     remarks = []
+    change = float(np.abs(np.diff(zero.value, axis=0)).max(initial=0.0))
     if not len(zero.time):
         text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."
         remarks.append(Remark("warning", text, about="no rest"))
     elif len(zero.time) == 1:
         text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
         remarks.append(Remark("note", text))
-    elif float(np.ptp(zero.value, axis=0).max()) > 0.2 * largest:
-        change = float(np.ptp(zero.value, axis=0).max())
+    elif change > _DRIFTED * largest:
         text = f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up."
-        remarks.append(Remark("warning", text, about="drift"))
+        if doubt := change > _LOST * largest:
+            text = (
+                f"The force's zero drifted by {change:.2g} N between the rests, and the push is {largest:.2g} N: how "
+                "the zero ran during the push is a guess. Push harder, or let the sensor warm up."
+            )
+        remarks.append(Remark("warning", text, doubt=doubt, about="drift"))
     if not math.isfinite(cutoff):
         remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
     return tuple(remarks)
