@@ -21,6 +21,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags.tracker import TrackedFrame, Tracker
 from onebend.recording.toml.entries import Recording
+from onebend.recording.tool.kept_small import KeptSmall
 from onebend.recording.video import Picture
 from onebend.records import ClockOffset
 from onebend.streaming.following import Following
@@ -85,7 +86,8 @@ class Live:
         self.recording, self.settings, self._clock = rec, settings, clock
         tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(tag_id, rec.tags.family)
-        self._frames = FrameHistory(settings.most_frames)
+        self._small = KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
+        self._frames = FrameHistory(settings.most_frames, self._small)
         self._log = ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
         made = ReviewerBeside if beside else ReviewerHere
         self._reviewer: Reviewer = made(settings.observing, settings.learning)
@@ -133,6 +135,8 @@ class Live:
         late = self._newest is not None and time < self._newest.time
         counts = self._counts
         self._counts = replace(counts, frames=counts.frames + 1, late_frames=counts.late_frames + late)
+        if image is not None and not late:
+            self._small.add(own.time, image, own.corners)
         self._frames.add(own)
         if not late:
             self._newest = seen
@@ -180,6 +184,7 @@ class Live:
         """Counts of all that is kept of the stream; each is bounded, however long it runs."""
         return {
             "frames": len(self._frames),
+            "pictures": len(self._small),
             "rows": len(self._log),
             "tracker": self._tracker.kept,
             **self._following.kept,
@@ -230,7 +235,7 @@ class Live:
         self.close()
         if not len(self._frames):
             raise ObservationError(f"{self.recording.name}: {NOTHING_YET}")
-        return learn_observed(observed_in(self._seen(), self.settings.observing), fitting=fitting, progress=progress)
+        return learn_observed(observed_in(seen_by(self), self.settings.observing), fitting=fitting, progress=progress)
 
     def close(self) -> None:
         """End the process beside this one; nothing more may come."""
@@ -269,5 +274,5 @@ class Live:
 
 
 def seen_by(live: Live) -> Seen:
-    """A copy of what is kept of a stream, for `onebend.streaming.review.observed_in` in another process."""
-    return live._seen()
+    """A copy of what is kept of a stream, pictures too, for `onebend.streaming.review.observed_in`."""
+    return replace(live._seen(), small=live._small.small())

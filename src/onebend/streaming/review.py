@@ -24,8 +24,10 @@ from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of
 from onebend.recording.tags.detection import summary
 from onebend.recording.tags.tracking import BlockTracks
 from onebend.recording.toml.entries import Recording
+from onebend.recording.tool.film import SmallPictures, tool_checked, tool_in_small
+from onebend.recording.tool.place import ToolPlace
 from onebend.recording.tracks.chords import with_angles
-from onebend.records import Array, BoolArray, ClockOffset, ForceLog, Markers, Observations, Remark
+from onebend.records import Array, BoolArray, ClockOffset, ForceLog, IntArray, Markers, Observations, Remark
 from onebend.streaming.history import ForceHistory
 from onebend.streaming.reading import FrameReader, reader_of
 
@@ -44,6 +46,7 @@ class Seen:
     tracks: BlockTracks
     repeats: BoolArray  # (T,) pictures that are those before
     rows: Array  # (N, 3 or 4) of the force log
+    small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
 
     @property
     def until(self) -> float:
@@ -80,7 +83,15 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Ob
     Raises:
         ObservationError: what is wrong with it, or not there yet.
     """
-    return observe_markers(seen.recording, _markers_in(seen), log_of(seen.recording, seen.rows), settings)
+    rec, small, markers = seen.recording, seen.small, _markers_in(seen)
+    observed = observe_markers(rec, markers, log_of(rec, seen.rows), settings)
+    if small is None:
+        return observed
+
+    def find(tags: Markers, loaded: BoolArray, frame: IntArray) -> ToolPlace:
+        return tool_in_small(small, rec, tags, loaded, markers.time[frame])
+
+    return tool_checked(rec, observed, markers.base_angle, find)
 
 
 def _markers_in(seen: Seen) -> Markers:

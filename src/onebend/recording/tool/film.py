@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite, isnan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.toml.entries import Recording
@@ -18,23 +19,32 @@ from onebend.records import Array, BoolArray, IntArray, Markers, Observations, R
 LOADED, AT_REST = 40, 12  # frames of each that are looked at
 SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
 
+FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
 
-def tool_checked(
-    rec: Recording, seen: Observations, base_angle: Array, every: int = 1, kept: KeptFrames | None = None
-) -> Observations:
-    """With what the film shows of the tool: a warning where it is elsewhere than `at_s` says. `base_angle` (T,) is of
-    every frame; `every` and `kept`: see `tool_in_film`.
+
+@dataclass(frozen=True)
+class SmallPictures:
+    """Some pictures of a stream, shrunk."""
+
+    time: Array  # (P,) s, in order
+    pictures: tuple[NDArray[np.float32], ...]  # P of (h, w)
+    factor: int  # pixels of the camera, each way, that make one of theirs
+
+
+def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
+    """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
+    `base_angle` (T,) is of every frame.
 
     Raises:
         RecordingError: the film cannot be read.
     """
-    if rec.video is None or rec.push is None or not isfinite(rec.push.at) or not rec.video.file.exists():
+    if rec.push is None or not isfinite(rec.push.at):
         return seen
     markers = Markers(
         seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
         seen.source.view,
     )  # fmt: skip
-    tool = tool_in_film(rec, markers, seen.loaded, seen.frame, every=every, kept=kept)
+    tool = find(markers, seen.loaded, seen.frame)
     remarks = tool_remarks(tool, rec)
     source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
     return replace(seen, source=source)
@@ -78,6 +88,18 @@ def tool_in(
     factor = factor or shrink_factor(markers.view, rec.beam.length)
     small = np.stack([shrunk(picture, factor) for picture in pictures])
     return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
+
+
+def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
+    """Where the pictures that were kept of a stream show the tool. `markers`, `loaded` and `time` [s], by the clock of
+    the pictures, have a row a frame."""
+    rows = np.flatnonzero(np.isin(time, small.time))
+    rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
+    if not len(rows):
+        return not_seen("no picture was kept")
+    pictures = np.stack([small.pictures[i] for i in np.searchsorted(small.time, time[rows]).tolist()])
+    length, size = rec.beam.length, rec.tags.size
+    return tool_place(pictures, small.factor, of_rows(markers, rows), loaded[rows], length=length, tag_size=size)
 
 
 def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
