@@ -121,14 +121,18 @@ class ForceHistory:
         """(N, c), in order of time. Do not write into it: copy it before more rows come."""
         return self._rows[: self._used]
 
+    @property
+    def newest(self) -> float:
+        """s: up to when there are rows; minus infinity where there is none."""
+        return float(self._rows[self._used - 1, 0]) if self._used else -math.inf
+
     def add(self, rows: Array) -> None:
         """Put rows (n, c) in their places. A row with a time that is none is left out; NaN forces are a gap."""
         good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < LATEST)
         self.count += len(rows)
         self.refused += len(rows) - int(np.sum(good))
         rows = rows[good]
-        newest = self._rows[self._used - 1, 0] if self._used else -math.inf
-        late = rows[:, 0] <= newest
+        late = rows[:, 0] <= self.newest
         self.late += int(np.sum(late))
         self._append(rows[~late][np.argsort(rows[~late, 0], kind="stable")])
         if late.any():

@@ -30,7 +30,8 @@ from onebend.streaming.review import Reviewed, Seen, observed_in
 from onebend.streaming.reviewer import Reviewer, ReviewerBeside, ReviewerHere
 from onebend.streaming.state import NOTHING_YET, SOON, Counts, LiveState, live_verdict
 
-_LATE = 0.2  # s: a force that comes later is said to
+_LATE = 0.2  # s: a force that comes later is said to,
+_OLDER = 0.05  # s: and one that is so much older than a frame, by the clocks, and is taken for its own
 
 
 @dataclass(frozen=True)
@@ -205,6 +206,11 @@ class Live:
         if self._following.behind > _LATE:
             late = f"{self._following.behind:.2g} s late, or not at all"
             waiting.append(f"the newest frames: samples of the force come {late}, and k(s) follows them")
+        if (older := self._following.stands_in) > _OLDER and learning is not None:
+            sure = f"the clocks, known to {learning.reader.offset_sd:.2g} s (one sd)"
+            waiting.append(
+                f"the force of the newest frames: they take the newest there is, {older:.2g} s older by {sure}"
+            )
         if not known.rested:
             waiting.append("drift of the force log: it shows in a rest after the push")
         return LiveState(

@@ -61,6 +61,7 @@ class Later:
     time: tuple[float, ...]  # s
     corners: tuple[Array, ...]  # (m, 4, 2) px each
     rows: Array  # (N, 3 or 4), from before the first of these frames
+    ahead: float  # s: as `FrameReader.stands_in`
 
 
 @dataclass(frozen=True)
@@ -192,13 +193,18 @@ def go_on(known: Reviewed, later: Later) -> Reviewed:
     log = ForceHistory(max(len(later.rows), 1), later.rows.shape[1])
     log.add(later.rows)
     for time, corners in zip(later.time, later.corners, strict=True):
-        teach(known.learner, known.reader, time, corners, logged_at(log, known.reader, time))
+        logged = logged_at(log, known.reader, time, known.reader.stands_in(later.ahead))
+        teach(known.learner, known.reader, time, corners, logged)
     return replace(known, until=later.time[-1])
 
 
-def logged_at(log: ForceHistory, reader: FrameReader, time: float) -> Array:
-    """(2,) or (3,) of the log at `time` [s, the frames' clock]; NaN where it says nothing."""
-    return log.mean_near(time + reader.offset, HALF, LONGEST_GAP)
+def logged_at(log: ForceHistory, reader: FrameReader, time: float, stands_in: float) -> Array:
+    """(2,) or (3,) of the log at `time` [s, the frames' clock]; NaN where it says nothing. Up to `stands_in` [s] after
+    its newest row that one counts."""
+    wanted = time + reader.offset
+    if len(log) and wanted - log.newest <= stands_in:
+        wanted = min(wanted, log.newest)
+    return log.mean_near(wanted, HALF, LONGEST_GAP)
 
 
 def teach(
