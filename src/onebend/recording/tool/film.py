@@ -18,6 +18,7 @@ from onebend.records import Array, BoolArray, IntArray, Markers, Observations, R
 
 LOADED, AT_REST = 40, 12  # frames of each that are looked at
 SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
+ACCUSES = 0.5  # of the loaded frames: what fewer show at another place is no reason to doubt the stated one
 
 FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
 
@@ -45,8 +46,8 @@ def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: Fi
         seen.source.view,
     )  # fmt: skip
     tool = find(markers, seen.loaded, seen.frame)
-    remarks = tool_remarks(tool, rec)
-    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
+    remarks, where_stated = tool_remarks(tool, rec), tool.seen and not _elsewhere(tool, rec)
+    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=where_stated)
     return replace(seen, source=source)
 
 
@@ -132,14 +133,20 @@ def of_rows(markers: Markers, rows: IntArray) -> Markers:
 
 
 def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
-    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow."""
-    if not tool.seen or rec.push is None or isnan(rec.push.at):
-        return ()
-    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
-    if abs(tool.s - rec.push.at) <= SURE * np.hypot(tool.sd, stated_sd):
+    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow, in most of
+    the frames under load."""
+    if rec.push is None or not _elsewhere(tool, rec) or tool.shown < ACCUSES:
         return ()
     text = (
         f"The film shows the tool at s = {tool.words}; recording.toml says at_s = {rec.push.at:.3g}. k(s) follows the "
         f"place: measure it, and correct at_s in [push] (to {tool.s:.2f} if the film is right)."
     )
     return (Remark("warning", text, doubt=True, about="tool place"),)
+
+
+def _elsewhere(tool: ToolPlace, rec: Recording) -> bool:
+    """Whether the tool is seen farther from `at_s` than both tolerances allow."""
+    if not tool.seen or rec.push is None or isnan(rec.push.at):
+        return False
+    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
+    return bool(abs(tool.s - rec.push.at) > SURE * np.hypot(tool.sd, stated_sd))
