@@ -57,7 +57,8 @@ def followed(wrong: float, sd: float, seconds: float = 4.0, gap: float = 0.0, la
     samples = [t for t in np.arange(-1.0, seconds, 1.0 / RATE).tolist() if not 2.0 <= t < 2.0 + gap]
     frames = np.arange(0.0, seconds, 1.0 / FPS).tolist()
     events = sorted([(t + late, 0, t) for t in samples] + [(t + 0.005, 1, t) for t in frames])
-    waited, most = {}, 0.0
+    waited: dict[float, float] = {}
+    most = 0.0
     for now, is_frame, t in events:
         if is_frame:
             following.add(t, np.zeros((1, 4, 2)))

@@ -20,7 +20,7 @@ STEP = 0.1  # s, from picture to picture
 @pytest.mark.parametrize("at", [0.6, 1.0])
 def test_the_tool_is_seen_in_what_was_kept_as_in_the_film(at: float) -> None:
     film, kept = filmed((at, in_room(0.5))), KeptSmall(LENGTH, SIZE)
-    time = STEP * np.arange(len(film.pictures))
+    time: Array = STEP * np.arange(len(film.pictures))
     for t, picture, tags in zip(time.tolist(), film.pictures, bends(), strict=True):
         whole = np.repeat(np.repeat(np.clip(np.rint(picture), 0, 255), FACTOR, axis=0), FACTOR, axis=1)
         kept.add(t, whole.astype(np.uint8), corners_of(tags, view()))
