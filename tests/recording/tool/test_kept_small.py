@@ -14,13 +14,13 @@ from onebend.records import Array
 from tests.recording.filmed import LENGTH, SIZE, corners_of, recording, view
 from tests.recording.tool.scenes import FACTOR, bends, filmed, in_room
 
-STEP = 0.1  # s, from picture to picture
+RATE = 10.0  # pictures per second
 
 
 @pytest.mark.parametrize("at", [0.6, 1.0])
 def test_the_tool_is_seen_in_what_was_kept_as_in_the_film(at: float) -> None:
     film, kept = filmed((at, in_room(0.5))), KeptSmall(LENGTH, SIZE)
-    time: Array = STEP * np.arange(len(film.pictures))
+    time: Array = np.arange(len(film.pictures)) / RATE
     for t, picture, tags in zip(time.tolist(), film.pictures, bends(), strict=True):
         whole = np.repeat(np.repeat(np.clip(np.rint(picture), 0, 255), FACTOR, axis=0), FACTOR, axis=1)
         kept.add(t, whole.astype(np.uint8), corners_of(tags, view()))
@@ -31,7 +31,7 @@ def test_the_tool_is_seen_in_what_was_kept_as_in_the_film(at: float) -> None:
     found = tool_in_small(small, rec, film.markers, film.loaded, time)
     assert found.seen, found.why
     assert found.s == pytest.approx(film.place().s, abs=0.01)
-    others = tool_in_small(small, rec, film.markers, film.loaded, time + 0.5 * STEP)
+    others = tool_in_small(small, rec, film.markers, film.loaded, time + 0.5 / RATE)
     assert others.why == "no picture was kept"
 
 
