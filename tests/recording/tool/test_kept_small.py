@@ -14,7 +14,7 @@ from onebend.records import Array
 from tests.recording.filmed import LENGTH, SIZE, corners_of, recording, view
 from tests.recording.tool.scenes import FACTOR, bends, filmed, in_room
 
-RATE = 10.0  # pictures per second
+RATE = 8.0  # pictures per second
 
 
 @pytest.mark.parametrize("at", [0.6, 1.0])
