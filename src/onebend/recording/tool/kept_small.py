@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from onebend.recording.tags.finder import side_of
 from onebend.recording.tool.covered import BEAM_PIXELS, shrunk
 from onebend.recording.tool.film import AT_REST, LOADED, SmallPictures
 from onebend.recording.video import Picture
@@ -82,7 +81,9 @@ class KeptSmall:
             return
         middle = corners.mean(axis=1)
         if self._first is None:
-            self._begin(picture, float(np.mean([side_of(one) for one in corners[seen]])), middle)
+            self._begin(
+                picture, float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen].mean()), middle
+            )
         assert self._first is not None
         self._first = np.where(np.isfinite(self._first), self._first, middle)
         moved = _farthest(middle - self._first) > MOVED * self._side
