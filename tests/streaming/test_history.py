@@ -30,6 +30,18 @@ def test_frames_stay_in_order_bounded_and_spread_over_the_whole_stream() -> None
     assert history.count == 1000
 
 
+def test_frames_that_are_spared_stay() -> None:
+    spared = {i / 10 for i in range(7, 1000, 90)}
+    history = FrameHistory(100, spared)
+    for i in range(1000):
+        history.add(frame(i / 10, 5.0 if i == 801 else 1.0))
+        assert len(history) <= 100
+    tracks, _ = history.tracks()
+    assert spared < set(tracks.time.tolist())
+    assert np.all(np.diff(tracks.time) > 0)
+    assert max(one.change for one in history._frames) == 5.0  # of a frame that went, or not
+
+
 def test_a_late_frame_comes_into_its_place() -> None:
     history = FrameHistory(100)
     for time in (0.0, 0.1, 0.3, 0.2, 0.4):

@@ -137,6 +137,7 @@ def test_what_is_kept_is_bounded_however_long_it_runs() -> None:
             follow(live, [arrival])
             most = {name: max(count, most.get(name, 0)) for name, count in live.kept.items()}
     assert live.state().counts.samples == 5 * len(force.time)
+    assert 0 < most.pop("pictures") <= 10
     assert most == {"frames": 40, "rows": 200, "tracker": 8, "waiting": 4, "since": 40, "behind": 0}
 
 
@@ -257,7 +258,7 @@ def _half() -> tuple[Seen, Later]:
             live.frame(arrival.picture, float(arrival.stamp))
         else:
             half.append(live._tracker.step(arrival.picture, float(arrival.stamp)))
-    later = Later(tuple(one.time for one in half), tuple(one.corners for one in half), live._log.rows.copy())
+    later = Later(tuple(one.time for one in half), tuple(one.corners for one in half), live._log.rows.copy(), OFFSET)
     return live._seen(), later
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -36,7 +37,7 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tags.detection import detect_tags
 from onebend.recording.toml.entries import Recording, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.tool.film import tool_checked
+from onebend.recording.tool.film import tool_checked, tool_in_film
 from onebend.recording.tracks.chords import with_angles
 from onebend.recording.tracks.marker_tracks import track_markers
 from onebend.recording.tracks.measured_frequencies import frequency_observations, with_frequencies
@@ -131,8 +132,11 @@ def _shown(
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     markers = markers_of(rec, detections)
+    seen = assemble(rec, markers, log, base, settings)
+    if not rec.video.file.exists():
+        return seen
     every = spacing_of(len(detections.time), detections.width * detections.height)
-    return tool_checked(rec, assemble(rec, markers, log, base, settings), markers.base_angle, every, frames)
+    return tool_checked(rec, seen, markers.base_angle, partial(tool_in_film, rec, every=every, kept=frames))
 
 
 def markers_of(rec: Recording, detections: Detections) -> Markers:
@@ -151,7 +155,7 @@ def observe_markers(
 ) -> Observations:
     """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
 
-    The film is not there to show the tool that pushes.
+    No picture is there to show the tool that pushes: see `tool.film.tool_checked`.
 
     Raises:
         ObservationError: as `observe`.

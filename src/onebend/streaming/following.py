@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 
 from onebend.learning.live.online_learner import OnlineLearner
 from onebend.records import Array
 from onebend.streaming.history import ForceHistory
-from onebend.streaming.reading import FrameReader
+from onebend.streaming.reading import AS_NEAR, FrameReader
 from onebend.streaming.review import HALF, LONGEST_GAP, Later, Reviewed, logged_at, teach
 
 _BEHIND = 2  # frames that came during a review, of which its learner is taught with each new one
 _FEW_WAITING, _MOST_WAITING = 4, 300  # frames, before there is a learner and then
-_AS_NEAR = 2.0  # sd of the clocks' offset: a force that is as near may be that of the frame
-_SOON = 0.03  # s of newer frames, after which it is taken for that
+_SOON = 0.03  # s of newer frames, after which a force that is as near as the clocks are known is taken for that
+_LATELY = 31  # frames, of which is known how far the log had come
 
 Frame = tuple[float, Array]  # time [s, the frames' clock] and corners (m, 4, 2) px
 
@@ -33,9 +34,9 @@ class Learning:
     doubts: tuple[str, ...] = ()
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, at the last frame
 
-    def update(self, log: ForceHistory, time: float, corners: Array) -> None:
-        """Teach it one frame."""
-        logged = logged_at(log, self.reader, time)
+    def update(self, log: ForceHistory, time: float, corners: Array, ahead: float) -> None:
+        """Teach it one frame; `ahead`: as `FrameReader.stands_in`."""
+        logged = logged_at(log, self.reader, time, self.reader.stands_in(ahead))
         self.force = self.reader.force_on_beam(logged[:2])
         doubts = teach(self.learner, self.reader, time, corners, logged)
         if doubts is not None:
@@ -55,6 +56,17 @@ class Following:
         self._coming: Learning | None = None  # of the last review, until it has seen all frames
         self._since: deque[Frame] = deque(maxlen=most)  # that no review has seen
         self._waiting: deque[Frame] = deque()  # the newest of them, whose force is not there yet
+        self._ahead: deque[float] = deque(maxlen=_LATELY)  # s: of the log's newest row when a frame came, and its time
+
+    @property
+    def ahead(self) -> float:
+        """s: what the log's newest row usually is ahead of a frame that comes in, by their own clocks."""
+        return median(self._ahead) if self._ahead else -math.inf
+
+    @property
+    def stands_in(self) -> float:
+        """s: so far after the newest row of the log frames are, by the clocks, and take its force; as a rule 0."""
+        return 0.0 if self.learning is None else self.learning.reader.stands_in(self.ahead)
 
     @property
     def behind(self) -> float:
@@ -72,6 +84,8 @@ class Following:
         """One more frame, later than all before."""
         self._since.append((time, corners))
         self._waiting.append((time, corners))
+        if len(self._log):
+            self._ahead.append(self._log.newest - time)
         self.release()
 
     def release(self) -> None:
@@ -81,24 +95,26 @@ class Following:
             while len(self._waiting) > _FEW_WAITING:
                 self._waiting.popleft()
             return
-        newest = float(self._log.rows[-1, 0]) if len(self._log) else -math.inf
         while self._waiting:
             time, corners = self._waiting[0]
-            if not self._there(time, newest, learning.reader) and len(self._waiting) < _MOST_WAITING:
+            if not self._there(time, learning.reader) and len(self._waiting) < _MOST_WAITING:
                 return
             self._waiting.popleft()
             if self.learning is not None:
-                self.learning.update(self._log, time, corners)
+                self.learning.update(self._log, time, corners, self.ahead)
             if self._coming is not None:
                 self._coming.behind.append((time, corners))
                 self._catch_up(self._coming)
             self.until = time
 
-    def _there(self, time: float, newest: float, reader: FrameReader) -> bool:
-        """Whether a frame at `time` need not wait for more of the log, which has come up to `newest` [s]."""
-        waited, lacks = self._waiting[-1][0] - time, time + reader.offset - newest
-        near = min(_AS_NEAR * reader.offset_sd, LONGEST_GAP)
-        return lacks <= -HALF or (waited >= _SOON and lacks <= near) or waited >= self._wait
+    def _there(self, time: float, reader: FrameReader) -> bool:
+        """Whether a frame at `time` need not wait for more of the log."""
+        waited, lacks, stands_in = self._waiting[-1][0] - time, time + reader.offset - self._log.newest, 0.0
+        if lacks > -HALF:
+            stands_in = reader.stands_in(self.ahead)
+        near = min(AS_NEAR * reader.offset_sd, LONGEST_GAP)
+        at_once = lacks <= (stands_in if stands_in > HALF else -HALF)
+        return at_once or (waited >= _SOON and lacks <= near) or waited >= self._wait
 
     def later(self, made: Reviewed) -> Later:
         """What came after the last frame of a review, and is not waiting for its force."""
@@ -106,7 +122,8 @@ class Following:
         rows, begin = self._log.rows, 0
         if made.reader is not None:
             begin = int(np.searchsorted(rows[:, 0], made.until + made.reader.offset - 1.0))
-        return Later(tuple(time for time, _ in frames), tuple(one for _, one in frames), rows[begin:].copy())
+        times, corners = tuple(time for time, _ in frames), tuple(one for _, one in frames)
+        return Later(times, corners, rows[begin:].copy(), self.ahead)
 
     def take(self, made: Reviewed) -> None:
         """Go on from a review. Where it found less than the one before, that one stands, with the doubt."""
@@ -130,6 +147,6 @@ class Following:
         """Teach the learner of the last review some of the frames that it has not seen; it takes over when there are
         none."""
         for _ in range(min(_BEHIND, len(coming.behind))):
-            coming.update(self._log, *coming.behind.popleft())
+            coming.update(self._log, *coming.behind.popleft(), self.ahead)
         if not coming.behind:
             self.learning, self._coming = coming, None

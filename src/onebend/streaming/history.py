@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Container
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +26,10 @@ _MOST_SIGHTINGS = 1000  # of unexpected and of doubled tags
 class FrameHistory:
     """The tags of the frames so far. `time` is that of `TrackedFrame`."""
 
-    def __init__(self, most: int) -> None:
-        """An empty store of at most `most` frames."""
-        self._most, self._every, self._skipped = most, 1, 0
+    def __init__(self, most: int, spared: Container[float] = ()) -> None:
+        """An empty store of at most `most` frames. Those with a time in `spared`, of which there are far fewer, stay
+        where every other one goes."""
+        self._most, self._spared, self._every, self._skipped = most, spared, 1, 0
         self._change = 0.0  # the largest change of the frames that were passed over since the last one kept
         self._frames: list[TrackedFrame] = []
         self._looks = 0
@@ -49,14 +51,13 @@ class FrameHistory:
             self._shifts[i, float(frame.still_since[i])] = frame.corners[i] - frame.detected[i]
         if self._frames and frame.time < self._frames[-1].time:
             self._frames.insert(bisect_left(self._frames, frame.time, key=lambda one: one.time), frame)
-        elif self._skipped + 1 >= self._every:
+        elif self._skipped + 1 >= self._every or frame.time in self._spared:
             self._frames.append(_changed(frame, self._change))
             self._skipped, self._change = 0, 0.0
         else:
             self._skipped, self._change = self._skipped + 1, max(self._change, frame.change)
         if len(self._frames) > self._most:
-            pairs = zip(self._frames[1::2], self._frames[2::2], strict=False)
-            self._frames = [self._frames[0], *(_changed(after, before.change) for before, after in pairs)]
+            self._frames = self._halved()
             self._every *= 2
             kept = {(i, since) for one in self._frames for i, since in enumerate(one.still_since.tolist())}
             self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
@@ -74,6 +75,16 @@ class FrameHistory:
             doubles=tuple(self._doubles),
         )
         return tracks, repeated(changes)
+
+    def _halved(self) -> list[TrackedFrame]:
+        """The first frame, of those after it every other one, and those that are spared."""
+        out, change = [self._frames[0]], 0.0
+        for i, frame in enumerate(self._frames[1:], start=1):
+            change = max(change, frame.change)
+            if i % 2 == 0 or frame.time in self._spared:
+                out.append(_changed(frame, change))
+                change = 0.0
+        return out
 
     def _corrected(self) -> Array:
         """(T, m, 4, 2) px."""
@@ -110,14 +121,18 @@ class ForceHistory:
         """(N, c), in order of time. Do not write into it: copy it before more rows come."""
         return self._rows[: self._used]
 
+    @property
+    def newest(self) -> float:
+        """s: up to when there are rows; minus infinity where there is none."""
+        return float(self._rows[self._used - 1, 0]) if self._used else -math.inf
+
     def add(self, rows: Array) -> None:
         """Put rows (n, c) in their places. A row with a time that is none is left out; NaN forces are a gap."""
         good = np.isfinite(rows[:, 0]) & (np.abs(rows[:, 0]) < LATEST)
         self.count += len(rows)
         self.refused += len(rows) - int(np.sum(good))
         rows = rows[good]
-        newest = self._rows[self._used - 1, 0] if self._used else -math.inf
-        late = rows[:, 0] <= newest
+        late = rows[:, 0] <= self.newest
         self.late += int(np.sum(late))
         self._append(rows[~late][np.argsort(rows[~late, 0], kind="stable")])
         if late.any():

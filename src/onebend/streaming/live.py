@@ -21,6 +21,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.tags.tracker import TrackedFrame, Tracker
 from onebend.recording.toml.entries import Recording
+from onebend.recording.tool.kept_small import KeptSmall
 from onebend.recording.video import Picture
 from onebend.records import ClockOffset
 from onebend.streaming.following import Following
@@ -29,7 +30,8 @@ from onebend.streaming.review import Reviewed, Seen, observed_in
 from onebend.streaming.reviewer import Reviewer, ReviewerBeside, ReviewerHere
 from onebend.streaming.state import NOTHING_YET, SOON, Counts, LiveState, live_verdict
 
-_LATE = 0.2  # s: a force that comes later is said to
+_LATE = 0.2  # s: a force that comes later is said to,
+_OLDER = 0.05  # s: and one that is so much older than a frame, by the clocks, and is taken for its own
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ class Live:
         self.recording, self.settings, self._clock = rec, settings, clock
         tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(tag_id, rec.tags.family)
-        self._frames = FrameHistory(settings.most_frames)
+        self._small = KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
+        self._frames = FrameHistory(settings.most_frames, self._small)
         self._log = ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
         made = ReviewerBeside if beside else ReviewerHere
         self._reviewer: Reviewer = made(settings.observing, settings.learning)
@@ -133,6 +136,8 @@ class Live:
         late = self._newest is not None and time < self._newest.time
         counts = self._counts
         self._counts = replace(counts, frames=counts.frames + 1, late_frames=counts.late_frames + late)
+        if image is not None and not late:
+            self._small.add(own.time, image, own.corners)
         self._frames.add(own)
         if not late:
             self._newest = seen
@@ -180,6 +185,7 @@ class Live:
         """Counts of all that is kept of the stream; each is bounded, however long it runs."""
         return {
             "frames": len(self._frames),
+            "pictures": len(self._small),
             "rows": len(self._log),
             "tracker": self._tracker.kept,
             **self._following.kept,
@@ -200,6 +206,11 @@ class Live:
         if self._following.behind > _LATE:
             late = f"{self._following.behind:.2g} s late, or not at all"
             waiting.append(f"the newest frames: samples of the force come {late}, and k(s) follows them")
+        if (older := self._following.stands_in) > _OLDER and learning is not None:
+            sure = f"the clocks, known to {learning.reader.offset_sd:.2g} s (one sd)"
+            waiting.append(
+                f"the force of the newest frames: they take the newest there is, {older:.2g} s older by {sure}"
+            )
         if not known.rested:
             waiting.append("drift of the force log: it shows in a rest after the push")
         return LiveState(
@@ -230,7 +241,7 @@ class Live:
         self.close()
         if not len(self._frames):
             raise ObservationError(f"{self.recording.name}: {NOTHING_YET}")
-        return learn_observed(observed_in(self._seen(), self.settings.observing), fitting=fitting, progress=progress)
+        return learn_observed(observed_in(seen_by(self), self.settings.observing), fitting=fitting, progress=progress)
 
     def close(self) -> None:
         """End the process beside this one; nothing more may come."""
@@ -269,5 +280,5 @@ class Live:
 
 
 def seen_by(live: Live) -> Seen:
-    """A copy of what is kept of a stream, for `onebend.streaming.review.observed_in` in another process."""
-    return live._seen()
+    """A copy of what is kept of a stream, pictures too, for `onebend.streaming.review.observed_in`."""
+    return replace(live._seen(), small=live._small.small())

@@ -14,6 +14,7 @@ from onebend.recording.force.cleaning import to_beam
 from onebend.recording.toml.entries import Recording
 from onebend.records import Array, Observations, View
 
+AS_NEAR = 2.0  # sd of the clocks' offset: a force that is as near may be that of the frame
 _WRONG, _LEAST_SD = 10.0, 0.02  # sd of a corner, px: as `camera.projection` leaves tags out
 _TOUCHED_SD = 8.0  # of a tag's place: farther from rest than this,
 _TOUCHED_SHARE = 0.02  # and than this share of the largest displacement so far, the beam is being pushed
@@ -39,6 +40,15 @@ class FrameReader:
     place: float  # of the push; NaN where the log says it
     gravity: Array  # (2,) m/s^2
     largest: float  # m, displacement so far
+
+    def stands_in(self, ahead: float) -> float:
+        """s: so far after the newest row of the log, by the clocks as they are known, a frame may be and take its force
+        all the same. `ahead` [s] is what that row's time usually is ahead of a frame's as it comes in.
+
+        What comes in together is usually of one time. Where the clocks say otherwise, but are not known well enough to
+        rule that out, a frame would wait for the force of a later time: always, if their offset is wrong.
+        """
+        return float(np.clip(self.offset - ahead, 0.0, AS_NEAR * self.offset_sd))
 
     def poses(self, corners: Array) -> tuple[Array, Array, Array]:
         """(m, 2) m, (m,) rad and (m, 3, 3): the beam's tags in its frame, from corners (b + m, 4, 2) px."""

@@ -24,8 +24,10 @@ from onebend.recording.observe import FEWEST_FRAMES, ObserveSettings, markers_of
 from onebend.recording.tags.detection import summary
 from onebend.recording.tags.tracking import BlockTracks
 from onebend.recording.toml.entries import Recording
+from onebend.recording.tool.film import SmallPictures, tool_checked, tool_in_small
+from onebend.recording.tool.place import ToolPlace
 from onebend.recording.tracks.chords import with_angles
-from onebend.records import Array, BoolArray, ClockOffset, ForceLog, Markers, Observations, Remark
+from onebend.records import Array, BoolArray, ClockOffset, ForceLog, IntArray, Markers, Observations, Remark
 from onebend.streaming.history import ForceHistory
 from onebend.streaming.reading import FrameReader, reader_of
 
@@ -44,6 +46,7 @@ class Seen:
     tracks: BlockTracks
     repeats: BoolArray  # (T,) pictures that are those before
     rows: Array  # (N, 3 or 4) of the force log
+    small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
 
     @property
     def until(self) -> float:
@@ -58,6 +61,7 @@ class Later:
     time: tuple[float, ...]  # s
     corners: tuple[Array, ...]  # (m, 4, 2) px each
     rows: Array  # (N, 3 or 4), from before the first of these frames
+    ahead: float  # s: as `FrameReader.stands_in`
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,15 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Ob
     Raises:
         ObservationError: what is wrong with it, or not there yet.
     """
-    return observe_markers(seen.recording, _markers_in(seen), log_of(seen.recording, seen.rows), settings)
+    rec, small, markers = seen.recording, seen.small, _markers_in(seen)
+    observed = observe_markers(rec, markers, log_of(rec, seen.rows), settings)
+    if small is None:
+        return observed
+
+    def find(tags: Markers, loaded: BoolArray, frame: IntArray) -> ToolPlace:
+        return tool_in_small(small, rec, tags, loaded, markers.time[frame])
+
+    return tool_checked(rec, observed, markers.base_angle, find)
 
 
 def _markers_in(seen: Seen) -> Markers:
@@ -181,13 +193,18 @@ def go_on(known: Reviewed, later: Later) -> Reviewed:
     log = ForceHistory(max(len(later.rows), 1), later.rows.shape[1])
     log.add(later.rows)
     for time, corners in zip(later.time, later.corners, strict=True):
-        teach(known.learner, known.reader, time, corners, logged_at(log, known.reader, time))
+        logged = logged_at(log, known.reader, time, known.reader.stands_in(later.ahead))
+        teach(known.learner, known.reader, time, corners, logged)
     return replace(known, until=later.time[-1])
 
 
-def logged_at(log: ForceHistory, reader: FrameReader, time: float) -> Array:
-    """(2,) or (3,) of the log at `time` [s, the frames' clock]; NaN where it says nothing."""
-    return log.mean_near(time + reader.offset, HALF, LONGEST_GAP)
+def logged_at(log: ForceHistory, reader: FrameReader, time: float, stands_in: float) -> Array:
+    """(2,) or (3,) of the log at `time` [s, the frames' clock]; NaN where it says nothing. Up to `stands_in` [s] after
+    its newest row that one counts."""
+    wanted = time + reader.offset
+    if len(log) and wanted - log.newest <= stands_in:
+        wanted = min(wanted, log.newest)
+    return log.mean_near(wanted, HALF, LONGEST_GAP)
 
 
 def teach(

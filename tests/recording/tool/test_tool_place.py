@@ -11,9 +11,10 @@ import pytest
 from onebend.recording.signals import runs
 from onebend.recording.toml.entries import PushEntry
 from onebend.recording.tool.covered import deviations, middle, shrunk
-from onebend.recording.tool.film import of_rows, rows_to_look_at, tool_remarks
+from onebend.recording.tool.film import of_rows, rows_to_look_at, tool_checked, tool_remarks
 from onebend.recording.tool.place import ToolPlace, not_seen, place_of
 from onebend.recording.tool.strips import Meeting, runs_in_rows
+from tests.made_up import observations
 from tests.recording.filmed import LENGTH, recording
 from tests.recording.tool.scenes import (
     FRAMES,
@@ -161,6 +162,16 @@ def test_another_place_than_stated_is_warned_of() -> None:
     assert not tool_remarks(tool, replace(rec, push=PushEntry(column="push_s")))
     assert not tool_remarks(tool, replace(rec, push=None))
     assert not tool_remarks(not_seen("nothing is there"), rec)
+    assert not tool_remarks(replace(tool, shown=0.49), rec)  # nor does it show the tool where it is said to be
+
+
+@pytest.mark.parametrize(("s", "shown", "there"), [(0.98, 0.3, True), (0.8, 0.3, False), (0.8, 0.9, False)])
+def test_the_place_is_seen_where_the_tool_is_seen_there(s: float, shown: float, there: bool) -> None:
+    tool, o = ToolPlace(s, 0.02, 0.007, False, shown, ""), observations()
+    rec = replace(recording(), push=PushEntry(at=1.0))
+    checked = tool_checked(rec, o, np.zeros(len(o.time)), lambda *_: tool)
+    assert checked.source.place_seen == there
+    assert len(checked.source.remarks) - len(o.source.remarks) == (not there and shown > 0.5)
 
 
 def test_medians_and_runs_are_those_of_the_plain_ways() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite, isnan
 
 import numpy as np
+from numpy.typing import NDArray
 
 from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.toml.entries import Recording
@@ -17,26 +18,36 @@ from onebend.records import Array, BoolArray, IntArray, Markers, Observations, R
 
 LOADED, AT_REST = 40, 12  # frames of each that are looked at
 SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
+ACCUSES = 0.5  # of the loaded frames: what fewer show at another place is no reason to doubt the stated one
+
+FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
 
 
-def tool_checked(
-    rec: Recording, seen: Observations, base_angle: Array, every: int = 1, kept: KeptFrames | None = None
-) -> Observations:
-    """With what the film shows of the tool: a warning where it is elsewhere than `at_s` says. `base_angle` (T,) is of
-    every frame; `every` and `kept`: see `tool_in_film`.
+@dataclass(frozen=True)
+class SmallPictures:
+    """Some pictures of a stream, shrunk."""
+
+    time: Array  # (P,) s, in order
+    pictures: tuple[NDArray[np.float32], ...]  # P of (h, w)
+    factor: int  # pixels of the camera, each way, that make one of theirs
+
+
+def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
+    """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
+    `base_angle` (T,) is of every frame.
 
     Raises:
         RecordingError: the film cannot be read.
     """
-    if rec.video is None or rec.push is None or not isfinite(rec.push.at) or not rec.video.file.exists():
+    if rec.push is None or not isfinite(rec.push.at):
         return seen
     markers = Markers(
         seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
         seen.source.view,
     )  # fmt: skip
-    tool = tool_in_film(rec, markers, seen.loaded, seen.frame, every=every, kept=kept)
-    remarks = tool_remarks(tool, rec)
-    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=tool.seen and not remarks)
+    tool = find(markers, seen.loaded, seen.frame)
+    remarks, where_stated = tool_remarks(tool, rec), tool.seen and not _elsewhere(tool, rec)
+    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=where_stated)
     return replace(seen, source=source)
 
 
@@ -80,6 +91,18 @@ def tool_in(
     return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
 
 
+def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
+    """Where the pictures that were kept of a stream show the tool. `markers`, `loaded` and `time` [s], by the clock of
+    the pictures, have a row a frame."""
+    rows = np.flatnonzero(np.isin(time, small.time))
+    rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
+    if not len(rows):
+        return not_seen("no picture was kept")
+    pictures = np.stack([small.pictures[i] for i in np.searchsorted(small.time, time[rows]).tolist()])
+    length, size = rec.beam.length, rec.tags.size
+    return tool_place(pictures, small.factor, of_rows(markers, rows), loaded[rows], length=length, tag_size=size)
+
+
 def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
     """Some rows of the tags' places `xy` (T, m, 2), loaded and at rest, in order: evenly over time and way together, so
     that a beam that is held still is not taken for the background. Only of those that are `rather` (T,) looked at,
@@ -110,14 +133,20 @@ def of_rows(markers: Markers, rows: IntArray) -> Markers:
 
 
 def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
-    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow."""
-    if not tool.seen or rec.push is None or isnan(rec.push.at):
-        return ()
-    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
-    if abs(tool.s - rec.push.at) <= SURE * np.hypot(tool.sd, stated_sd):
+    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow, in most of
+    the frames under load."""
+    if rec.push is None or not _elsewhere(tool, rec) or tool.shown < ACCUSES:
         return ()
     text = (
         f"The film shows the tool at s = {tool.words}; recording.toml says at_s = {rec.push.at:.3g}. k(s) follows the "
         f"place: measure it, and correct at_s in [push] (to {tool.s:.2f} if the film is right)."
     )
     return (Remark("warning", text, doubt=True, about="tool place"),)
+
+
+def _elsewhere(tool: ToolPlace, rec: Recording) -> bool:
+    """Whether the tool is seen farther from `at_s` than both tolerances allow."""
+    if not tool.seen or rec.push is None or isnan(rec.push.at):
+        return False
+    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
+    return bool(abs(tool.s - rec.push.at) > SURE * np.hypot(tool.sd, stated_sd))
