@@ -183,8 +183,8 @@ def _even(duration: float, rate: float) -> Array:
     """Moments at the rate, from 0 to the first at or after the duration; a `ControlError` where they are too many."""
     if not duration * rate <= MOST_SAMPLES:
         raise ControlError(
-            f"the path takes {duration:.4g} s, {duration * rate:.3g} samples at {rate:g} Hz; at most {MOST_SAMPLES} are "
-            "made. Take a lower rate of samples, larger limits on rates, or fewer goals"
+            f"the path takes {duration:.4g} s, {duration * rate:.3g} samples at {rate:g} Hz; at most {MOST_SAMPLES} "
+            "are made. Take a lower rate of samples, larger limits on rates, or fewer goals"
         )
     return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
 
