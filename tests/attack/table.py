@@ -18,6 +18,7 @@ from tests.attack.family import Case
 from tests.attack.hostile_bags import BAG
 from tests.attack.hostile_bags import CASES as BAGS
 from tests.attack.hostile_films import CASES as HARD
+from tests.attack.test_absurd_options import CASES as OPTIONS
 from tests.attack.test_absurd_options import REQUESTS
 from tests.attack.test_absurd_options import prepare as with_model_and_goals
 from tests.attack.test_bench_poses import CASES as BENCHES
@@ -89,7 +90,7 @@ FAMILIES = (
     Family("films, check", [*HOSTILE, *HARD], on_film, lambda _: ["check", "rec"]),
     Family(
         "options",
-        [Case(name, lambda _: None) for name in REQUESTS],
+        OPTIONS,
         lambda folder, _: with_model_and_goals(folder),
         lambda case: REQUESTS[case.name],
     ),
