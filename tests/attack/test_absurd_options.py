@@ -6,9 +6,8 @@ import math
 from pathlib import Path
 
 import pytest
-import typer
 
-from onebend.cli import app
+from onebend.cli import COMMANDS, Command
 from onebend.results.model import save_model
 from tests.attack.family import Case, params, withstood
 from tests.attack.victim import Victim
@@ -83,8 +82,8 @@ def test_every_length_of_time_force_and_size_has_its_largest_value() -> None:
     """Options in numbers with a least value; those without one (angles, goals, times in a film) are checked in use."""
     open_ended = [
         f"{name} {option.opts[0]}"
-        for name, command in typer.main.get_command(app).commands.items()
-        for option in command.loaded().params
+        for name, place in COMMANDS.items()
+        for option in Command(name, place).loaded().params
         if getattr(option, "min", None) is not None
         and option.max is None
         and "float" in str(option.type_descriptor.annotation)
