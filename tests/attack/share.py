@@ -14,7 +14,10 @@ import tempfile
 from pathlib import Path
 
 from tests.attack.family import Case
-from tests.attack.table import ELSEWHERE, FILMS, LEARN, MISTAKES, Prepare, on_film, on_tracks
+from tests.attack.table import LEARN, Prepare, on_film, on_tracks
+from tests.attack.test_check import CASES as FILMS
+from tests.attack.test_check import ELSEWHERE
+from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.victim import Outcome, Victim
 
 GROUPS: dict[str, tuple[list[Case], Prepare]] = {
