@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import mmap
+import signal
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -66,3 +69,24 @@ def test_a_large_array_is_copied_as_it_is_to_pages_that_go_with_it(turned: bool)
 def test_a_small_array_stays_where_it_is() -> None:
     array = np.zeros((100, 100))
     assert in_own_pages(array) is array
+
+
+MASKED = """
+import multiprocessing, os, signal
+from onebend.workers import interrupts_held
+if __name__ == "__main__":
+    try:
+        with interrupts_held():
+            os.kill(os.getpid(), signal.SIGINT)
+            pool = multiprocessing.get_context("spawn").Pool(1)
+    except KeyboardInterrupt:
+        found = pool.apply(signal.pthread_sigmask, (signal.SIG_BLOCK, ()))
+        print(signal.SIGINT in found, signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+        pool.terminate()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no masks of signals here")
+def test_an_interrupt_waits_until_workers_are_begun_and_does_not_reach_them() -> None:
+    ended = subprocess.run([sys.executable, "-c", MASKED], capture_output=True, text=True, check=False)
+    assert (ended.stdout, ended.stderr) == ("True False\n", "")

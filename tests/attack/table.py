@@ -18,7 +18,9 @@ from tests.attack.family import Case
 from tests.attack.hostile_bags import BAG
 from tests.attack.hostile_bags import CASES as BAGS
 from tests.attack.hostile_films import CASES as HARD
+from tests.attack.test_absurd_options import CASES as OPTIONS
 from tests.attack.test_absurd_options import REQUESTS
+from tests.attack.test_absurd_options import prepare as with_model_and_goals
 from tests.attack.test_bench_poses import CASES as BENCHES
 from tests.attack.test_bench_poses import on_example
 from tests.attack.test_check import CASES as FILMS
@@ -27,6 +29,9 @@ from tests.attack.test_hostile_films import CASES as HOSTILE
 from tests.attack.test_hostile_text import CSV_CASES, FILE_CASES, MODEL_CASES, TOML_CASES
 from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.test_parquet import CASES as PARQUET
+from tests.attack.test_sources import CASES as SOURCES
+from tests.attack.test_sources import prepare as with_sources
+from tests.attack.test_sources import recorded
 from tests.attack.victim import Outcome, Victim
 from tests.made_up import BEAM
 from tests.recording.tracked import track_folder
@@ -85,10 +90,11 @@ FAMILIES = (
     Family("films, check", [*HOSTILE, *HARD], on_film, lambda _: ["check", "rec"]),
     Family(
         "options",
-        [Case(name, lambda _: None) for name in REQUESTS],
-        lambda folder, _: on_model(folder, Case("sound", lambda _: None)),
+        OPTIONS,
+        lambda folder, _: with_model_and_goals(folder),
         lambda case: REQUESTS[case.name],
     ),
+    Family("sources of record", SOURCES, lambda folder, _: with_sources(folder), lambda case: recorded(case.name)),
     Family("users' mistakes in tracks, check", MISTAKES, on_tracks, lambda _: ["check", "rec"]),
     Family("users' mistakes in a film, check", [*FILMS, ELSEWHERE], on_film, lambda _: ["check", "rec"]),
     Family("users' mistakes in a film, learn", [c for c in FILMS if not c.passes], on_film, lambda _: LEARN, 400.0),

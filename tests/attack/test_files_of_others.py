@@ -5,19 +5,23 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
+from onebend.capture.folder import copy_description
 from onebend.cli import app
-from onebend.errors import ResultsError
+from onebend.errors import RecordingError, ResultsError
 from onebend.files.kept import KeptFolder
 from onebend.files.manifest import OWN_CHECKSUM, own_files, seal, sha256_of, with_checksum, write_summary
 from onebend.files.publish import abandon, prepare
 from onebend.files.single_file import write_file
 from onebend.files.workplace import FORMAT
+from tests.attack.conftest import EXAMPLE
 from tests.attack.killing import KIND, run, state_of
 
 NAME = f"tags-{7:040x}"  # of an entry of the cache
@@ -274,3 +278,17 @@ def test_what_a_marker_says_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     result = CliRunner().invoke(app, ["learn", "REC", "-o", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "is being written by process \\x1b[2J on \\x1b[31m" in result.stderr
+
+
+def test_a_recording_that_is_like_another_is_written_into_its_own_folder_alone(tmp_path: Path) -> None:
+    """A description that names a table out of its folder would choose where `record --like` writes what."""
+    like, out = tmp_path / "deep" / "like", tmp_path / "out"
+    shutil.copytree(EXAMPLE, like)
+    (like.parent / "evil.csv").write_text("s,kg_per_m\n0,0.5\n1,0.5\n", encoding="utf-8")
+    text = (like / "recording.toml").read_text(encoding="utf-8")
+    text = text.replace("[beam]\n", '[beam]\nmass_along = "table"\nmass_file = "../evil.csv"\n', 1)
+    (like / "recording.toml").write_text(re.sub("mass_kg = .*", "", text), encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"out of its folder: .*evil.csv is not written"):
+        copy_description(like, out)
+    assert not (tmp_path / "evil.csv").exists()
+    copy_description(like, like.parent / "beside")  # the table is there already: it is named, not written

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from onebend.recording.bags.reader import files_of
 from tests.attack.family import Case, params, withstood
 from tests.attack.hostile_bags import BAG, CASES
 from tests.attack.victim import Victim
@@ -28,3 +29,10 @@ def test_a_bag(victim: Victim, tracks: Path, case: Case) -> None:
     assert listed.verdict in ("done", "refused"), listed.err
     assert listed.seconds < 40.0
     assert not list(tracks.parent.rglob("pwned"))
+
+
+def test_names_of_files_with_raised_digits(tmp_path: Path) -> None:
+    """A ² is a digit that is no number."""
+    for name in ("run_².mcap", "run_10.mcap", "run_٢.mcap", "run_3.mcap"):
+        (tmp_path / name).touch()
+    assert [file.name for file in files_of(tmp_path)] == ["run_².mcap", "run_٢.mcap", "run_3.mcap", "run_10.mcap"]

@@ -181,3 +181,19 @@ def test_names_of_bytes_that_are_no_text(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "\x1b" not in result.stderr
     assert "\\udcff\\x1b[31m: no such file" in result.stderr
+
+
+def test_an_interrupt_while_the_program_is_loaded() -> None:
+    """The modules are some tenths of a second's work: who presses Ctrl-C then has seen nothing yet."""
+    code = """
+import sys
+class Pressed:
+    def find_spec(self, name, path=None, target=None):
+        if name == "onebend.cli":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Pressed())
+from onebend.__main__ import main
+main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment())
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")

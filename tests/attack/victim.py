@@ -33,6 +33,7 @@ class Outcome:
     err: str
     seconds: float
     peak_MB: float  # noqa: N815  (the unit's own letters)
+    work_s: float = 0.0  # of the processor
 
     @property
     def verdict(self) -> str:
@@ -100,7 +101,9 @@ def serve() -> None:
         texts = [file.read_bytes().decode("utf-8", "replace") if file.exists() else "" for file in said]
         for file in said:
             file.unlink(missing_ok=True)
-        result = Outcome(os.waitstatus_to_exitcode(status), texts[0], texts[1], took, usage.ru_maxrss / 1024.0)
+        work = usage.ru_utime + usage.ru_stime
+        code = os.waitstatus_to_exitcode(status)
+        result = Outcome(code, texts[0], texts[1], took, usage.ru_maxrss / 1024.0, work)
         os.write(answer, (json.dumps(vars(result)) + "\n").encode())
         os.close(answer)
 

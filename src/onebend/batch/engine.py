@@ -14,7 +14,7 @@ from uuid import uuid4
 from onebend.batch.listing import Item
 from onebend.batch.task import ItemResult, TaskSettings, do
 from onebend.errors import ResultsError
-from onebend.workers import available_cores, leave_interrupts_to_parent
+from onebend.workers import available_cores, interrupts_held, leave_interrupts_to_parent
 
 ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
 WAIT = "30s"  # for a scheduler to answer
@@ -56,12 +56,11 @@ def cluster(address: str | None = None, workers: int | None = None, *, processes
             client.close()
         return
     count = workers or available_cores()
-    with (
-        library.LocalCluster(
+    with interrupts_held():
+        begun = library.LocalCluster(
             n_workers=count, threads_per_worker=1, processes=processes, dashboard_address=ANY_PORT, memory_limit=0
-        ) as local,
-        library.Client(local) as client,
-    ):
+        )
+    with begun as local, library.Client(local) as client:
         if processes:
             client.register_plugin(_prepared(library))
         yield client

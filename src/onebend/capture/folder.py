@@ -240,6 +240,11 @@ def copy_description(like: Path, folder: Path) -> None:
                 target, content = folder / path.relative_to(source), path.read_bytes()
                 copied = _unnamed(content) if path.name == FILE_NAME else content
                 if not target.exists():
+                    if ".." in target.relative_to(folder).parts:
+                        raise RecordingError(
+                            f"{source / FILE_NAME} names {path}, out of its folder: {target} is not written. Put the "
+                            "table into the folder, and name it there."
+                        )
                     target.parent.mkdir(parents=True, exist_ok=True)
                     target.write_bytes(copied)
                 elif target.read_bytes() not in (copied, content):

@@ -12,7 +12,7 @@ from onebend.learning.design.planning import plan
 from onebend.pipeline import learn_observed
 from onebend.recording.observe import ObserveSettings
 from onebend.streaming.review import Seen, observed_in
-from onebend.workers import leave_interrupts_to_parent
+from onebend.workers import interrupts_held, leave_interrupts_to_parent
 
 
 def next_push_words(seen: Seen, observing: ObserveSettings = ObserveSettings()) -> str:
@@ -59,7 +59,8 @@ class NextPush:
         if self._pool is None:
             context = get_context("spawn")
             self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=leave_interrupts_to_parent)
-        self._coming = self._pool.submit(next_push_words, seen, observing)
+        with interrupts_held():
+            self._coming = self._pool.submit(next_push_words, seen, observing)
 
     def close(self) -> None:
         """End the process."""

@@ -208,6 +208,11 @@ def played_force(
         raise RecordingError(f"log:{place}: there is no such log or recording. Name a CSV file, or a folder.")
     if log is None:
         raise RecordingError(f"{place}: this recording has no force log to play. Name one with [force].")
+    if not math.isnan(start) and not np.any(log.time >= start):
+        raise RecordingError(
+            f"log:{place} ends at {log.time[-1]:.6g} s, before start_s = {start:.6g} s. Correct start_s, or leave it "
+            "out."
+        )
     start, error = (float(log.time[0]), 5.0) if math.isnan(start) else (start, error)
     columns = ("fx_N", "fy_N") if log.push_s is None else ("fx_N", "fy_N", "push_s")
     return PlayedForce(

@@ -20,6 +20,7 @@ from onebend.capture.played import OwnClock, played_camera, played_force
 from onebend.capture.sources import CameraSource, ForceSource
 from onebend.errors import RecordingError
 from onebend.streaming.played import Disturbances
+from onebend.text_files import QUOTED
 
 Options = Mapping[str, str]
 
@@ -37,6 +38,10 @@ class SourceKind(Generic[Made]):
     make: Callable[[str, Options], Made]
 
 
+MOST_LATE, MOST_DRIFT = 60_000.0, 100_000.0  # ms and ppm, of what is played
+MOST_SEED, MOST_START, MOST_COUNTS = 2**53, 1e12, 1e12
+MOST_SIDE = MOST_PORT = 65_535  # px, and of a port
+MOST_RATE, MOST_FPS = 1e6, 100_000.0  # Hz
 _ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
 
 
@@ -75,7 +80,7 @@ def number(options: Options, key: str, default: float, *, least: float = -math.i
     if not (least <= value <= most and math.isfinite(value)):
         low = "" if least == -math.inf else f" from {least:g}"
         high = "" if most == math.inf else f" to {most:g}"
-        raise RecordingError(f"{key}={options[key]}: this must be a number{low}{high}.")
+        raise RecordingError(f"{key}={options[key][:QUOTED]}: this must be a number{low}{high}.")
     return value
 
 
@@ -99,7 +104,7 @@ def _split(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> tup
 
 def _disturbances(options: Options) -> Disturbances:
     lost, late = (number(options, key, 0.0, least=0.0, most=1.0) for key in ("lost", "late"))
-    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
+    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE)
     return Disturbances(
         frames_lost=lost,
         frames_late=late,
@@ -111,29 +116,29 @@ def _disturbances(options: Options) -> Disturbances:
 
 
 def _own(options: Options) -> OwnClock:
-    return OwnClock(
-        drift=1e-6 * number(options, "drift_ppm", 0.0), late=1e-3 * number(options, "jitter_ms", 0.0, least=0.0)
-    )
+    drift = number(options, "drift_ppm", 0.0, least=-MOST_DRIFT, most=MOST_DRIFT)
+    return OwnClock(drift=1e-6 * drift, late=1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE))
 
 
 def _film(place: str, options: Options) -> CameraSource:
-    seed = int(number(options, "seed", 0, least=0))
+    seed = int(number(options, "seed", 0, least=0, most=MOST_SEED))
     return played_camera(Path(place), _disturbances(options), own=_own(options), seed=seed)
 
 
 def _log(place: str, options: Options) -> ForceSource:
-    seed, start = int(number(options, "seed", 0, least=0)), number(options, "start_s", math.nan)
+    seed = int(number(options, "seed", 0, least=0, most=MOST_SEED))
+    start = number(options, "start_s", math.nan, least=-MOST_START, most=MOST_START)
     return played_force(Path(place), _disturbances(options), start=start, own=_own(options), seed=seed)
 
 
 def _ati(place: str, options: Options) -> ForceSource:
     scale = None
     if "counts" in options:
-        per = number(options, "counts", 0.0, least=1e-6)
-        scale = AtiScale(
-            per, number(options, "counts_torque", per, least=1e-6), number(options, "rate", 0.0, least=0.0)
-        )
-    port, web = (int(number(options, key, value, least=1)) for key, value in (("port", PORT), ("web_port", WEB_PORT)))
+        per = number(options, "counts", 0.0, least=1e-6, most=MOST_COUNTS)
+        torque = number(options, "counts_torque", per, least=1e-6, most=MOST_COUNTS)
+        scale = AtiScale(per, torque, number(options, "rate", 0.0, least=0.0, most=MOST_RATE))
+    ports = (("port", PORT), ("web_port", WEB_PORT))
+    port, web = (int(number(options, key, value, least=1, most=MOST_PORT)) for key, value in ports)
     return AtiForce(place, port=port, web_port=web, scale=scale)
 
 
@@ -145,7 +150,7 @@ def _serial(place: str, options: Options) -> ForceSource:
     if "columns" not in options:
         raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
     cells = cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
-    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50)))
+    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
 
 
 def _csv(place: str, options: Options) -> ForceSource:
@@ -160,9 +165,10 @@ def _lsl(place: str, options: Options) -> ForceSource:
 
 def _size(options: Options, default: str) -> tuple[int, int]:
     width, cross, height = options.get("size", default).partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        raise RecordingError(f"size={options['size']}: write width and height in pixels, as size=1280x720.")
-    return int(width), int(height)
+    sides = [int(side) if side.isdecimal() and len(side) < 6 else 0 for side in (width, height)]
+    if not cross or not all(1 <= side <= MOST_SIDE for side in sides):
+        raise RecordingError(f"size={options['size'][:QUOTED]}: write width and height in pixels, as size=1280x720.")
+    return sides[0], sides[1]
 
 
 def _v4l2(place: str, options: Options) -> CameraSource:
@@ -174,9 +180,9 @@ def _v4l2(place: str, options: Options) -> CameraSource:
     settings = V4l2Settings(
         width=width,
         height=height,
-        fps=number(options, "fps", asked.fps, least=0.1),
+        fps=number(options, "fps", asked.fps, least=0.1, most=MOST_FPS),
         packed=packed,
-        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01),
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE),
     )
     return V4l2Camera(Path(place), settings)
 
@@ -191,8 +197,8 @@ def _realsense(place: str, options: Options) -> CameraSource:
         stream=stream,
         width=width,
         height=height,
-        fps=round(number(options, "fps", asked.fps, least=1.0)),
-        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01),
+        fps=round(number(options, "fps", asked.fps, least=1.0, most=MOST_FPS)),
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE),
     )
     return RealSenseCamera("" if place == "any" else place, settings)
 
@@ -237,7 +243,7 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         "ur:HOST",
         "a Universal Robot's wrench (pip install 'onebend[ur]')",
         ("rate",),
-        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0)),
+        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0, most=MOST_RATE)),
     ),
     "franka": SourceKind(
         "franka:HOST",

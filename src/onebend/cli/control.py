@@ -11,7 +11,7 @@ import typer
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
-from onebend.cli.options import LEAST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
+from onebend.cli.options import LEAST, MOST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
 from onebend.control.loop.controller import controller
 from onebend.control.loop.robustness import MOST_DRAWN, drawn_beams, simulate_trials, trial_settings, wrong_beams
 from onebend.control.loop.simulation import LoopCamera
@@ -37,11 +37,14 @@ ReachMethod = Annotated[
     typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
 ]
 ReachMaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force; default: no bound.")
+    float | None,
+    typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force; default: no bound."),
 ]
 MaxCurvature = Annotated[
     float | None,
-    typer.Option("--max-curvature-per-m", min=LEAST, metavar="1/M", help="The beam bends no more than this from rest."),
+    typer.Option(
+        "--max-curvature-per-m", min=LEAST, max=MOST, metavar="1/M", help="The beam bends no more than this from rest."
+    ),
 ]
 Direction = Annotated[
     float | None,
@@ -77,7 +80,9 @@ Rate = Annotated[
 Duration = Annotated[
     float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
 ]
-LoopMaxForce = Annotated[float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="No larger force.")]
+LoopMaxForce = Annotated[
+    float | None, typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force.")
+]
 Feeling = Annotated[
     Literal["nothing", "log", "shape"],
     typer.Option(

@@ -13,7 +13,7 @@ import typer
 
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_nan, print_json, progress_of, put_in_place, say, workplace
-from onebend.cli.options import Json, Quiet
+from onebend.cli.options import MOST, Json, Quiet
 from onebend.lab.design_file import find_design
 from onebend.lab.effects.real_bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.film_request import CameraName, FilmRequest, PushName, SensorName, filming_of
@@ -42,7 +42,9 @@ PushKind = Annotated[
 PushAt = Annotated[
     float | None, typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam.")
 ]
-Force = Annotated[float | None, typer.Option("--force-N", min=1e-6, metavar="N", help="Peak; default: by --bend-deg.")]
+Force = Annotated[
+    float | None, typer.Option("--force-N", min=1e-6, max=MOST, metavar="N", help="Peak; default: by --bend-deg.")
+]
 Bend = Annotated[
     float, typer.Option("--bend-deg", min=1.0, max=150.0, metavar="DEG", help="How far the pushed place turns.")
 ]
@@ -60,14 +62,16 @@ Tilt = Annotated[
 ]
 Distance = Annotated[
     float | None,
-    typer.Option("--distance-m", min=0.05, metavar="M", help="Of the camera; default: as near as shows the push."),
+    typer.Option(
+        "--distance-m", min=0.05, max=MOST, metavar="M", help="Of the camera; default: as near as shows the push."
+    ),
 ]
 Sensor = Annotated[
     SensorName, typer.Option("--sensor", help="A robot's own estimate, a six-axis sensor, or one without errors.")
 ]
 Gravity = Annotated[
     float,
-    typer.Option("--gravity-m-s2", min=0.0, metavar="G", help="In the plane of bending; 0: across it."),
+    typer.Option("--gravity-m-s2", min=0.0, max=MOST, metavar="G", help="In the plane of bending; 0: across it."),
 ]
 BaseAngle = Annotated[
     float, typer.Option("--base-angle-deg", metavar="DEG", help="The beam's x axis in the room; -90: it hangs.")

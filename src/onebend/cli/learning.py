@@ -23,7 +23,7 @@ from onebend.cli.common import (
     workplace,
 )
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
+from onebend.cli.options import LEAST, MOST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
 from onebend.learning.design.candidates import Limits
 from onebend.learning.design.planning import PlanSettings
 from onebend.learning.inference.stages import FitSettings
@@ -70,7 +70,9 @@ Method = Annotated[
 Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
 Width = Annotated[
     float | None,
-    typer.Option(min=0.001, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."),
+    typer.Option(
+        min=0.001, max=MOST, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."
+    ),
 ]
 Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
 NoReport = Annotated[
@@ -84,12 +86,14 @@ Epsilon = Annotated[
     typer.Option(
         "--epsilon-s",
         min=0.0,
+        max=MOST,
         metavar="SECONDS",
         help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
     ),
 ]
 MaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=LEAST, metavar="N", help="Default: twice the largest so far.")
+    float | None,
+    typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="Default: twice the largest so far."),
 ]
 MaxTipAngle = Annotated[
     float | None,
@@ -107,6 +111,7 @@ ClampSd = Annotated[
     typer.Option(
         "--clamp-sd-deg",
         min=0.0,
+        max=MOST,
         metavar="DEG",
         help=f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
         f"{math.degrees(CLAMP_SD):.2g}. It trades off against k.",

@@ -21,7 +21,7 @@ from onebend.cli.common import (
     screen,
     workplace,
 )
-from onebend.cli.options import Json, Overwrite, Quiet
+from onebend.cli.options import MOST, Json, Overwrite, Quiet
 from onebend.errors import ResultsError
 from onebend.population import writing as populations
 from onebend.population.figures import draw_figures as draw_figures_of
@@ -140,7 +140,7 @@ Object = Annotated[
 ]
 PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
 Band = Annotated[
-    float, typer.Option("--band", min=0.01, metavar="PERCENT", help="Wished half band of the means, of k.")
+    float, typer.Option("--band", min=0.01, max=MOST, metavar="PERCENT", help="Wished half band of the means, of k.")
 ]
 ToleranceFile = Annotated[
     Path | None,

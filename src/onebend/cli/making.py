@@ -13,7 +13,7 @@ import typer
 
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, put_in_place, say, say_failed, screen, workplace
-from onebend.cli.options import Json, Overwrite
+from onebend.cli.options import MOST, Json, Overwrite
 from onebend.errors import MechanicsError
 from onebend.files.single_file import check_name_free, write_file
 from onebend.lab.design_file import find_design, write_design_template
@@ -60,7 +60,8 @@ ShoreZero = Annotated[
     float | None, typer.Option("--shore-zero", metavar="00", help="Cast of a silicone of this hardness, scale 00.")
 ]
 Modulus = Annotated[
-    float | None, typer.Option("--modulus-kPa", min=1e-3, metavar="E", help="Cast of a material of this modulus.")
+    float | None,
+    typer.Option("--modulus-kPa", min=1e-3, max=MOST, metavar="E", help="Cast of a material of this modulus."),
 ]
 Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write s, width, EI, k and mass per metre.")]
 Picture = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Write a picture (PNG).")]
@@ -69,12 +70,16 @@ ModelFile = Annotated[
 ]
 PartsOutput = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the parts.")]
 Kind = Annotated[Literal["open", "halves"], typer.Option("--kind", help="One open tray, or two halves.")]
-Wall = Annotated[float, typer.Option("--wall-mm", min=0.4, metavar="MM", help="Thickness of walls and floor.")]
+Wall = Annotated[
+    float, typer.Option("--wall-mm", min=0.4, max=MOST, metavar="MM", help="Thickness of walls and floor.")
+]
 Draft = Annotated[float, typer.Option("--draft-deg", min=0.0, max=10.0, metavar="DEG", help="Lean of the walls.")]
 Shrinkage = Annotated[
     float, typer.Option("--shrinkage-percent", min=0.0, max=9.9, metavar="P", help="How much the silicone shrinks.")
 ]
-TagSize = Annotated[float, typer.Option("--size-mm", min=0.5, metavar="MM", help="Side of a tag's black square.")]
+TagSize = Annotated[
+    float, typer.Option("--size-mm", min=0.5, max=MOST, metavar="MM", help="Side of a tag's black square.")
+]
 TagsAt = Annotated[
     list[float] | None,
     typer.Option("--tag-at", min=0.0, max=1.0, metavar="S", help="Place of a tag on the beam; may be repeated."),
@@ -85,10 +90,13 @@ StripOf = Annotated[
 ]
 Ids = Annotated[str | None, typer.Option("--ids", metavar="IDS", help="Such as 0-4 or 0,3,7-9.")]
 TagsSize = Annotated[
-    float | None, typer.Option("--size-mm", min=0.5, metavar="MM", help="Side of the black square; default: 12.")
+    float | None,
+    typer.Option("--size-mm", min=0.5, max=MOST, metavar="MM", help="Side of the black square; default: 12."),
 ]
 TagFamily = Annotated[str | None, typer.Option("--family", metavar="FAMILY", help="Default: tag36h11.")]
-Rim = Annotated[float, typer.Option("--rim-cells", min=1.0, metavar="N", help="White around the black square.")]
+Rim = Annotated[
+    float, typer.Option("--rim-cells", min=1.0, max=MOST, metavar="N", help="White around the black square.")
+]
 Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of the paper.")]
 NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
 NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers out.")]

@@ -13,7 +13,7 @@ import onebend
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, print_json, print_summary, progress_of, put_in_place, screen, workplace
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
+from onebend.cli.options import LEAST, MOST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
 from onebend.errors import ResultsError
 from onebend.export.force_bag import force_bag
 from onebend.files.publish import OutputFolder, amend
@@ -67,7 +67,7 @@ ContactAt = Annotated[
 ]
 ContactSd = Annotated[
     float | None,
-    typer.Option("--push-sd-m", min=0.0, metavar="M", help="One sd of that place; default: as written."),
+    typer.Option("--push-sd-m", min=0.0, max=MOST, metavar="M", help="One sd of that place; default: as written."),
 ]
 TagsNow = Annotated[
     Literal["learned", "anew"],
@@ -77,7 +77,11 @@ AskMoment = Annotated[bool, typer.Option("--moment", help="The contact transmits
 MomentPrior = Annotated[
     float | None,
     typer.Option(
-        "--moment-prior-Nm", min=LEAST, metavar="NM", help="One sd of the moment before; default: the force's times L."
+        "--moment-prior-Nm",
+        min=LEAST,
+        max=MOST,
+        metavar="NM",
+        help="One sd of the moment before; default: the force's times L.",
     ),
 ]
 Contacts = Annotated[
@@ -96,6 +100,7 @@ ForcePrior = Annotated[
     typer.Option(
         "--force-prior-N",
         min=LEAST,
+        max=MOST,
         metavar="N",
         help="One sd of each component of the force before any shape is seen; default: three times k/L.",
     ),

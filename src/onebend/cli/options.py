@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-LEAST = 1e-6  # of what must be positive
+LEAST, MOST = 1e-6, 1e9  # of what must be positive; beyond it, numbers are no measures of a beam
 
 PushAt = Annotated[
     float,

@@ -65,7 +65,9 @@ Until = Annotated[
 AtOnce = Annotated[bool, typer.Option("--now", help="Film at once, whatever is wrong with the picture.")]
 FilmAlone = Annotated[bool, typer.Option("--no-learning", help="Learn no k(s) meanwhile: for slow computers.")]
 Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
-Longest = Annotated[float, typer.Option("--longest-s", min=1.0, metavar="S", help="The film ends then at the latest.")]
+Longest = Annotated[
+    float, typer.Option("--longest-s", min=1.0, max=1e5, metavar="S", help="The film ends then at the latest.")
+]
 Crf = Annotated[int, typer.Option("--crf", min=0, max=40, metavar="N", help="Of H.264: less is larger and finer.")]
 Replace = Annotated[bool, typer.Option("--overwrite", help="Replace film and log of an earlier recording in DIR.")]
 Clear = Annotated[bool, typer.Option("--clear", help="Drop all that is kept.")]
@@ -198,7 +200,7 @@ def record(
             raise RecordingError(
                 "--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording."
             )
-        sources = capture.camera_of(camera), None if force is None else capture.force_of(force)
+        sources = capture.camera_of(camera), None if force in (None, "none") else capture.force_of(force)
         if like is not None:
             capture.copy_description(like, folder)
         with stopped_by_hand() as (stop, begin), RecordingView(None if quiet or as_json else stderr_screen()) as view:

@@ -14,7 +14,7 @@ import typer
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_nan, print_json, progress_of, put_in_place, say, screen, workplace
 from onebend.cli.filming import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
-from onebend.cli.options import Json, Overwrite, Quiet
+from onebend.cli.options import MOST, Json, Overwrite, Quiet
 from onebend.errors import RecordingError
 from onebend.forecast.figure import rehearsal_figure
 from onebend.forecast.rehearsal import Rehearsal
@@ -57,16 +57,18 @@ GainSd = Annotated[
     typer.Option("--gain-sd", min=0.0, max=0.5, metavar="SD", help="Of the force's scale; default: the sensor's."),
 ]
 PlacementSd = Annotated[
-    float, typer.Option("--placement-mm", min=1e-3, metavar="MM", help="How well the tags are placed, one sd.")
+    float,
+    typer.Option("--placement-mm", min=1e-3, max=MOST, metavar="MM", help="How well the tags are placed, one sd."),
 ]
 TurnSd = Annotated[
-    float, typer.Option("--turn-deg", min=1e-3, metavar="DEG", help="How well the tags are turned, one sd.")
+    float, typer.Option("--turn-deg", min=1e-3, max=MOST, metavar="DEG", help="How well the tags are turned, one sd.")
 ]
 ClockSd = Annotated[
     float | None,
     typer.Option(
         "--clock-sd-s",
         min=0.0,
+        max=MOST,
         metavar="S",
         help="How well the clocks agree; 0: one clock; default: found from the data.",
     ),

@@ -12,7 +12,7 @@ from onebend.beam.model import Beam
 from onebend.cli import BY
 from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
 from onebend.cli.models import gravity_on, read_trusted
-from onebend.cli.options import LEAST, Gravity, Json, Model, Output, Overwrite
+from onebend.cli.options import LEAST, MOST, Gravity, Json, Model, Output, Overwrite
 from onebend.control.goals.moving_goals import Between, Goals
 from onebend.control.goals.target_files import read_goals, read_targets
 from onebend.control.path.follow import PathSettings, follow_goals
@@ -52,26 +52,30 @@ GoalPoint = Annotated[
 ]
 HandMaxForce = Annotated[
     float | None,
-    typer.Option("--max-force-N", min=LEAST, metavar="N", help="Of every push and of the gripper; default: no bound."),
+    typer.Option(
+        "--max-force-N", min=LEAST, max=MOST, metavar="N", help="Of every push and of the gripper; default: no bound."
+    ),
 ]
 HandMaxMoment = Annotated[
-    float | None, typer.Option("--max-moment-N-m", min=LEAST, metavar="N_M", help="Of the gripper; default: no bound.")
+    float | None,
+    typer.Option("--max-moment-N-m", min=LEAST, max=MOST, metavar="N_M", help="Of the gripper; default: no bound."),
 ]
 Arm = Annotated[
     float | None,
     typer.Option(
-        "--arm-m", min=0.0, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
+        "--arm-m", min=0.0, max=MOST, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
     ),
 ]
 SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
 MaxForceRate = Annotated[
-    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, metavar="N/S", help="Of every push.")
+    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, max=MOST, metavar="N/S", help="Of every push.")
 ]
 MaxSpeed = Annotated[
-    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, metavar="M/S", help="Of the gripper.")
+    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, max=MOST, metavar="M/S", help="Of the gripper.")
 ]
 MaxTurnRate = Annotated[
-    float | None, typer.Option("--max-turn-rate-deg-per-s", min=LEAST, metavar="DEG/S", help="Of the gripper.")
+    float | None,
+    typer.Option("--max-turn-rate-deg-per-s", min=LEAST, max=MOST, metavar="DEG/S", help="Of the gripper."),
 ]
 TooFast = Annotated[
     Literal["stretch", "refuse"],

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.errors import ExportError
 from onebend.records import Array
+
+MASSES = (1e-9, 1e6)  # kg, that a beam may have
+TIMES = (1e-9, 1e6)  # s, of damping over stiffness
 
 
 def plain(value: float) -> str:
@@ -18,10 +19,10 @@ def plain(value: float) -> str:
 
 def checked_damping(damping_time: float) -> float:
     """The damping time, or an `ExportError` where it is none."""
-    if not (math.isfinite(damping_time) and damping_time > 0.0):
+    if not TIMES[0] <= damping_time <= TIMES[1]:
         raise ExportError(
-            f"the damping time must be a positive number of seconds, got {damping_time}; "
-            "without damping a chain of light links and stiff hinges rings for ever"
+            f"the damping time must be a positive number of seconds ({TIMES[0]:g} to {TIMES[1]:g}), got "
+            f"{damping_time}; without damping a chain of light links and stiff hinges rings for ever"
         )
     return damping_time
 
@@ -43,8 +44,8 @@ def refuse_masses(beam: Beam, what: str) -> None:
 def checked_mass(beam: Beam, mass: float | None, s: Array) -> Array:
     """Mass per metre at `s` [kg/m], `mass` [kg] spread evenly where given; or an `ExportError` where none is known."""
     if mass is not None:
-        if not (math.isfinite(mass) and mass > 0.0):
-            raise ExportError(f"the mass must be a positive number of kg, got {mass}")
+        if not MASSES[0] <= mass <= MASSES[1]:
+            raise ExportError(f"the mass must be a positive number of kg ({MASSES[0]:g} to {MASSES[1]:g}), got {mass}")
         return np.full(np.shape(s), mass / beam.length)
     out = np.asarray(beam.mass_per_length(s))
     if not np.all(out > 0.0):

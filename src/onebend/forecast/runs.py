@@ -8,7 +8,7 @@ import math
 import multiprocessing
 import time
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
-from onebend.workers import leave_interrupts_to_parent
+from onebend.workers import interrupts_held, leave_interrupts_to_parent
 
 BASE_TURN = np.deg2rad(1.0)  # one sd of the base tag's turn on the clamp
 OFFSET = 250.0  # s, of the log's clock against the film's
@@ -179,16 +179,22 @@ def key_of(setup: Setup) -> str:
 
 
 def _each(setup: Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
-    """Runs as they end. Workers do not answer to an interrupt: the parent does, and lets them go."""
+    """Runs as they end. Workers do not answer to an interrupt: the parent does, and ends them."""
     if jobs <= 1 or len(seeds) <= 1:
         yield from (simulate_run(setup, seed) for seed in seeds)
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context, initializer=leave_interrupts_to_parent)
+    waiting: set[Future[SimulatedRun]] = set()
     try:
-        for future in as_completed([pool.submit(simulate_run, setup, seed) for seed in seeds]):
+        with interrupts_held():
+            waiting = {pool.submit(simulate_run, setup, seed) for seed in seeds}
+        for future in as_completed(tuple(waiting)):
+            waiting.discard(future)
             yield future.result()
     finally:
+        for process in list((getattr(pool, "_processes", None) or {}).values()) if waiting else ():
+            process.terminate()
         pool.shutdown(wait=True, cancel_futures=True)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ LONGEST_WORD = 1000  # characters of a cell of the same; each may stand in every
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
 UNKNOWN = "unknown"  # a cell of a load that acts with unknown strength
 
+LARGEST = 1e30  # of a number: nothing that is measured is larger, and squares stay numbers
 Cells = list[object] | np.ndarray  # of a column; an array holds numbers only
 
 
@@ -185,8 +185,8 @@ def _refuse_long_words(path: Path, name: str, column: Any) -> None:
 
 def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool) -> Array:
     if isinstance(cells, np.ndarray):
-        if np.isinf(cells).any():
-            _refuse_infinite(path, name, rows[int(np.argmax(np.isinf(cells)))])
+        if (endless := np.abs(cells) > LARGEST).any():
+            _refuse_endless(path, name, rows[int(np.argmax(endless))])
         return cells.astype(float)
     numbers = np.full(len(cells), np.nan)
     for i, cell in enumerate(cells):
@@ -201,10 +201,10 @@ def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool)
             raise RecordingError(
                 f"{path}, row {rows[i]}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
             ) from None
-        if math.isinf(numbers[i]):
-            _refuse_infinite(path, name, rows[i])
+        if abs(numbers[i]) > LARGEST:
+            _refuse_endless(path, name, rows[i])
     return numbers
 
 
-def _refuse_infinite(path: Path, name: str, row: int) -> NoReturn:
-    raise RecordingError(f"{path}, row {row}: {name} is infinite. Leave the cell empty where unknown.")
+def _refuse_endless(path: Path, name: str, row: int) -> NoReturn:
+    raise RecordingError(f"{path}, row {row}: {name} is infinite, or beyond {LARGEST:g}. Leave it empty where unknown.")

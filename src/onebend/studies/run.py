@@ -14,7 +14,7 @@ from onebend.studies.films import film_jobs, make_recording
 from onebend.studies.learned import LearnJob, learn_beam
 from onebend.studies.outcome import StudyOutcome, gather
 from onebend.studies.settings import BEAMS, STRATEGIES, StudySettings
-from onebend.workers import available_cores, leave_interrupts_to_parent
+from onebend.workers import available_cores, interrupts_held, leave_interrupts_to_parent
 
 SETTING_FILE, LEARNED = "setting.json", "learned"
 Job = TypeVar("Job")
@@ -71,6 +71,8 @@ def run_jobs(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stag
         for job in track(progress, stage, jobs, len(jobs)):
             do(job)
         return
-    with multiprocessing.get_context("spawn").Pool(count, initializer=leave_interrupts_to_parent) as pool:
+    with interrupts_held():
+        workers = multiprocessing.get_context("spawn").Pool(count, initializer=leave_interrupts_to_parent)
+    with workers as pool:
         for _ in track(progress, stage, pool.imap_unordered(do, jobs), len(jobs)):
             pass

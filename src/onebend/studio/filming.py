@@ -168,7 +168,7 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
 
     Raises `StudioError` where something is missing, has no meaning, or leads out of the studio's folder.
     """
-    out, like, camera, force = (_text(asked, key) for key in ("out", "like", "camera", "force"))
+    out, like, camera, force = (asked_text(asked, key) for key in ("out", "like", "camera", "force"))
     if not camera:
         raise StudioError("name a camera: /dev/video0, or film:REC to play a recording")
     if not out or places.path(out) == places.root:
@@ -244,7 +244,8 @@ def sources_data(places: StudioFolder) -> dict[str, Any]:
     return {**kinds, "devices": plugged, "films": films, "logs": logs, "begun": begun}
 
 
-def _text(asked: Mapping[str, Any], key: str) -> str:
+def asked_text(asked: Mapping[str, Any], key: str) -> str:
+    """The text under this key, empty where there is none. Raises `StudioError` where it is no text, or too long."""
     found = asked.get(key) or ""
     if not isinstance(found, str) or len(found) > _LONGEST_SPEC or not found.isprintable():
         raise StudioError(f"{key}: give it as text, in at most {_LONGEST_SPEC} characters")

@@ -65,7 +65,7 @@ class StudioFolder:
 
         Raises `StudioError` where it lies outside of the studio's folder, or names nothing.
         """
-        if not file or "\0" in file or len(file) > 1000:
+        if not file or "\0" in file or len(file) > 1000 or not _is_text(file):
             raise StudioError("no file is named")
         try:
             path = (self.path(name) / file).resolve()

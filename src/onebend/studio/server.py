@@ -23,7 +23,7 @@ from onebend.errors import OnebendError, StudioError
 from onebend.strict_json import to_json
 from onebend.studio.commands import learn_line, plain_word
 from onebend.studio.desk import Desk
-from onebend.studio.filming import sources_data, wanted_recording
+from onebend.studio.filming import asked_text, sources_data, wanted_recording
 from onebend.studio.guard import Guard
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -182,7 +182,7 @@ class Asked:
             raise StudioError("choose a recording to learn from")
         for one in (*recordings, *validate):
             self.desk.places.recording(one)
-        out = str(asked.get("out") or f"{Path(recordings[0]).name}-results")
+        out = asked_text(asked, "out") or f"{Path(recordings[0]).name}-results"
         if self.desk.places.path(out) == self.desk.places.root:
             raise StudioError("results go to a folder of their own")
         replace = asked.get("replace") is True
@@ -192,7 +192,7 @@ class Asked:
             "validate": validate,
             "out": out,
             "replace": replace,
-            "command": learn_line(recordings, validate, out, replace),
+            "command": learn_line(recordings, validate, plain_word(out), replace),
         }
         await self.desk.jobs.start(wanted)
         return _said({"out": out})

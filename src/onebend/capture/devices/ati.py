@@ -8,10 +8,12 @@ the rate stand in the page netftapi2.xml of the box.
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 import urllib.request
 from dataclasses import dataclass, replace
+from http.client import HTTPException
 from xml.etree import ElementTree
 
 import numpy as np
@@ -74,9 +76,9 @@ class AtiForce:
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.connect(self._place)
-        except OSError as wrong:
+        except (OSError, ValueError) as wrong:
             raise RecordingError(
-                f"{self.name} is not reached ({wrong.strerror or wrong}). Check its address."
+                f"{self.name} is not reached ({getattr(wrong, 'strerror', None) or wrong}). Check its address."
             ) from None
         self._clock, self._heard = clock, clock.now()
         self._ask(STREAM)
@@ -160,7 +162,7 @@ def read_scale(address: str, port: int = WEB_PORT) -> AtiScale:
     try:
         with urllib.request.urlopen(page, timeout=3.0) as answer:
             found = dict(values_in(answer.read(MOST_PAGE)))
-    except (OSError, ValueError, ElementTree.ParseError) as wrong:
+    except (OSError, ValueError, HTTPException, ElementTree.ParseError) as wrong:
         raise RecordingError(
             f"{page} cannot be read ({wrong}). Check the address and the cable, or give counts=1000000 of the sensor's "
             "certificate (counts per N)."
@@ -171,7 +173,7 @@ def read_scale(address: str, port: int = WEB_PORT) -> AtiScale:
         rate = float(found.get("comrdtrate", 0.0))
     except (KeyError, ValueError) as wrong:
         raise RecordingError(f"{page} does not say {wrong}. Give counts=1000000 (counts per N).") from None
-    if not (per > 0.0 and per_torque > 0.0):
+    if not (0.0 < per < math.inf and 0.0 < per_torque < math.inf and math.isfinite(rate)):
         raise RecordingError(f"{page} says {per:g} counts a unit of force. Give counts=1000000 (counts per N).")
     return AtiScale(per / force, per_torque / torque, max(rate, 0.0))
 

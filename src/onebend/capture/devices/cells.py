@@ -53,7 +53,8 @@ class Cells:
             number = math.nan if self.counter < 0 else float(cells[self.counter])
         except ValueError:
             return None
-        return [time, number, *forces] if all(map(math.isfinite, forces)) else None
+        named = [time] * (self.time >= 0) + [number] * (self.counter >= 0)
+        return [time, number, *forces] if all(map(math.isfinite, (*named, *forces))) else None
 
 
 def cells_of(names: Sequence[str], zero: Sequence[str] = (), *, where: str) -> Cells:

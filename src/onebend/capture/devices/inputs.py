@@ -39,6 +39,8 @@ class AvCamera:
                 f"this FFmpeg knows no {self._kind}. On Linux name the camera as /dev/video0; on others install PyAV "
                 "with the system's own FFmpeg."
             )
+        if Path(self._place.removeprefix("file:")).is_fifo():  # FFmpeg would wait for its other end without end
+            raise RecordingError(f"{self._place} is a pipe, and no camera. Name a device or an address.")
         try:
             self._container = av.open(self._place, format=self._kind or None, options=self._options, timeout=PATIENCE)
             self._frames = self._container.decode(video=0)

@@ -148,6 +148,8 @@ class GrowingLog(_Lines):
             RecordingError: there is no such file, or its columns have no meaning.
         """
         self._path, self.files = path, (path,)
+        if path.exists() and not path.is_file():  # a pipe would wait for its other end without end
+            raise RecordingError(f"csv:{path} is no file. Name the CSV that the other program writes.")
         super().__init__(f"the log {path}", cells_of(names or self._header(), zero, where=f"csv:{path}"))
         self._stream: Any = None
         self._clock: Clock | None = None

@@ -17,6 +17,7 @@ from onebend.text_files import csv_rows, listed_columns, quoted
 TARGET_COLUMNS = ("s", "x_m", "y_m", "angle_rad", "weight")
 GOAL_COLUMNS = ("time_s", *TARGET_COLUMNS)
 MOST_GOALS = 100_000
+LARGEST = 1e30  # m, rad, s
 _MAY_BE_BLANK = ("x_m", "y_m", "angle_rad")
 
 
@@ -123,7 +124,7 @@ def _number(where: str, name: str, cell: str) -> float:
         value = float(cell)
     except ValueError as error:
         raise ControlError(f"{where}: {name} is {quoted(cell.strip())}, not a number") from error
-    if not np.isfinite(value):
+    if not abs(value) <= LARGEST:
         raise ControlError(f"{where}: {name} is '{cell.strip()}'; leave a cell blank where it is of no concern")
     if name == "s" and not 0.0 <= value <= 1.0:
         raise ControlError(f"{where}: s is {value:g}; places are from 0 (clamp) to 1 (tip)")

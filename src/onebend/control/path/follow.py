@@ -31,6 +31,7 @@ from onebend.records import Array, IntArray
 _LARGEST_TAIL = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
 _FINEST_PANEL = 1.0 / 16.0  # widest panel
 _MOST_STRETCHES = 8  # of stretching
+MOST_SAMPLES = 200_000
 _MOMENTS_PER_SAMPLE = 4  # moments a sample, at which rates are looked at
 
 
@@ -100,11 +101,12 @@ def follow_goals(
 
     Raises:
         ControlError: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or a
-            broken limit on a rate where `too_fast` is "refuse"; each says at what time.
+            broken limit on a rate where `too_fast` is "refuse"; each says at what time. Too many samples.
         MechanicsError: k(s) not positive.
     """
     if not settings.rate > 0.0:
         raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")
+    _even(goals.time[-1] - goals.time[0], settings.rate)  # too many samples are said before the work
     check_metres(goals.xy, float(beam.length))
     knots = knots_of(goals, float(beam.length))
     arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
@@ -178,7 +180,12 @@ def _slower(
 
 
 def _even(duration: float, rate: float) -> Array:
-    """Moments at the rate, from 0 to the first at or after the duration."""
+    """Moments at the rate, from 0 to the first at or after the duration; a `ControlError` where they are too many."""
+    if not duration * rate <= MOST_SAMPLES:
+        raise ControlError(
+            f"the path takes {duration:.4g} s, {duration * rate:.3g} samples at {rate:g} Hz; at most {MOST_SAMPLES} "
+            "are made. Take a lower rate of samples, larger limits on rates, or fewer goals"
+        )
     return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
 
 

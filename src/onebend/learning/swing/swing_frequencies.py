@@ -88,6 +88,7 @@ def frequencies_of(
     Raises:
         LearningError: as `swing_frequencies`.
     """
+    _refuse_unordered(time, name)
     ends = swinging_part(time, signals)
     begin, end = (known if asked is None else asked for asked, known in zip((part.begin, part.end), ends, strict=True))
     inside = np.flatnonzero((time >= begin) & (time <= end) & np.isfinite(signals).any(axis=1))
@@ -146,8 +147,7 @@ def _prepared(time: Array, signals: Array, name: str) -> _Signals:
     enough = known.sum(axis=0) >= max(_FEWEST, int(0.3 * len(time)))
     if len(time) < _FEWEST or not enough.any():
         raise LearningError(f"{name}: {len(time)} samples are too few; {_FEWEST} or more of one signal are needed")
-    if not (np.isfinite(time).all() and np.all(np.diff(time) > 0.0)):
-        raise LearningError(f"{name}: the times must be known and rise from row to row")
+    _refuse_unordered(time, name)
     known, signals = known[:, enough], signals[:, enough]
     value = np.where(known, signals - np.nanmean(signals, axis=0), 0.0)
     size = np.sqrt(np.sum(value**2, axis=0) / known.sum(axis=0))
@@ -157,6 +157,11 @@ def _prepared(time: Array, signals: Array, name: str) -> _Signals:
     steps = np.diff(time)
     rate = 1.0 / float(np.mean(steps[steps < 1.5 * np.median(steps)]))
     return _Signals(time - time[0], value[:, moves] / size.max(), known[:, moves], rate)
+
+
+def _refuse_unordered(time: Array, name: str) -> None:
+    if not (np.isfinite(time).all() and np.all(np.diff(time) > 0.0)):
+        raise LearningError(f"{name}: the times must be known and rise from row to row")
 
 
 def _basis(s: _Signals, modes: list[tuple[float, float]]) -> Array:

@@ -58,6 +58,8 @@ def files_of(path: Path) -> tuple[Path, ...]:
     """The files with messages, in order; none where a folder holds none."""
     if path.is_file():
         return (path,)
+    if not path.is_dir():  # a pipe, a device
+        return ()
     files = [file for file in path.iterdir() if file.name.endswith((*ENDINGS, ".mcap.zstd", ".db3.zstd"))]
     return tuple(sorted(files, key=lambda file: natural(file.name)))
 
@@ -66,10 +68,10 @@ def natural(name: str) -> list[tuple[int, str]]:
     """A key that sorts run_2 before run_10."""
     words: list[tuple[int, str]] = []
     for letter in name:
-        if letter.isdigit() and words and words[-1][1] == "":
+        if letter.isdecimal() and words and words[-1][1] == "":
             words[-1] = (10 * words[-1][0] + int(letter), "")
         else:
-            words.append((int(letter), "") if letter.isdigit() else (0, letter))
+            words.append((int(letter), "") if letter.isdecimal() else (0, letter))
     return words
 
 
