@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from onebend.learning.model.spline import Spline as Spline
     from onebend.learning.pose_equilibria import SeenPoses as SeenPoses
     from onebend.learning.posterior import Nuisance as Nuisance
-    from onebend.learning.sensing.edges import Edge as Edge
+    from onebend.learning.sensing.edges.contacts import Edge as Edge
     from onebend.learning.sensing.joint import Misfit as Misfit
     from onebend.learning.sensing.online import LiveForce as LiveForce
     from onebend.learning.sensing.online import OnlineSense as OnlineSense

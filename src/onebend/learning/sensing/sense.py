@@ -14,7 +14,9 @@ from onebend.errors import LearningError
 from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.force_error import force_error
 from onebend.learning.sensing.bench import Bench, check_recording
-from onebend.learning.sensing.edges import edges_of, frames_at_edges, runs_of, within
+from onebend.learning.sensing.edges.contacts import edges_of, frames_at_edges, runs_of, within
+from onebend.learning.sensing.edges.let_go import let_go
+from onebend.learning.sensing.edges.mode import bending
 from onebend.learning.sensing.estimate import PLACE_PRIOR
 from onebend.learning.sensing.frame_forces import read
 from onebend.learning.sensing.joint import rested
@@ -280,8 +282,10 @@ def _over_time(
     force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
     seek_place = settings.place == "unknown" and len(priors) < 4
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
-    both = zip(runs, edges_of(readings, some, runs, len(frames), prior), strict=True)
-    contacts = joined([Touch(float(time[a]), float(time[b]), begin, end) for (a, b), (begin, end) in both])
+    bench = searched.bench
+    ended = let_go(bending(bench.beam, bench.observations).take(frames), runs)
+    both = zip(ended, edges_of(readings, some, ended, len(frames), prior), strict=True)
+    contacts = joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
     if not settings.smooth:
         return contacts, None
     spans = [np.searchsorted(time, one.span) for one in contacts]

@@ -3,7 +3,7 @@
 The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)` of the time `t` since, all unknown: `w`
 is white noise, integrated twice. That is normal at given sizes of the five, so the evidence of each `t0` is known in
 closed form, all that the frames share being integrated out; it is summed over sizes, and gives mean and sd of `t0`. An
-end is a beginning with time reversed.
+end is a beginning with time reversed, but where the beam was let go and swings (`let_go`).
 """
 
 from __future__ import annotations
@@ -33,6 +33,16 @@ class Edge:
 
     time: float
     sd: float
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Frames of a contact."""
+
+    first: int
+    last: int
+    moves: int  # last frame in which the beam is not at rest again
+    end: Edge | None = None  # None: not told by a swing
 
 
 def runs_of(touched: BoolArray) -> list[tuple[int, int]]:
@@ -66,16 +76,20 @@ def frames_at_edges(runs: list[tuple[int, int]], count: int) -> IntArray:
 
 
 def edges_of(
-    readings: FrameForces, frames: IntArray, runs: list[tuple[int, int]], count: int, prior_sd: float
+    readings: FrameForces, frames: IntArray, contacts: list[Contact], count: int, prior_sd: float
 ) -> list[tuple[Edge, Edge]]:
     """Beginning and end of each contact; `readings` are of `frames` out of `count`."""
     out = []
-    for i, (first, last) in enumerate(runs):
-        before = runs[i - 1][1] if i else -1
-        after = runs[i + 1][0] if i + 1 < len(runs) else count
+    for i, one in enumerate(contacts):
+        first, last = one.first, one.last
+        before = contacts[i - 1].moves if i else -1
+        after = contacts[i + 1].first if i + 1 < len(contacts) else count
         middle = (first + last + 1) // 2
         early, late = max(before + 1, first - _BEFORE), min(max(middle, first + RUN), first + _AFTER)
         begin = _begin(readings.take(np.flatnonzero((frames >= early) & (frames < late))), first - early, prior_sd)
+        if one.end is not None:
+            out.append((begin, one.end))
+            continue
         early, late = max(middle, last - _AFTER + 1), min(after, last + _BEFORE + 1)
         back = readings.take(np.flatnonzero((frames >= min(early, last - RUN + 1)) & (frames < late))[::-1])
         end = _begin(replace(back, time=-back.time), late - 1 - last, prior_sd)

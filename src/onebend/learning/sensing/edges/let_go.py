@@ -1,0 +1,65 @@
+"""Contacts after which the beam swings: they end where it was let go, and what it does then is no contact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onebend.learning.sensing.edges.contacts import RUN, Contact
+from onebend.learning.sensing.edges.mode import Bending
+from onebend.learning.sensing.edges.release import release
+from onebend.learning.sensing.edges.swing import CLEAR, Swing, find_swing
+from onebend.records import Array
+
+_REST = 8  # frames before the first contact that tell how the beam is at rest
+_SLIGHT = 2.0  # times what a swing is clear from: so little is left of it
+_SOON = 2.0  # half swings after the last clear one in which what is left is of it
+
+
+def let_go(seen: Bending, runs: list[tuple[int, int]]) -> list[Contact]:
+    """Of `runs` (first and last frame), with those left out that are a swing; `seen` is of all frames."""
+    if not runs:
+        return []
+    value, noise = _from_rest(seen, runs[0][0])
+    out: list[Contact] = []
+    for first, last in runs:
+        if out and first <= out[-1].moves:
+            continue
+        out.append(_contact(seen.time, value, noise, (first, last), runs))
+    return out
+
+
+def _from_rest(seen: Bending, first: int) -> tuple[Array, float]:
+    """Bending (T,) less that before frame `first`, and the sd of its noise."""
+    before = seen.value[:first][np.isfinite(seen.value[:first])]
+    noise = float(np.nanmedian(seen.sd))
+    if len(before) < _REST:
+        return seen.value, noise
+    return seen.value - float(np.mean(before)), max(noise, float(np.std(before, ddof=1)))
+
+
+def _contact(time: Array, value: Array, noise: float, run: tuple[int, int], runs: list[tuple[int, int]]) -> Contact:
+    """Where a swing tells the end of `run`, by that; else as it is."""
+    first, last = run
+    usual = Contact(first, last, last)
+    known = np.flatnonzero(np.isfinite(value))
+    times, values = time[known], value[known]
+    begin, end = int(np.searchsorted(known, first)), int(np.searchsorted(known, last))
+    swing = find_swing(times, values, noise, begin, end)
+    if swing is None or end - begin < RUN:
+        return usual
+    moves = _until(time, value, noise, int(known[swing.last]), swing, runs)
+    if moves < last:
+        return usual
+    told = release(times, values, noise, swing, begin)
+    let = -1 if told is None else int(np.searchsorted(time, told.time)) - 1
+    return usual if let < first else Contact(first, let, moves, told)
+
+
+def _until(time: Array, value: Array, noise: float, last: int, swing: Swing, runs: list[tuple[int, int]]) -> int:
+    """Last frame of the runs that are what is left of the swing after its last clear frame."""
+    for first, end in runs:
+        soon = first <= last or time[first] - time[last] < _SOON * swing.half
+        rest = value[max(last + 1, first) : end + 1]
+        if end > last and soon and not np.nanmax(np.abs(rest), initial=0.0) > _SLIGHT * CLEAR * noise:
+            last = end
+    return last
