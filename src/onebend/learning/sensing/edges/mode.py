@@ -16,7 +16,7 @@ from onebend.beam.motion.dynamics import body
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Uniform
 from onebend.learning.paper.inverse_kinematics import solve_states
-from onebend.records import Array, Observations
+from onebend.records import Array, IntArray, Observations
 
 _STATES = 4  # of a shape as the tags show it
 _MODES = 6  # of the beam in motion
@@ -30,7 +30,7 @@ class Bending:
     value: Array  # (T,)
     sd: Array  # (T,) of the tags' noise
 
-    def take(self, rows: Array | slice) -> Bending:
+    def take(self, rows: IntArray | slice) -> Bending:
         """Of some frames."""
         return Bending(self.time[rows], self.value[rows], self.sd[rows])
 

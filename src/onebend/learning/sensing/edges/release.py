@@ -20,12 +20,16 @@ from onebend.records import Array, BoolArray
 _BEFORE, _AFTER = 3.0, 6.0  # half swings that are looked at, before and after the first passage through rest
 _END = 1.5  # half swings from there, in which the end is sought
 _FEWEST = 8  # frames before the passage, at least
+_FREE = 5  # frames that are free, at least
 _SHARE = 0.006  # of the motion nearby: what one mode leaves out, higher ones and the frequency's change with the size
 _PLACES, _AGAIN = 72, 36  # times that are tried, and again where it is likely
 _ROUNDS = 3  # swing and end in turn
 _LIKELY = 12.0  # of the log evidence below the best: farther down it is not
 _CHANGES = 0.3  # sd of log frequency and of damping about those of the swing
 _AMPLITUDES = 3.0  # sd of the swing's amplitudes, of the motion nearby
+_RATES, _DAMPINGS = (0.75, 0.85, 1.0, 1.15, 1.35), (0.03, 0.15, 0.4)  # where the fit of the swing begins
+_AWAY = 0.53  # of the log frequency from that of the half swings, at most
+_DAMPED = (-7.0, 2.2)  # of the damping's log odds: 0.001 to 0.9
 _NO_FALL = -1
 # Sizes of the three powers and the walk: a force that ends slowly, of a kink, smoother, and of a hand that leads the
 # beam back; then each fall, and how the force before it changes.
@@ -55,10 +59,9 @@ def release(time: Array, value: Array, noise: float, swing: Swing, first: int) -
     part = _part(time, value, noise, swing, first)
     low = max(float(time[first]), float(part.time[1]), swing.passage - _END * swing.half)
     high = max(min(swing.passage + _END * swing.half, float(part.time[-1]) - 0.5 * swing.half), low + 0.2 * swing.half)
-    mode = Mode(np.pi / swing.half, 0.1, swing.passage, 0.0, 0.0)
-    mean, sd, free_from, released = 0.0, 0.0, swing.passage, 0.0
+    free_from = swing.passage
     for _ in range(_ROUNDS):
-        mode = _fitted(part, free_from, mode, swing)
+        mode = _fitted(part, free_from, swing)
         mean, sd, released = _end(part, mode, low, high)
         free_from = mean + sd
     goes_on = _evidence(part, mode, part.time[-1:])[0]
@@ -79,29 +82,24 @@ def _part(time: Array, value: Array, noise: float, swing: Swing, first: int) -> 
     return _Part(time, value, np.hypot(noise, _SHARE * around), noise, float(np.max(sizes)), long)
 
 
-def _fitted(part: _Part, free_from: float, mode: Mode, swing: Swing) -> Mode:
+def _fitted(part: _Part, free_from: float, swing: Swing) -> Mode:
     """The free swing that fits the frames from then on best."""
     free: BoolArray = part.time >= free_from
-    free[-5:] = True
+    free[-_FREE:] = True
     since, seen = part.time[free] - swing.passage, part.value[free]
 
     def fit(x: Array) -> tuple[Array, Array]:
         basis = np.stack(Mode(float(np.exp(x[0])), _damping(x[1]), 0.0, 0.0, 0.0).free(since), axis=-1)
         amplitudes = np.linalg.lstsq(basis, seen, rcond=None)[0]
-        return amplitudes, basis @ amplitudes - seen
+        return np.asarray(amplitudes), np.asarray(basis @ amplitudes - seen)
 
     usual = float(np.log(np.pi / swing.half))
     starts = [np.array([usual + np.log(r), np.log(z / (1.0 - z))]) for r in _RATES for z in _DAMPINGS]
-    starts.append(np.array([np.log(mode.rate), np.log(mode.damping / (1.0 - mode.damping))]))
     best = min(starts, key=lambda x: float(np.sum(fit(x)[1] ** 2)))
-    bounds = ([usual - _AWAY, -7.0], [usual + _AWAY, 2.2])
+    bounds = ([usual - _AWAY, _DAMPED[0]], [usual + _AWAY, _DAMPED[1]])
     x = least_squares(lambda x: fit(x)[1], best, bounds=bounds, x_scale=[0.1, 0.5]).x
     start, speed = fit(x)[0]
     return Mode(float(np.exp(x[0])), _damping(x[1]), swing.passage, float(start), float(speed))
-
-
-_RATES, _DAMPINGS = (0.75, 0.85, 1.0, 1.15, 1.35), (0.03, 0.15, 0.4)  # where the fit begins
-_AWAY = 0.53  # of the log frequency, at most
 
 
 def _damping(x: float) -> float:
