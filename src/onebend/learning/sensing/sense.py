@@ -15,7 +15,7 @@ from onebend.learning.design.instruments import Instruments
 from onebend.learning.model.force_error import force_error
 from onebend.learning.sensing.bench import Bench, check_recording
 from onebend.learning.sensing.edges.contacts import edges_of, frames_at_edges, runs_of, within
-from onebend.learning.sensing.edges.let_go import let_go
+from onebend.learning.sensing.edges.let_go import ended
 from onebend.learning.sensing.edges.mode import bending
 from onebend.learning.sensing.estimate import PLACE_PRIOR
 from onebend.learning.sensing.frame_forces import read
@@ -283,8 +283,8 @@ def _over_time(
     seek_place = settings.place == "unknown" and len(priors) < 4
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
     bench = searched.bench
-    ended = let_go(bending(bench.beam, bench.observations).take(frames), runs)
-    both = zip(ended, edges_of(readings, some, ended, len(frames), prior), strict=True)
+    every = ended(bending(bench.beam, bench.observations).take(frames), runs)
+    both = zip(every, edges_of(readings, some, every, len(frames), prior), strict=True)
     contacts = joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
     if not settings.smooth:
         return contacts, None

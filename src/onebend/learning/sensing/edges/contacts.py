@@ -3,7 +3,7 @@
 The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)` of the time `t` since, all unknown: `w`
 is white noise, integrated twice. That is normal at given sizes of the five, so the evidence of each `t0` is known in
 closed form, all that the frames share being integrated out; it is summed over sizes, and gives mean and sd of `t0`. An
-end is a beginning with time reversed, but where the beam was let go and swings (`let_go`).
+end is a beginning with time reversed, where the bending does not tell it (`let_go`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Contact:
     first: int
     last: int
     moves: int  # last frame in which the beam is not at rest again
-    end: Edge | None = None  # None: not told by a swing
+    end: Edge | None = None  # None: the bending does not tell it
 
 
 def runs_of(touched: BoolArray) -> list[tuple[int, int]]:

@@ -1,12 +1,18 @@
-"""Contacts after which the beam swings: they end where it was let go, and what it does then is no contact."""
+"""When contacts end, by how far the beam is bent along its slowest mode.
+
+Where it swings then, it was let go, and what it does afterwards is no contact; else the bending goes to zero.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from onebend.learning.sensing.edges.contacts import RUN, Contact
 from onebend.learning.sensing.edges.mode import Bending
 from onebend.learning.sensing.edges.release import release
+from onebend.learning.sensing.edges.straight import straight
 from onebend.learning.sensing.edges.swing import CLEAR, Swing, find_swing
 from onebend.records import Array
 
@@ -15,26 +21,40 @@ _SLIGHT = 2.0  # times what a swing is clear from: so little is left of it
 _SOON = 2.0  # half swings after the last clear one in which what is left is of it
 
 
-def let_go(seen: Bending, runs: list[tuple[int, int]]) -> list[Contact]:
-    """Of `runs` (first and last frame), with those left out that are a swing; `seen` is of all frames."""
+def ended(seen: Bending, runs: list[tuple[int, int]]) -> list[Contact]:
+    """The contacts of `runs` (first and last frame) without those that are a swing, with the ends that the bending
+    tells; `seen` is of all frames."""
     if not runs:
         return []
-    value, noise = _from_rest(seen, runs[0][0])
+    value, noise = _from_rest(seen.value, seen.sd, runs[0][0])
     out: list[Contact] = []
     for first, last in runs:
         if out and first <= out[-1].moves:
             continue
         out.append(_contact(seen.time, value, noise, (first, last), runs))
-    return out
+    after, (sure, noise) = (
+        [*(one.first for one in out[1:]), len(value)],
+        _from_rest(seen.sure, seen.sure_sd, runs[0][0]),
+    )
+    return [_straight(seen.time, sure, noise, one, last) for one, last in zip(out, after, strict=True)]
 
 
-def _from_rest(seen: Bending, first: int) -> tuple[Array, float]:
-    """Bending (T,) less that before frame `first`, and the sd of its noise."""
-    before = seen.value[:first][np.isfinite(seen.value[:first])]
-    noise = float(np.nanmedian(seen.sd))
+def _straight(time: Array, value: Array, noise: float, one: Contact, after: int) -> Contact:
+    """With the end where the bending goes to zero before frame `after`, where no swing tells it."""
+    if one.end is not None:
+        return one
+    known = np.flatnonzero(np.isfinite(value[:after]))
+    first, last = (int(np.searchsorted(known, i)) for i in (one.first, one.last))
+    return replace(one, end=straight(time[known], value[known], noise, first, last))
+
+
+def _from_rest(value: Array, sd: Array, first: int) -> tuple[Array, float]:
+    """Bending (T,) less that before frame `first`, and the sd of its noise, which is stated as `sd` (T,)."""
+    before = value[:first][np.isfinite(value[:first])]
+    noise = float(np.nanmedian(sd))
     if len(before) < _REST:
-        return seen.value, noise
-    return seen.value - float(np.mean(before)), max(noise, float(np.std(before, ddof=1)))
+        return value, noise
+    return value - float(np.mean(before)), max(noise, float(np.std(before, ddof=1)))
 
 
 def _contact(time: Array, value: Array, noise: float, run: tuple[int, int], runs: list[tuple[int, int]]) -> Contact:

@@ -8,11 +8,13 @@ and sd of the end. A force that goes on as long as the frames is weighed against
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from onebend.learning.sensing.edges.contacts import Edge
+from onebend.learning.sensing.edges.evidence import evidence_of, scanned
 from onebend.learning.sensing.edges.forced import FALLS, PIECES, POWERS, STEPS, SWING, Mode, columns
 from onebend.learning.sensing.edges.swing import Swing
 from onebend.records import Array, BoolArray
@@ -22,9 +24,8 @@ _END = 1.5  # half swings from there, in which the end is sought
 _FEWEST = 8  # frames before the passage, at least
 _FREE = 5  # frames that are free, at least
 _SHARE = 0.006  # of the motion nearby: what one mode leaves out, higher ones and the frequency's change with the size
-_PLACES, _AGAIN = 72, 36  # times that are tried, and again where it is likely
+_PLACES = (72, 36, 36)  # times that are tried, and again where it is likely
 _ROUNDS = 3  # swing and end in turn
-_LIKELY = 12.0  # of the log evidence below the best: farther down it is not
 _CHANGES = 0.3  # sd of log frequency and of damping about those of the swing
 _AMPLITUDES = 3.0  # sd of the swing's amplitudes, of the motion nearby
 _RATES, _DAMPINGS = (0.75, 0.85, 1.0, 1.15, 1.35), (0.03, 0.15, 0.4)  # where the fit of the swing begins
@@ -62,7 +63,7 @@ def release(time: Array, value: Array, noise: float, swing: Swing, first: int) -
     free_from = swing.passage
     for _ in range(_ROUNDS):
         mode = _fitted(part, free_from, swing)
-        mean, sd, released = _end(part, mode, low, high)
+        mean, sd, released = scanned(partial(_evidence, part, mode), low, high, _PLACES)
         free_from = mean + sd
     goes_on = _evidence(part, mode, part.time[-1:])[0]
     return Edge(mean, sd) if released > goes_on else None
@@ -106,33 +107,12 @@ def _damping(x: float) -> float:
     return float(1.0 / (1.0 + np.exp(-x)))
 
 
-def _end(part: _Part, mode: Mode, low: float, high: float) -> tuple[float, float, float]:
-    """Mean and sd [s], and the log evidence of an end anywhere between `low` and `high`, all as likely."""
-    wide = high - low
-    for count in (_PLACES, _AGAIN, _AGAIN):
-        at = np.linspace(low, high, count)
-        evidence = _evidence(part, mode, at)
-        likely, step = at[evidence > np.max(evidence) - _LIKELY], at[1] - at[0]
-        low, high = max(low, float(likely[0] - step)), min(high, float(likely[-1] + step))
-    weight = np.exp(evidence - np.max(evidence))
-    whole = float(np.max(evidence) + np.log(np.sum(weight) * step / wide))
-    weight /= np.sum(weight)
-    mean = float(weight @ at)
-    return mean, float(np.sqrt(weight @ (at - mean) ** 2 + step**2 / 12.0)), whole
-
-
 def _evidence(part: _Part, mode: Mode, ends: Array) -> Array:
     """(n,) log, of ends (n,) [s], but for a constant."""
     basis = columns(mode, part.time, ends, part.long)
-    basis = np.concatenate([basis, np.ones((*basis.shape[:2], 1))], axis=-1) / part.noise[:, None]
-    normal = np.swapaxes(basis, 1, 2) @ basis
-    right = np.swapaxes(basis, 1, 2) @ (part.value / part.noise)
-    rows = []
-    for sizes in (_SLOW, _QUICK):
-        rows += [_at_sizes(normal, right, _sds(part, *one)) - np.log(2.0 * len(sizes)) for one in sizes]
-    every = np.stack(rows)
-    best = np.max(every, axis=0)
-    return np.asarray(best + np.log(np.sum(np.exp(every - best), axis=0)))
+    basis = np.concatenate([basis, np.ones((*basis.shape[:2], 1))], axis=-1)
+    sizes = [(-float(np.log(2.0 * len(some))), _sds(part, *one)) for some in (_SLOW, _QUICK) for one in some]
+    return evidence_of(basis, part.value, part.noise, sizes)
 
 
 def _sds(part: _Part, fall: int, kink: float, square: float, cube: float, walk: float) -> Array:
@@ -146,13 +126,3 @@ def _sds(part: _Part, fall: int, kink: float, square: float, cube: float, walk: 
     powers = part.size * np.array([kink, square, cube])
     assert len(powers) == POWERS
     return np.concatenate([swing, powers, steps, falls.ravel(), [part.zero]])
-
-
-def _at_sizes(normal: Array, right: Array, sds: Array) -> Array:
-    """(n,) log evidence with normal coefficients of these sds, from normal equations (n, d, d) and (n, d)."""
-    on = np.flatnonzero(sds)
-    scale = sds[on]
-    whole = np.eye(len(on)) + scale[:, None] * normal[:, on][:, :, on] * scale
-    root = np.linalg.cholesky(whole)
-    left = np.linalg.solve(root, (scale * right[:, on])[..., None])[..., 0]
-    return np.asarray(0.5 * np.sum(left**2, axis=1) - np.sum(np.log(np.einsum("nii->ni", root)), axis=1))
