@@ -21,22 +21,20 @@ _SLIGHT = 2.0  # times what a swing is clear from: so little is left of it
 _SOON = 2.0  # half swings after the last clear one in which what is left is of it
 
 
-def ended(seen: Bending, runs: list[tuple[int, int]]) -> list[Contact]:
+def ended(seen: Bending, runs: list[tuple[int, int]], widened: float) -> list[Contact]:
     """The contacts of `runs` (first and last frame) without those that are a swing, with the ends that the bending
-    tells; `seen` is of all frames."""
+    tells; `seen` is of all frames, `widened` how much wider the variance of its noise counts, as it lasts."""
     if not runs:
         return []
-    value, noise = _from_rest(seen.value, seen.sd, runs[0][0])
+    value, noise = _from_rest(seen, runs[0][0])
     out: list[Contact] = []
     for first, last in runs:
         if out and first <= out[-1].moves:
             continue
         out.append(_contact(seen.time, value, noise, (first, last), runs))
-    after, (sure, noise) = (
-        [*(one.first for one in out[1:]), len(value)],
-        _from_rest(seen.sure, seen.sure_sd, runs[0][0]),
-    )
-    return [_straight(seen.time, sure, noise, one, last) for one, last in zip(out, after, strict=True)]
+    after = [*(one.first for one in out[1:]), len(value)]
+    lasting = float(np.sqrt(widened)) * noise
+    return [_straight(seen.time, value, lasting, one, last) for one, last in zip(out, after, strict=True)]
 
 
 def _straight(time: Array, value: Array, noise: float, one: Contact, after: int) -> Contact:
@@ -48,13 +46,13 @@ def _straight(time: Array, value: Array, noise: float, one: Contact, after: int)
     return replace(one, end=straight(time[known], value[known], noise, first, last))
 
 
-def _from_rest(value: Array, sd: Array, first: int) -> tuple[Array, float]:
-    """Bending (T,) less that before frame `first`, and the sd of its noise, which is stated as `sd` (T,)."""
-    before = value[:first][np.isfinite(value[:first])]
-    noise = float(np.nanmedian(sd))
+def _from_rest(seen: Bending, first: int) -> tuple[Array, float]:
+    """Bending (T,) less that before frame `first`, and the sd of its noise."""
+    before = seen.value[:first][np.isfinite(seen.value[:first])]
+    noise = float(np.nanmedian(seen.sd))
     if len(before) < _REST:
-        return value, noise
-    return value - float(np.mean(before)), max(noise, float(np.std(before, ddof=1)))
+        return seen.value, noise
+    return seen.value - float(np.mean(before)), max(noise, float(np.std(before, ddof=1)))
 
 
 def _contact(time: Array, value: Array, noise: float, run: tuple[int, int], runs: list[tuple[int, int]]) -> Contact:

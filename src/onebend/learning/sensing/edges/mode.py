@@ -12,10 +12,10 @@ import numpy as np
 
 from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.dynamics import Body, body
+from onebend.beam.motion.dynamics import body
 from onebend.beam.motion.vibration import settle, vibration_of
 from onebend.beam.profiles.stiffness import Uniform
-from onebend.learning.paper.inverse_kinematics import States, solve_states
+from onebend.learning.paper.inverse_kinematics import solve_states
 from onebend.records import Array, IntArray, Observations
 
 _STATES = 4  # of a shape as the tags show it
@@ -29,8 +29,6 @@ class Bending:
     time: Array  # (T,) s
     value: Array  # (T,)
     sd: Array  # (T,) of the tags' noise
-    sure: Array  # (T,) the same, if it is bent along no other mode: less noise, and some of other modes in it
-    sure_sd: Array  # (T,)
 
     def take(self, rows: IntArray | slice) -> Bending:
         """Of some frames."""
@@ -49,16 +47,4 @@ def bending(beam: Beam, o: Observations) -> Bending:
     to_mode = weight @ states.modes.curvature(on.grid.nodes) / float(weight @ bends)
     value = (states.theta - states.theta0) @ to_mode
     variance = np.einsum("i,tij,j->t", to_mode, states.covariance, to_mode)
-    sure, sure_sd = _surest(states, on, bends)
-    unseen = ~states.converged
-    value, sure = np.where(unseen, np.nan, value), np.where(unseen, np.nan, sure)
-    return Bending(o.time, value, np.sqrt(variance), sure, sure_sd)
-
-
-def _surest(states: States, on: Body, bends: Array) -> tuple[Array, Array]:
-    """(T,) each: how far the beam is bent if it is bent as `bends` (Q,) at the nodes and not otherwise, and its sd."""
-    legendre = states.modes.curvature(on.grid.nodes)
-    way = np.linalg.solve(legendre.T @ (on.grid.weights[:, None] * legendre), legendre.T @ (on.grid.weights * bends))
-    weight = np.linalg.solve(states.covariance, np.broadcast_to(way[:, None], (*states.theta.shape, 1)))[..., 0]
-    information = weight @ way
-    return np.sum(weight * (states.theta - states.theta0), axis=1) / information, 1.0 / np.sqrt(information)
+    return Bending(o.time, np.where(states.converged, value, np.nan), np.sqrt(variance))

@@ -21,6 +21,7 @@ _BEFORE, _AFTER = 24, 48  # frames before the last one of the contact, and after
 _LATER = 5  # frames that show a force, and still may be from after the end
 _PLACES = (48, 48, 48)  # times that are tried, and again where it is likely
 _CLEAR = 10.0  # sds of the noise: a smaller bending tells no end
+_REST = 3.0  # sds of the noise: of what rest differs by before the contact and after it
 _STEPS = 24  # of w
 _LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the first frame
 _ROUGH, _SMOOTH = 2, 4  # times that it is integrated
@@ -40,7 +41,7 @@ def straight(time: Array, value: Array, noise: float, first: int, last: int) -> 
         return None
     long, size = float(time[last] - time[early]), float(np.max(np.abs(value[early:late])))
     time, value = time[early:late], value[early:late]
-    sds = [(0.0, _sds(size, noise, *one)) for one in _SIZES]
+    sds = [(0.0, _sds(size, _REST * noise, *one)) for one in _SIZES]
 
     def evidence(ends: Array) -> Array:
         left = np.maximum(ends[:, None] - time, 0.0) / long
