@@ -77,7 +77,7 @@ def _until(time: Array, value: Array, noise: float, last: int, swing: Swing, run
     """Last frame of the runs that are what is left of the swing after its last clear frame."""
     for first, end in runs:
         soon = first <= last or time[first] - time[last] < _SOON * swing.half
-        rest = value[max(last + 1, first) : end + 1]
-        if end > last and soon and not np.nanmax(np.abs(rest), initial=0.0) > _SLIGHT * CLEAR * noise:
+        rest = np.nan_to_num(value[max(last + 1, first) : end + 1])
+        if end > last and soon and np.max(np.abs(rest)) < _SLIGHT * CLEAR * noise:
             last = end
     return last

@@ -30,7 +30,7 @@ _CHANGES = 0.3  # sd of log frequency and of damping about those of the swing
 _AMPLITUDES = 3.0  # sd of the swing's amplitudes, of the motion nearby
 _RATES, _DAMPINGS = (0.75, 0.85, 1.0, 1.15, 1.35), (0.03, 0.15, 0.4)  # where the fit of the swing begins
 _AWAY = 0.53  # of the log frequency from that of the half swings, at most
-_DAMPED = (-7.0, 2.2)  # of the damping's log odds: 0.001 to 0.9
+_DAMPED = (-7.0, 0.8)  # of the damping's log odds: 0.001 to 0.7, beyond which nothing swings
 _NO_FALL = -1
 # Sizes of the three powers and the walk: a force that ends slowly, of a kink, smoother, and of a hand that leads the
 # beam back; then each fall, and how the force before it changes.
@@ -60,6 +60,14 @@ def release(time: Array, value: Array, noise: float, swing: Swing, first: int) -
     part = _part(time, value, noise, swing, first)
     low = max(float(time[first]), float(part.time[1]), swing.passage - _END * swing.half)
     high = max(min(swing.passage + _END * swing.half, float(part.time[-1]) - 0.5 * swing.half), low + 0.2 * swing.half)
+    try:
+        return _told(part, swing, low, high)
+    except np.linalg.LinAlgError:  # so strongly damped that going back in time it grows beyond all numbers: no swing
+        return None
+
+
+def _told(part: _Part, swing: Swing, low: float, high: float) -> Edge | None:
+    """Between `low` and `high`: swing and end in turn."""
     free_from = swing.passage
     for _ in range(_ROUNDS):
         mode = _fitted(part, free_from, swing)

@@ -22,6 +22,7 @@ _LATER = 5  # frames that show a force, and still may be from after the end
 _PLACES = (48, 48, 48)  # times that are tried, and again where it is likely
 _CLEAR = 10.0  # sds of the noise: a smaller bending tells no end
 _REST = 3.0  # sds of the noise: of what rest differs by before the contact and after it
+_FINEST = 1e-6  # of the largest bending: noise below it is not told from rounding
 _STEPS = 24  # of w
 _LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the first frame
 _ROUGH, _SMOOTH = 2, 4  # times that it is integrated
@@ -40,7 +41,7 @@ def straight(time: Array, value: Array, noise: float, first: int, last: int) -> 
     if late <= last + 1 or early < 0 or float(np.max(np.abs(value[early:late]))) < _CLEAR * noise:
         return None
     long, size = float(time[last] - time[early]), float(np.max(np.abs(value[early:late])))
-    time, value = time[early:late], value[early:late]
+    time, value, noise = time[early:late], value[early:late], max(noise, _FINEST * size)
     sds = [(0.0, _sds(size, _REST * noise, *one)) for one in _SIZES]
 
     def evidence(ends: Array) -> Array:
