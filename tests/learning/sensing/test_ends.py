@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from onebend.beam.loads import push
-from onebend.learning.sensing.edges.contacts import runs_of
-from onebend.learning.sensing.edges.forced import FALLS, PIECES, SWING, Mode, columns
-from onebend.learning.sensing.edges.let_go import ended
-from onebend.learning.sensing.edges.mode import Bending
-from onebend.learning.sensing.edges.straight import straight
-from onebend.learning.sensing.edges.swing import find_swing
+from onebend.learning.endings.forced import FALLS, PIECES, SWING, Mode, columns
+from onebend.learning.endings.let_go import ended
+from onebend.learning.endings.mode import ModeBending
+from onebend.learning.endings.straight import straight
+from onebend.learning.endings.swing import find_swing
+from onebend.learning.sensing.edges import runs_of
 from onebend.learning.sensing.sense import sense
 from onebend.records import Array
 from tests.learning.sensing.drawn import BAND, BEAM, drawn, place_off
@@ -21,10 +21,10 @@ NOISE, FPS, END = 1e-3, 60.0, 1.207
 MODE = Mode(2.0 * np.pi * 4.0, 0.1, 0.0, 0.0, 0.0)
 
 
-def bent(value: Array, seed: int = 0) -> Bending:
+def bent(value: Array, seed: int = 0) -> ModeBending:
     """Seen with noise, from 0 s on."""
     noise = NOISE * np.random.default_rng(seed).standard_normal(len(value))
-    return Bending(np.arange(len(value)) / FPS, value + noise, np.full(len(value), NOISE))
+    return ModeBending(np.arange(len(value)) / FPS, value + noise, np.full(len(value), NOISE))
 
 
 def held(time: Array) -> Array:

@@ -12,11 +12,11 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.design.instruments import Instruments
+from onebend.learning.endings.let_go import ended
+from onebend.learning.endings.mode import bending
 from onebend.learning.model.force_error import force_error
 from onebend.learning.sensing.bench import Bench, check_recording
-from onebend.learning.sensing.edges.contacts import edges_of, frames_at_edges, runs_of, within
-from onebend.learning.sensing.edges.let_go import ended
-from onebend.learning.sensing.edges.mode import bending
+from onebend.learning.sensing.edges import edges_of, frames_at_edges, runs_of, within
 from onebend.learning.sensing.estimate import PLACE_PRIOR
 from onebend.learning.sensing.frame_forces import read
 from onebend.learning.sensing.joint import rested

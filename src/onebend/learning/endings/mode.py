@@ -23,19 +23,19 @@ _MODES = 6  # of the beam in motion
 
 
 @dataclass(frozen=True)
-class Bending:
+class ModeBending:
     """Along the slowest mode, in T frames: as much as turns the tip by 1 rad is 1; NaN in frames without tags."""
 
     time: Array  # (T,) s
     value: Array  # (T,)
     sd: Array  # (T,) of the tags' noise
 
-    def take(self, rows: IntArray | slice) -> Bending:
+    def take(self, rows: IntArray | slice) -> ModeBending:
         """Of some frames."""
-        return Bending(*(values[rows] for values in vars(self).values()))
+        return ModeBending(*(values[rows] for values in vars(self).values()))
 
 
-def bending(beam: Beam, o: Observations) -> Bending:
+def bending(beam: Beam, o: Observations) -> ModeBending:
     """Of every frame of a recording of a beam that swings freely, its far end not held."""
     states = solve_states(o, min(_STATES, 2 * len(o.marker_s)))
     mass = np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11)))
@@ -47,4 +47,4 @@ def bending(beam: Beam, o: Observations) -> Bending:
     to_mode = weight @ states.modes.curvature(on.grid.nodes) / float(weight @ bends)
     value = (states.theta - states.theta0) @ to_mode
     variance = np.einsum("i,tij,j->t", to_mode, states.covariance, to_mode)
-    return Bending(o.time, np.where(states.converged, value, np.nan), np.sqrt(variance))
+    return ModeBending(o.time, np.where(states.converged, value, np.nan), np.sqrt(variance))

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.sensing.edges.contacts import RUN, Contact
-from onebend.learning.sensing.edges.mode import Bending
-from onebend.learning.sensing.edges.release import release
-from onebend.learning.sensing.edges.straight import straight
-from onebend.learning.sensing.edges.swing import CLEAR, Swing, find_swing
+from onebend.learning.endings.edge import RUN, ContactFrames
+from onebend.learning.endings.mode import ModeBending
+from onebend.learning.endings.release import release
+from onebend.learning.endings.straight import straight
+from onebend.learning.endings.swing import CLEAR, HalfSwings, find_swing
 from onebend.records import Array
 
 _REST = 8  # frames before the first contact that tell how the beam is at rest
@@ -21,13 +21,13 @@ _SLIGHT = 2.0  # times what a swing is clear from: so little is left of it
 _SOON = 2.0  # half swings after the last clear one in which what is left is of it
 
 
-def ended(seen: Bending, runs: list[tuple[int, int]], widened: float) -> list[Contact]:
+def ended(seen: ModeBending, runs: list[tuple[int, int]], widened: float) -> list[ContactFrames]:
     """The contacts of `runs` (first and last frame) without those that are a swing, with the ends that the bending
     tells; `seen` is of all frames, `widened` how much wider the variance of its noise counts, as it lasts."""
     if not runs:
         return []
     value, noise = _from_rest(seen, runs[0][0])
-    out: list[Contact] = []
+    out: list[ContactFrames] = []
     for first, last in runs:
         if out and first <= out[-1].moves:
             continue
@@ -37,7 +37,7 @@ def ended(seen: Bending, runs: list[tuple[int, int]], widened: float) -> list[Co
     return [_straight(seen.time, value, lasting, one, last) for one, last in zip(out, after, strict=True)]
 
 
-def _straight(time: Array, value: Array, noise: float, one: Contact, after: int) -> Contact:
+def _straight(time: Array, value: Array, noise: float, one: ContactFrames, after: int) -> ContactFrames:
     """With the end where the bending goes to zero before frame `after`, where no swing tells it."""
     if one.end is not None:
         return one
@@ -46,8 +46,8 @@ def _straight(time: Array, value: Array, noise: float, one: Contact, after: int)
     return replace(one, end=straight(time[known], value[known], noise, first, last))
 
 
-def _from_rest(seen: Bending, first: int) -> tuple[Array, float]:
-    """Bending (T,) less that before frame `first`, and the sd of its noise."""
+def _from_rest(seen: ModeBending, first: int) -> tuple[Array, float]:
+    """ModeBending (T,) less that before frame `first`, and the sd of its noise."""
     before = seen.value[:first][np.isfinite(seen.value[:first])]
     noise = float(np.nanmedian(seen.sd))
     if len(before) < _REST:
@@ -55,10 +55,12 @@ def _from_rest(seen: Bending, first: int) -> tuple[Array, float]:
     return seen.value - float(np.mean(before)), max(noise, float(np.std(before, ddof=1)))
 
 
-def _contact(time: Array, value: Array, noise: float, run: tuple[int, int], runs: list[tuple[int, int]]) -> Contact:
+def _contact(
+    time: Array, value: Array, noise: float, run: tuple[int, int], runs: list[tuple[int, int]]
+) -> ContactFrames:
     """Where a swing tells the end of `run`, by that; else as it is."""
     first, last = run
-    usual = Contact(first, last, last)
+    usual = ContactFrames(first, last, last)
     known = np.flatnonzero(np.isfinite(value))
     times, values = time[known], value[known]
     begin, end = int(np.searchsorted(known, first)), int(np.searchsorted(known, last))
@@ -70,10 +72,10 @@ def _contact(time: Array, value: Array, noise: float, run: tuple[int, int], runs
         return usual
     told = release(times, values, noise, swing, begin)
     let = -1 if told is None else int(np.searchsorted(time, told.time)) - 1
-    return usual if let < first else Contact(first, let, moves, told)
+    return usual if let < first else ContactFrames(first, let, moves, told)
 
 
-def _until(time: Array, value: Array, noise: float, last: int, swing: Swing, runs: list[tuple[int, int]]) -> int:
+def _until(time: Array, value: Array, noise: float, last: int, swing: HalfSwings, runs: list[tuple[int, int]]) -> int:
     """Last frame of the runs that are what is left of the swing after its last clear frame."""
     for first, end in runs:
         soon = first <= last or time[first] - time[last] < _SOON * swing.half

@@ -1,6 +1,6 @@
 """When a contact ends that no swing follows: the beam's bending goes to zero then, with a jump, a kink or smoothly.
 
-As the force in `contacts`: of the time `u` left to the end, `j + v u + a u^2 / 2 + w(u)`, w white noise integrated
+As the force in `sensing.edges`: of the time `u` left to the end, `j + v u + a u^2 / 2 + w(u)`, w white noise integrated
 twice over u, or `c u^3 / 3 + w(u)`, integrated four times: a hand that leads the beam back as smoothly as it can (least
 jerk) ends with the third power, and what comes before it is as smooth. The bending is known without
 the force along the beam, about which a straight beam tells nothing.
@@ -13,8 +13,8 @@ from math import factorial
 
 import numpy as np
 
-from onebend.learning.sensing.edges.contacts import RUN, Edge
-from onebend.learning.sensing.edges.evidence import evidence_of, scanned
+from onebend.learning.endings.edge import RUN, Edge
+from onebend.learning.endings.evidence import evidence_of, scanned
 from onebend.records import Array
 
 _BEFORE, _AFTER = 24, 48  # frames before the last one of the contact, and after it
@@ -22,7 +22,7 @@ _LATER = 5  # frames that show a force, and still may be from after the end
 _PLACES = (48, 48, 48)  # times that are tried, and again where it is likely
 _CLEAR = 10.0  # sds of the noise: a smaller bending tells no end
 _REST = 3.0  # sds of the noise: of what rest differs by before the contact and after it
-_FINEST = 1e-6  # of the largest bending: noise below it is not told from rounding
+_FINEST = 1e-3  # of the largest bending: what the steps of w leave out
 _STEPS = 24  # of w
 _LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the first frame
 _ROUGH, _SMOOTH = 2, 4  # times that it is integrated

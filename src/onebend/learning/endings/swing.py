@@ -18,7 +18,7 @@ _ALONE = 10.0  # times as large as need be: a half swing that is followed by non
 
 
 @dataclass(frozen=True)
-class Swing:
+class HalfSwings:
     """Half swings after a push."""
 
     passage: float  # s, where the first begins
@@ -36,7 +36,7 @@ class _Lobe(NamedTuple):
     peak: int
 
 
-def find_swing(time: Array, value: Array, noise: float, first: int, last: int) -> Swing | None:
+def find_swing(time: Array, value: Array, noise: float, first: int, last: int) -> HalfSwings | None:
     """After the push that is largest between frames `first` and `last`; None: nothing swings. `value` (T,) is zero at
     rest, with an sd of `noise`."""
     least = CLEAR * noise
@@ -56,14 +56,14 @@ def find_swing(time: Array, value: Array, noise: float, first: int, last: int) -
             if i + count + 2 == len(lobes):  # how long the very last one lasts is not seen
                 more = _alike(lobes[i + count :], np.full(2, lasts[i]), least) > 1
                 last = lobes[-1].last if more and time[lobes[-1].last] - passages[-1] < _UNEVEN[1] * lasts[i] else last
-            return _checked(time, lobes[i], lobes[i + 1], Swing(passages[i], float(lasts[i]), last))
+            return _checked(time, lobes[i], lobes[i + 1], HalfSwings(passages[i], float(lasts[i]), last))
     if len(lobes) != 2 or lobes[1].size < _ALONE * least:
         return None
     half = 2.0 * max(float(time[lobes[1].peak]) - passages[0], 0.5 * float(np.median(np.diff(time))))
-    return _checked(time, lobes[0], lobes[1], Swing(passages[0], half, lobes[1].last))
+    return _checked(time, lobes[0], lobes[1], HalfSwings(passages[0], half, lobes[1].last))
 
 
-def _checked(time: Array, before: _Lobe, after: _Lobe, found: Swing) -> Swing | None:
+def _checked(time: Array, before: _Lobe, after: _Lobe, found: HalfSwings) -> HalfSwings | None:
     """None where the beam came to rest between the two."""
     return found if time[after.first] - time[before.last] <= found.half else None
 

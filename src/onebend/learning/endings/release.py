@@ -13,10 +13,10 @@ from functools import partial
 import numpy as np
 from scipy.optimize import least_squares
 
-from onebend.learning.sensing.edges.contacts import Edge
-from onebend.learning.sensing.edges.evidence import evidence_of, scanned
-from onebend.learning.sensing.edges.forced import FALLS, PIECES, POWERS, STEPS, SWING, Mode, columns
-from onebend.learning.sensing.edges.swing import Swing
+from onebend.learning.endings.edge import Edge
+from onebend.learning.endings.evidence import evidence_of, scanned
+from onebend.learning.endings.forced import FALLS, PIECES, POWERS, STEPS, SWING, Mode, columns
+from onebend.learning.endings.swing import HalfSwings
 from onebend.records import Array, BoolArray
 
 _BEFORE, _AFTER = 3.0, 6.0  # half swings that are looked at, before and after the first passage through rest
@@ -54,7 +54,7 @@ class _Part:
     long: float  # s, from the first frame to the first passage
 
 
-def release(time: Array, value: Array, noise: float, swing: Swing, first: int) -> Edge | None:
+def release(time: Array, value: Array, noise: float, swing: HalfSwings, first: int) -> Edge | None:
     """End of the contact that begins at frame `first` of (T,) and after which the beam swings; None where the evidence
     is for a force that goes on. `value` is zero at rest, with an sd of `noise` in a frame."""
     part = _part(time, value, noise, swing, first)
@@ -66,7 +66,7 @@ def release(time: Array, value: Array, noise: float, swing: Swing, first: int) -
         return None
 
 
-def _told(part: _Part, swing: Swing, low: float, high: float) -> Edge | None:
+def _told(part: _Part, swing: HalfSwings, low: float, high: float) -> Edge | None:
     """Between `low` and `high`: swing and end in turn."""
     free_from = swing.passage
     for _ in range(_ROUNDS):
@@ -77,7 +77,7 @@ def _told(part: _Part, swing: Swing, low: float, high: float) -> Edge | None:
     return Edge(mean, sd) if released > goes_on else None
 
 
-def _part(time: Array, value: Array, noise: float, swing: Swing, first: int) -> _Part:
+def _part(time: Array, value: Array, noise: float, swing: HalfSwings, first: int) -> _Part:
     near = int(np.searchsorted(time, swing.passage))
     begin = int(np.searchsorted(time, max(float(time[first]), swing.passage - _BEFORE * swing.half)))
     begin = min(begin, max(near - _FEWEST, 0))
@@ -91,7 +91,7 @@ def _part(time: Array, value: Array, noise: float, swing: Swing, first: int) -> 
     return _Part(time, value, np.hypot(noise, _SHARE * around), noise, float(np.max(sizes)), long)
 
 
-def _fitted(part: _Part, free_from: float, swing: Swing) -> Mode:
+def _fitted(part: _Part, free_from: float, swing: HalfSwings) -> Mode:
     """The free swing that fits the frames from then on best."""
     free: BoolArray = part.time >= free_from
     free[-_FREE:] = True
