@@ -60,7 +60,7 @@ ROOMS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("validation", "start", "inference", "swing"),
         ("learned_mass", "criticism", "paper", "attribution", "stiffness_band"),
         ("posterior",),
-        ("criticism_messages", "tradeoffs", "live", "design"),
+        ("criticism_messages", "tradeoffs", "live", "design", "endings"),
         ("verdict", "replay", "sensing"),
         ("explained",),
     ),

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from onebend.learning.criticism.criticism import Finding as Finding
     from onebend.learning.criticism.push_place import PlaceSearch as PlaceSearch
     from onebend.learning.criticism.score_tests import Score as Score
+    from onebend.learning.endings.edge import Edge as Edge
     from onebend.learning.frequencies.frequency_data import FrequencyData as FrequencyData
     from onebend.learning.frequencies.frequency_data import Posture as Posture
     from onebend.learning.frequencies.predicted import PredictedFrequencies as PredictedFrequencies
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from onebend.learning.model.spline import Spline as Spline
     from onebend.learning.pose_equilibria import SeenPoses as SeenPoses
     from onebend.learning.posterior import Nuisance as Nuisance
-    from onebend.learning.sensing.edges import Edge as Edge
     from onebend.learning.sensing.joint import Misfit as Misfit
     from onebend.learning.sensing.online import LiveForce as LiveForce
     from onebend.learning.sensing.online import OnlineSense as OnlineSense

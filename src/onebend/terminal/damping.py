@@ -19,7 +19,7 @@ from onebend.terminal.parts import facts_table, force_words, remarks_list, say_w
 _AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
 
 if TYPE_CHECKING:  # for the types alone: `show` says what damping is, and loads no search
-    from onebend.learning.sensing.edges import Edge
+    from onebend.learning.endings.edge import Edge
     from onebend.learning.sensing.sensed import Sensed
     from onebend.learning.sensing.sensor import SensorCheck
 

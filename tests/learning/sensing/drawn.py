@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +25,14 @@ NOISE = (3e-5, 1e-3)  # m, rad, of a tag in a frame
 PLACEMENT_SD, TURN_SD, PLACE_SD = 2e-4, 2e-3, 3e-4  # m, rad, m
 
 
+class Shapes(Protocol):
+    """A beam's shapes in F frames."""
+
+    def xy(self, s: Array) -> Array: ...  # (F, S, 2) m
+
+    def angle(self, s: Array) -> Array: ...  # (F, S) rad
+
+
 def place_off(seed: int) -> float:
     """Of s: what the place of the contact is off by."""
     return PLACE_SD / BEAM.length * float(np.random.default_rng([seed, 1]).standard_normal())
@@ -38,17 +48,30 @@ def drawn(
 ) -> tuple[Observations, Array]:
     """What is seen under `loads` at their true places, said to act at `at_s`; and the axes (2, 2) of the clamp: they
     take a force from the beam's frame to that in which it is told."""
+    return drawn_shapes(seed, lambda beam: shape_of(beam, loads), loads.size, at_s=at_s, noise=noise)
+
+
+def drawn_shapes(
+    seed: int,
+    shapes: Callable[[Beam], Shapes],
+    count: int,
+    *,
+    at_s: float = 0.9,
+    noise: tuple[float, float] = NOISE,
+    fps: float = 30.0,
+) -> tuple[Observations, Array]:
+    """As `drawn`, of what `shapes` makes of the true beam: its `count` shapes in time."""
     rng, length, rest = np.random.default_rng([seed, 2]), BEAM.length, push((0.0, 0.0))
-    o = observed(BEAM, np.zeros((loads.size, 2)), at_s=at_s, noise=noise)
+    o = observed(BEAM, np.zeros((count, 2)), at_s=at_s, noise=noise)
     o = replace(o, stated=replace(o.stated, placement_sd=PLACEMENT_SD, turn_sd=TURN_SD, place_sd=PLACE_SD))
+    o = replace(o, time=np.arange(count) / fps)
     clamp = clamp_sd(o, Priors()) * float(rng.standard_normal())
     true = Beam(length, BAND.draw(1, seed=seed)[0], clamp_angle=clamp)
     at = MARKERS + PLACEMENT_SD * rng.standard_normal(3) / length
     across, turn = PLACEMENT_SD * rng.standard_normal((3, 1)), TURN_SD * rng.standard_normal(3)
     origin, s = PLACEMENT_SD * rng.standard_normal(2), np.minimum(at, 1.0)
 
-    def seen(act: Loads, sd: Array) -> tuple[Array, Array]:
-        shape = shape_of(true, act)
+    def seen(shape: Shapes, sd: Array) -> tuple[Array, Array]:
         angle = shape.angle(s)
         tangent = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         left = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
@@ -56,8 +79,8 @@ def drawn(
         return xy + sd[0] * rng.standard_normal(xy.shape), angle + turn + sd[1] * rng.standard_normal(angle.shape)
 
     sd = np.array(noise)
-    xy, angle = seen(loads, sd)
-    rest_xy, rest_angle = (values[0] for values in seen(rest, sd / np.sqrt(30.0)))
+    xy, angle = seen(shapes(true), sd)
+    rest_xy, rest_angle = (values[0] for values in seen(shape_of(true, rest), sd / np.sqrt(30.0)))
     cos, sin = np.cos(clamp), np.sin(clamp)
     o = replace(o, xy=xy, angle=angle, rest_xy=rest_xy, rest_angle=rest_angle)
     return o, np.array([[cos, sin], [-sin, cos]])

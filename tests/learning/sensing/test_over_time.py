@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from onebend.beam.loads import push
-from onebend.learning.sensing.edges import Edge
+from onebend.learning.endings.edge import Edge
 from onebend.learning.sensing.frame_forces import FrameForces
 from onebend.learning.sensing.search import TOUCH
 from onebend.learning.sensing.sense import sense

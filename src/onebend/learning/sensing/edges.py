@@ -3,20 +3,20 @@
 The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)` of the time `t` since, all unknown: `w`
 is white noise, integrated twice. That is normal at given sizes of the five, so the evidence of each `t0` is known in
 closed form, all that the frames share being integrated out; it is summed over sizes, and gives mean and sd of `t0`. An
-end is a beginning with time reversed.
+end is a beginning with time reversed, where the bending does not tell it (`endings`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
+from onebend.learning.endings.edge import RUN, ContactFrames, Edge
 from onebend.learning.sensing.frame_forces import FrameForces
 from onebend.records import Array, BoolArray, IntArray
 
-RUN = 3  # frames in a row that show a force, before it is a contact; fewer without one do not end it
 _BEFORE, _AFTER = 48, 24  # frames that tell when it begins
 _LATER = 5  # frames that show a force, and still may be from before
 _PLACES = 48  # times that are tried, and again where it is likely
@@ -25,14 +25,6 @@ _LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the end
 # Of a jump, of what begins with the first, second and third power of time, and of w. A robot's hand that begins as
 # smoothly as it can (least jerk) begins with the third.
 _SIZES = (*product((0.0, 1.0), (0.0, 1.0), (2.0,), (0.0,), _LAST), *product((0.0,), (0.0,), (0.0,), (3.0,), _LAST))
-
-
-@dataclass(frozen=True)
-class Edge:
-    """When a contact begins or ends: mean and sd [s]; NaN and infinity where the frames do not show it."""
-
-    time: float
-    sd: float
 
 
 def runs_of(touched: BoolArray) -> list[tuple[int, int]]:
@@ -66,16 +58,20 @@ def frames_at_edges(runs: list[tuple[int, int]], count: int) -> IntArray:
 
 
 def edges_of(
-    readings: FrameForces, frames: IntArray, runs: list[tuple[int, int]], count: int, prior_sd: float
+    readings: FrameForces, frames: IntArray, contacts: list[ContactFrames], count: int, prior_sd: float
 ) -> list[tuple[Edge, Edge]]:
     """Beginning and end of each contact; `readings` are of `frames` out of `count`."""
     out = []
-    for i, (first, last) in enumerate(runs):
-        before = runs[i - 1][1] if i else -1
-        after = runs[i + 1][0] if i + 1 < len(runs) else count
+    for i, one in enumerate(contacts):
+        first, last = one.first, one.last
+        before = contacts[i - 1].moves if i else -1
+        after = contacts[i + 1].first if i + 1 < len(contacts) else count
         middle = (first + last + 1) // 2
         early, late = max(before + 1, first - _BEFORE), min(max(middle, first + RUN), first + _AFTER)
         begin = _begin(readings.take(np.flatnonzero((frames >= early) & (frames < late))), first - early, prior_sd)
+        if one.end is not None:
+            out.append((begin, one.end))
+            continue
         early, late = max(middle, last - _AFTER + 1), min(after, last + _BEFORE + 1)
         back = readings.take(np.flatnonzero((frames >= min(early, last - RUN + 1)) & (frames < late))[::-1])
         end = _begin(replace(back, time=-back.time), late - 1 - last, prior_sd)

@@ -12,6 +12,8 @@ from onebend.beam.profiles.uncertain import UncertainStiffness
 from onebend.blas import one_blas_thread
 from onebend.errors import LearningError
 from onebend.learning.design.instruments import Instruments
+from onebend.learning.endings.let_go import ended
+from onebend.learning.endings.mode import bending
 from onebend.learning.model.force_error import force_error
 from onebend.learning.sensing.bench import Bench, check_recording
 from onebend.learning.sensing.edges import edges_of, frames_at_edges, runs_of, within
@@ -280,8 +282,10 @@ def _over_time(
     force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
     seek_place = settings.place == "unknown" and len(priors) < 4
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
-    both = zip(runs, edges_of(readings, some, runs, len(frames), prior), strict=True)
-    contacts = joined([Touch(float(time[a]), float(time[b]), begin, end) for (a, b), (begin, end) in both])
+    bench = searched.bench
+    every = ended(bending(bench.beam, bench.observations).take(frames), runs, readings.widened)
+    both = zip(every, edges_of(readings, some, every, len(frames), prior), strict=True)
+    contacts = joined([Touch(float(time[c.first]), float(time[c.last]), begin, end) for c, (begin, end) in both])
     if not settings.smooth:
         return contacts, None
     spans = [np.searchsorted(time, one.span) for one in contacts]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import LearningError
-from onebend.learning.sensing.edges import Edge
+from onebend.learning.endings.edge import Edge
 from onebend.learning.sensing.joint import Misfit
 from onebend.learning.sensing.sensor import SensorCheck
 from onebend.learning.sensing.smooth import Smoothed
