@@ -22,7 +22,7 @@ from onebend.learning.live.settings import OnlineSettings
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.signals import low_pass
 from onebend.streaming.review import ENDED, Later, Reviewed, Seen, go_on, review
-from onebend.workers import leave_interrupts_to_parent
+from onebend.workers import interrupts_held, leave_interrupts_to_parent
 
 NICE = 5  # added to the niceness of the process that reviews
 
@@ -133,12 +133,13 @@ class ReviewerBeside:
     def _start(self) -> None:
         self._answers, self._messages = SimpleQueue(), SimpleQueue()
         path = os.pathsep.join(one or str(Path.cwd()) for one in sys.path)
-        self._process = process = subprocess.Popen(
-            [sys.executable, "-c", "from onebend.streaming.reviewer import serve; serve()"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": path},
-        )
+        with interrupts_held():
+            self._process = process = subprocess.Popen(
+                [sys.executable, "-c", "from onebend.streaming.reviewer import serve; serve()"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, "PYTHONPATH": path},
+            )
         self._end = weakref.finalize(self, _end, process, self._messages)
         threading.Thread(target=_listen, args=(process.stdout, self._answers), daemon=True).start()
         threading.Thread(target=_write, args=(process.stdin, self._messages), daemon=True).start()
