@@ -47,7 +47,7 @@ def _straight(time: Array, value: Array, noise: float, one: ContactFrames, after
 
 
 def _from_rest(seen: ModeBending, first: int) -> tuple[Array, float]:
-    """ModeBending (T,) less that before frame `first`, and the sd of its noise."""
+    """The bending (T,) less that before frame `first`, and the sd of its noise."""
     before = seen.value[:first][np.isfinite(seen.value[:first])]
     noise = float(np.nanmedian(seen.sd))
     if len(before) < _REST:
