@@ -9,6 +9,10 @@ k(s), and all that recordings share, are integrated out. What a recording has of
 error, mostly) is at its most probable instead: how closely the tags tell it goes by where the push acts, but by what is
 assumed of the noise too, and no bench keeps to that. So the tags have one working covariance for all places, and its
 determinant is no evidence (quasi-likelihood; Wedderburn 1974, Liang and Zeger 1986).
+
+A bench is not quite as the model says, in ways that stay from frame to frame, and more frames do not tell more of the
+place then. So a recording counts as a few frames, and the likelihood of all its frames is raised to the power that
+makes it so (coarsening; Miller and Dunson 2019). A few frames by themselves would do, but for which ones they are.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ import numpy as np
 
 from onebend.errors import LearningError
 from onebend.learning.inference.descent import MapEstimate, descend, rows_of
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, prior
+from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
 from onebend.learning.inference.hyperparameters import Evidence, with_stiffness_prior
 from onebend.learning.inference.linear_gaussian import data_information
 from onebend.learning.inference.optimizer import OptimizerSettings, Optimum, find_maximum
@@ -28,6 +32,7 @@ from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import Array
 
+_FRAMES = 50.0  # that a recording counts as, at most
 _NOISE = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
 _ROUNDS = 3  # of a fit, each but the last with a new prior of log k after it
 _FAR_BELOW = 50.0  # of the log evidence, below the best place: another prior of log k seldom adds more than a few
@@ -57,7 +62,18 @@ def with_own_noise(fit: AtPlace) -> AtPlace | None:
         estimate = find_maximum(fit.problem, fit.estimate, _NOISE, Silent())
     except (LearningError, np.linalg.LinAlgError):
         return None
-    return under(replace(fit, estimate=estimate), estimate.hyperparameters)
+    return under(replace(fit, estimate=estimate), coarsened(estimate.hyperparameters, fit.problem))
+
+
+def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
+    """With noise so large that the frames of a recording tell as much as _FRAMES of them."""
+
+    def of(noise: RecordingNoise, frames: int) -> RecordingNoise:
+        wider = float(np.sqrt(max(frames / _FRAMES, 1.0)))
+        return RecordingNoise(wider * noise.marker, wider * noise.force)
+
+    each_one = zip(found.noise, problem.recordings, strict=True)
+    return replace(found, noise=tuple(of(noise, len(recording.force)) for noise, recording in each_one))
 
 
 def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.inf) -> AtPlace | None:

@@ -40,8 +40,9 @@ from onebend.records import PLACE_SD, Array, BoolArray
 
 AT_TIP = 0.5  # share of the tip, where most pushes act, if another place is written; the rest is even from INNERMOST on
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
-# Of the log evidence: by so much more the written place is not believed. The chance that a right place loses by as much
-# is at most `exp` of minus this (Markov's inequality), as small as that beyond which other tests count.
+# Of the log evidence: by so much more, averaged over the other places, the written one is not believed. The chance that a
+# right place loses by as much is at most `exp` of minus this (Markov's inequality), as small as that beyond which other
+# tests count.
 ACCUSED = -float(np.log(10.0)) * ALARM
 FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fallen as far
 BY_HAND, MEASURED = 0.5, 0.01  # probability of a mistake before the data; MEASURED: stated more closely than PLACE_SD
@@ -134,10 +135,11 @@ def search_place(
     s = np.array([one.place for one in found])
     gain = np.array([one.log_evidence for one in found]) - here.log_evidence
     away = np.stack([_away(problem, here, one, length) for one in found])
-    far = np.abs(s - written) * length > _TOLERANCES * block.prior_sd[0]
-    accused = bool(np.any(far & (gain > ACCUSED)))
     before = MEASURED if block.prior_sd[0] < 0.999 * PLACE_SD else BY_HAND
-    return PlaceSearch(written, s, gain, away, *place_posterior(s, gain, written, before), accused)
+    everywhere, weight, mistaken = place_posterior(s, gain, written, before)
+    far = np.abs(everywhere - written) * length > _TOLERANCES * block.prior_sd[0]
+    accused = gain_of_mistake(weight[far], mistaken, before) > ACCUSED
+    return PlaceSearch(written, s, gain, away, everywhere, weight, mistaken, accused)
 
 
 def _every_place(here: AtPlace, settings: FitSettings, *, thorough: bool) -> list[AtPlace]:
@@ -219,6 +221,14 @@ def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HA
     evidence = share * np.exp(gains - most)
     of_mistake = float(np.sum(evidence))
     return places, evidence / of_mistake, of_mistake / (of_mistake + float(np.exp(-most)) * (1.0 - before) / before)
+
+
+@np.errstate(divide="ignore")  # so sure of either that the other has none
+def gain_of_mistake(weight: Array, mistaken: float, before: float = BY_HAND) -> float:
+    """Of the log evidence, over the written place, of a mistake that led to one of some places: `weight` (f,) of them,
+    the probability of a mistake, and that before."""
+    odds = mistaken * (1.0 - before) / np.float64((1.0 - mistaken) * before)
+    return float(np.log(odds * np.sum(weight)))
 
 
 def _away(problem: FitProblem, here: AtPlace, there: AtPlace, length: float) -> Array:
