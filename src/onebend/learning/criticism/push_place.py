@@ -40,9 +40,9 @@ from onebend.records import PLACE_SD, Array, BoolArray
 
 AT_TIP = 0.5  # share of the tip, where most pushes act, if another place is written; the rest is even from INNERMOST on
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
-# Of the log evidence: by so much more, averaged over the other places, the written one is not believed. The chance that a
-# right place loses by as much is at most `exp` of minus this (Markov's inequality), as small as that beyond which other
-# tests count.
+# Of the log evidence: by so much more, averaged over the other places, the written one is not believed. The chance that
+# a right place loses by as much is at most `exp` of minus this (Markov's inequality), as small as that beyond which
+# other tests count.
 ACCUSED = -float(np.log(10.0)) * ALARM
 FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fallen as far
 BY_HAND, MEASURED = 0.5, 0.01  # probability of a mistake before the data; MEASURED: stated more closely than PLACE_SD
