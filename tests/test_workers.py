@@ -75,6 +75,7 @@ MASKED = """
 import multiprocessing, os, signal
 from onebend.workers import interrupts_held
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # work begun in the background may be deaf to it
     try:
         with interrupts_held():
             os.kill(os.getpid(), signal.SIGINT)
