@@ -2,8 +2,8 @@
 
 A benchmark is a module of this folder with a `main()` that prints Markdown. What it prints goes to the screen and to
 out/benchmarks/NAME.md, under the module's own first line and the command that makes it again. With --write it also
-replaces docs/accuracy/NAME.md, whose part "Remarks" is kept. docs/accuracy.md, the page of headlines, is written by
-hand: look whether it still agrees.
+replaces benchmarks/notes/NAME.md, whose part "Remarks" is kept. docs/accuracy.md, the summary, is written by hand:
+check that it still agrees.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FOLDER = Path(__file__).parent
 OUT = FOLDER.parent / "out" / "benchmarks"
 # Run as a user would: onebend sees to the BLAS threads itself.
 BARE = ("online", "one_recording", "reach", "shape", "loop", "startup", "mechanics", "free_vibration", "studio")
-PAGES = FOLDER.parent / "docs" / "accuracy"
+NOTES = FOLDER / "notes"
 REMARKS = "\n## Remarks\n"
 
 
@@ -63,7 +63,7 @@ def main() -> None:
     known = benchmarks()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(known)}; default: all")
-    parser.add_argument("--write", action="store_true", help="renew their pages in docs/accuracy")
+    parser.add_argument("--write", action="store_true", help="renew their notes in benchmarks/notes")
     asked = parser.parse_args()
     unknown = [name for name in asked.names if name not in known]
     if unknown:
@@ -74,7 +74,7 @@ def main() -> None:
         sys.exit(f"failed: {', '.join(failed)}")
     if asked.write:
         for name in names:
-            write_page(PAGES / f"{name}.md", (OUT / f"{name}.md").read_text(encoding="utf-8"))
+            write_page(NOTES / f"{name}.md", (OUT / f"{name}.md").read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from onebend.recording.video import Picture
 from onebend.workers import available_cores
 
 TIME_BASE = Fraction(1, 1_000_000)
-CRF = 18  # what it does to tags: docs/accuracy/record.md
+CRF = 18  # what it does to tags: benchmarks/notes/record.md
 PRESET = "veryfast"
 TUNE = "psnr,zerolatency"  # for what is measured, not for the eye: half of the change of tags, and of the file
 KEY_EVERY = 30  # frames

@@ -244,7 +244,7 @@ def sought(seed: int, *, second: bool, asked: Literal["1", "auto"] = "auto") -> 
 
 @pytest.mark.slow
 def test_one_contact_is_told_from_two_where_places_are_sought() -> None:
-    """Counts of 20 runs each are in docs/accuracy/sensing.md."""
+    """Counts of 20 runs each are in benchmarks/notes/sensing.md."""
     for seed in range(4):
         one, both = sought(seed, second=False)[0].two, sought(seed, second=True)[0].two
         assert one is not None
