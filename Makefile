@@ -12,13 +12,14 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 py
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all bench picture lock clean
+.PHONY: help demo test test-all bench docs picture lock clean
 
 help:
 	@echo "make demo      learn the bundled recording and validate it on another one"
 	@echo "make test      lint, types, layers and tests"
 	@echo "make test-all  the slow tests as well, and how much of the code the tests run"
 	@echo "make bench     accuracy and speed, written to out/benchmarks/"
+	@echo "make docs      write the generated parts of docs/cli.md and docs/recording.md anew"
 	@echo "make picture   draw the pictures of the README, of docs/first-beam.md and docs/studio.md again"
 	@echo "make lock      renew the locked dependencies"
 	@echo "make clean     remove the environment and everything made"
@@ -37,6 +38,9 @@ test-all: $(TESTS)
 
 bench: $(TESTS)
 	$(BIN)/python -m benchmarks
+
+docs: $(TESTS)
+	$(BIN)/python -m benchmarks.pages
 
 picture: $(TESTS)
 	$(BIN)/python examples/readme_picture.py

@@ -82,15 +82,19 @@ def older(part: str) -> list[str]:
     return [name for name, one in SHOWN.items() if kept.get(name, {}).get(part) != stamp_of(one)[part]]
 
 
-def put_in(text: str, name: str, screen: str) -> str:
-    """The page `text` with a new screen, four spaces in; raises `ValueError` where it has no place for it."""
-    begin, end = f"<!-- shown: {name} -->\n", f"<!-- end of {name} -->"
+def put_block(text: str, begin: str, end: str, block: str) -> str:
+    """The page `text` with `block` between `begin` and `end`; raises `ValueError` where these do not stand in it."""
     before, found, rest = text.partition(begin)
     _, closed, after = rest.partition(end)
     if not (found and closed):
         raise ValueError(f"the page has no {begin.strip()} ... {end}")
+    return f"{before}{begin}{block}{end}{after}"
+
+
+def put_in(text: str, name: str, screen: str) -> str:
+    """The page `text` with a new screen, four spaces in; raises `ValueError` where it has no place for it."""
     lines = "\n".join(f"    {line}".rstrip() for line in screen.strip("\n").splitlines())
-    return f"{before}{begin}\n{lines}\n\n{end}{after}"
+    return put_block(text, f"<!-- shown: {name} -->\n", f"<!-- end of {name} -->", f"\n{lines}\n\n")
 
 
 def printed(command: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Draws the figures of docs/mechanics.md: `python examples/mechanics.py [FOLDER]`, and prints its table of limits.
+"""Draws the figures of docs/method.md: `python examples/mechanics.py [FOLDER]`, and prints its table of limits.
 
 Every figure checks the mechanics against something that it does not use: elliptic integrals, published values, Euler's
 load. The functions that compute are apart from those that draw.
@@ -153,7 +153,7 @@ def leaves_the_plane(width_over_thickness: float, *, poisson: float = 0.5) -> fl
 
 
 def limits() -> str:
-    """The table of docs/mechanics.md, in Markdown."""
+    """The table of docs/method.md, in Markdown."""
     head = ["| L / h | shear | stretch | outer strain |", "| --- | --- | --- | --- |"]
     shares = {slenderness: left_out(slenderness) for slenderness in (5, 10, 20, 50)}
     return "\n".join(

@@ -10,19 +10,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.pages import INHERITED, TABLES, pages, renewed
 from onebend.cli import COMMANDS, app
 from onebend.learning.live.settings import OnlineSettings
-from onebend.recording.toml.beam_entry import BeamEntry
-from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, TagEntry, TagsEntry
 from onebend.recording.toml.schema import keys_of
-from onebend.recording.toml.source_entries import (
-    CameraEntry,
-    CameraInfoEntry,
-    MarkersEntry,
-    PhotosEntry,
-    PosesEntry,
-    VideoEntry,
-)
 from onebend.records import StatedSection
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
@@ -39,13 +30,41 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def test_every_option_is_documented_and_no_other() -> None:
-    text = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
-    there = set(OPTION.findall(CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).stdout)) - {"--version"}
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_generated_parts_are_those_of_the_code(page: Path) -> None:
+    """`make docs` (python -m benchmarks.pages) writes them anew."""
+    text, parts = page.read_text(encoding="utf-8"), pages()[page]
+    assert set(re.findall(r"<!-- generated: (.+) -->", text)) == set(parts)
+    assert renewed(text, parts) == text
+
+
+def test_a_stale_part_is_written_anew_and_a_part_without_a_place_is_named() -> None:
+    text = "A\n<!-- generated: x -->\nold\n<!-- end of x -->\nB\n"
+    assert renewed(text, {"x": "new"}) == "A\n<!-- generated: x -->\n\nnew\n\n<!-- end of x -->\nB\n"
+    with pytest.raises(ValueError, match="no <!-- generated: y -->"):
+        renewed(text, {"y": "new"})
+
+
+def test_every_option_is_in_its_command_s_part_and_every_key_in_its_table_s() -> None:
+    """Asked of Typer's own help and of the schema, beside the generator."""
+    (cli, commands_said), (_, tables) = pages().items()
+    assert cli.name == "cli.md"
     for command in COMMANDS:
-        assert f"`onebend {command}" in text
-        there |= set(OPTION.findall(CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).stdout))
-    assert {option for quoted in re.findall(r"`([^`]*)`", text) for option in OPTION.findall(quoted)} == there
+        asked = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).stdout
+        there = set(OPTION.findall(asked.rpartition("Example:")[0])) - {"--help"}
+        own = set(OPTION.findall(commands_said[command]))
+        assert own <= there <= own | set(OPTION.findall(commands_said["common options"])), command
+    for name, record in TABLES.items():
+        shared = {key.name for key, _ in keys_of(TABLES[INHERITED[name]]).values()} if name in INHERITED else set()
+        for key in {key.name for key, _ in keys_of(record).values()} - shared:
+            assert f"| `{key}` |" in tables[name]
+
+
+def test_defaults_stand_in_the_unit_of_the_key() -> None:
+    tables = pages()[ROOT / "docs" / "recording.md"]
+    assert "| default `0.0025` |" in tables["push"]
+    assert re.search(r"`rest_curvature_sd_deg` .*\| default `8.59` \|", tables["beam"])
+    assert re.search(r"`length_m` .*\| required, as `0.15` \|", tables["beam"])
 
 
 def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
@@ -65,29 +84,6 @@ def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
     assert all(name in text for name in ("`time_s`", "`loaded`", "`tag_ID_covariance`"))
 
 
-@pytest.mark.parametrize(
-    "record",
-    [
-        BeamEntry,
-        TagsEntry,
-        TagEntry,
-        CameraEntry,
-        CameraInfoEntry,
-        VideoEntry,
-        ForceEntry,
-        PushEntry,
-        GravityEntry,
-        MarkersEntry,
-        PosesEntry,
-        PhotosEntry,
-    ],
-)
-def test_every_key_of_a_recording_is_documented_as_the_schema_says(record: type) -> None:
-    text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
-    for key, _ in keys_of(record).values():
-        assert f"| `{key.name}` | {key.says} |" in text, key.name
-
-
 def test_every_setting_of_the_live_learner_is_documented_and_no_other() -> None:
-    _, _, table = (ROOT / "docs" / "streaming.md").read_text(encoding="utf-8").partition("\n## Settings\n")
+    _, _, table = (ROOT / "docs" / "live.md").read_text(encoding="utf-8").partition("\n### Settings\n")
     assert re.findall(r"(?m)^\| `(\w+)`", table) == [one.name for one in fields(OnlineSettings)]

@@ -1,4 +1,4 @@
-"""docs/mechanics.md says what the code does: its snippets run, its figures are drawn and its numbers come out."""
+"""docs/method.md says what the code does: its snippets run, its figures are drawn and its numbers come out."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from PIL import Image
 from examples import mechanics
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "mechanics.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
 
 
 def test_snippets_print_what_the_page_shows() -> None:
     blocks = re.findall(r"^```pycon\n(.*?)^```$", PAGE, flags=re.DOTALL | re.MULTILINE)
-    snippets = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, "mechanics.md", None, 0)
+    snippets = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, "method.md", None, 0)
     said: list[str] = []
     runner = doctest.DocTestRunner(verbose=False)
     runner.run(snippets, out=said.append)

@@ -247,7 +247,7 @@ def test_files_hold_what_was_found(tmp_path: Path) -> None:
     rows = (tmp_path / "rehearsal.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == ",".join(COLUMNS)
     assert len(rows) == 102
-    page = (Path(__file__).parents[2] / "docs" / "rehearse.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
     assert all(f"`{column}`" in page for column in COLUMNS)
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert summary["obtained"] is None

@@ -3,7 +3,7 @@
 The force's noise is the sensor's own, in the parts that the fit models. Every push has its own errors: of its place, of
 the force's axes, and of the force as the load begins and reverses. Where the clock offset is found from the data, its
 sd follows a rule of thumb, within a factor of two for pushes of 4 to 13 s: a share of the push's duration that is in
-proportion to the relative error of the force, with 3 % for what a linear relation misses (docs/rehearse.md).
+proportion to the relative error of the force, with 3 % for what a linear relation misses (docs/plan.md).
 """
 
 from __future__ import annotations

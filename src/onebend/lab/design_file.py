@@ -108,7 +108,7 @@ class MaterialEntry:
 
 
 def read_design(path: Path | str) -> Design:
-    """The design in a TOML file (docs/bench.md lists its keys).
+    """The design in a TOML file (docs/lab.md lists its keys).
 
     Raises:
         MechanicsError: the file cannot be read, or everything that is wrong in it, each with its line.

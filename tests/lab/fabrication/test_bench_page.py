@@ -1,4 +1,4 @@
-"""docs/bench.md and the example of making a beam say what the code does."""
+"""docs/lab.md and the example of making a beam say what the code does."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from onebend.lab.materials import SILICONES, from_shore_00, from_shore_a
 from onebend.recording.toml.schema import keys_of
 from tests.lab.printed import page_image, tags_in
 
-PAGE = (Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "lab.md").read_text(encoding="utf-8")
 
 
 def test_the_pages_first_example_runs() -> None:

@@ -144,10 +144,10 @@ def test_results_speak_of_the_beam_and_of_what_else_was_learned() -> None:
 
 
 def test_the_pages_example_runs() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "streaming.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```$", page, flags=re.DOTALL | re.MULTILINE)
+    page = (Path(__file__).parents[3] / "docs" / "live.md").read_text(encoding="utf-8")
+    example = re.findall(r"^```python\n(.*?)^```$", page, flags=re.DOTALL | re.MULTILINE)[1]
     names: dict[str, object] = {}
-    exec("\n".join(blocks), names)
+    exec(example, names)
     learner = names["learner"]
     assert isinstance(learner, OnlineLearner)
     assert learner.frames > 100

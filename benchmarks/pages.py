@@ -1,0 +1,169 @@
+"""The generated parts of the documentation: `python -m benchmarks.pages` writes them anew, as `make docs` does.
+
+A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end of NAME -->`. docs/cli.md has one
+for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
+from the schema. The text around these parts is written by hand; tests/test_docs.py compares the parts with the code.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from benchmarks.shown import ROOT, put_block
+from onebend.cli import COMMANDS, Command
+from onebend.recording.toml.beam_entry import MassEntry
+from onebend.recording.toml.description import RECORDS
+from onebend.recording.toml.entries import TagEntry
+from onebend.recording.toml.schema import Key
+from onebend.recording.toml.source_entries import CameraInfoEntry
+
+COMMON = 5  # commands that have an option with the same words, from which on it is explained once
+TABLES: dict[str, type] = {
+    **RECORDS,
+    "beam.masses": MassEntry,
+    "tags.on_beam": TagEntry,
+    "camera_info": CameraInfoEntry,
+}
+INHERITED = {"camera_info": "camera"}  # whose common keys are in the other table
+
+
+def pages() -> dict[Path, dict[str, str]]:
+    """The generated parts of every page that has some: name -> Markdown."""
+    docs = ROOT / "docs"
+    return {docs / "cli.md": commands(), docs / "recording.md": {name: key_table(name) for name in TABLES}}
+
+
+def renewed(text: str, parts: Mapping[str, str]) -> str:
+    """The page `text` with its generated parts as they are now; raises `ValueError` where one has no place."""
+    for name, part in parts.items():
+        text = put_block(text, f"<!-- generated: {name} -->\n", f"<!-- end of {name} -->", f"\n{part}\n\n")
+    return text
+
+
+def commands() -> dict[str, str]:
+    """The list of all commands, the options that several share, and each command with its own."""
+    parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in COMMANDS}
+    counts = Counter(said for own in parameters.values() for said in own)
+    shared = [said for said, count in counts.items() if count >= COMMON]
+    parts = {"commands": ", ".join(f"[{name}](#{name})" for name in COMMANDS) + "."}
+    parts["common options"] = "\n".join(f"- {name}: {says}" for name, says in shared)
+    for name, own in parameters.items():
+        lines = [f"- {said}: {says}" for said, says in own if (said, says) not in shared]
+        common = [said.split(",")[0] for said, says in own if (said, says) in shared and said.startswith("`-")]
+        lines += [f"- {', '.join(common)}: [common options](#common-options)."] if common else []
+        parts[name] = "\n".join([f"    {usage(name)}", "", COMMANDS[name].help, "", *lines])
+    return parts
+
+
+def usage(name: str) -> str:
+    """How the command is called, with the options that it must have."""
+    own = list(asked_of(name))
+    words = [one.metavar if one.required else f"[{one.metavar}]" for one in own if not one.names]
+    words += [f"{one.names[0]} {one.metavar}" for one in own if one.names and one.required]
+    return " ".join(["onebend", name, *words])
+
+
+@dataclass(frozen=True)
+class Asked:
+    """An argument (without names) or an option of a command, as its page shows it."""
+
+    names: tuple[str, ...]
+    metavar: str  # a placeholder, or the choices
+    help: str
+    required: bool
+    default: Any
+
+    @property
+    def said(self) -> str:
+        """As it is written on the command line."""
+        if not self.names:
+            return f"`{self.metavar}`"
+        return ", ".join(f"`{one}`" for one in (*self.names[:-1], f"{self.names[-1]} {self.metavar}".strip()))
+
+    @property
+    def says(self) -> str:
+        """Its help; with it the default, where the help does not say it."""
+        unsaid = not self.names or isinstance(self.default, bool) or self.default in (None, "")
+        if self.names and self.required:
+            return f"{self.help} Required."
+        if unsaid or re.search(r"default\b", self.help, re.IGNORECASE):
+            return self.help
+        return f"{self.help} Default: `{f'{self.default:g}' if isinstance(self.default, float) else self.default}`."
+
+
+def asked_of(name: str) -> Iterator[Asked]:
+    """The arguments and options of a command, in their order."""
+    place = COMMANDS[name]
+    function = getattr(import_module(f"onebend.cli.{place.module}"), place.function)
+    hints = get_type_hints(function)
+    for one in Command(name, place).loaded().params:
+        if one.name not in hints:  # --help
+            continue
+        kind = hints[one.name]
+        choices = [part for each in (kind, *get_args(kind)) if get_origin(each) is Literal for part in get_args(each)]
+        yield Asked(
+            tuple(sorted(one.opts, key=len)) if one.param_type_name == "option" else (),
+            "|".join(choices) or (one.metavar or "").strip("[]"),
+            re.sub(r"\s+", " ", one.help or "").strip(),
+            one.required,
+            one.default,
+        )
+
+
+def key_table(name: str) -> str:
+    """The keys of a table of `recording.toml`, in Markdown."""
+    without = {key.name for key, _ in _keys(TABLES[INHERITED[name]])} if name in INHERITED else set()
+    rows = [(key, value_of(key, default)) for key, default in _keys(TABLES[name]) if key.name not in without]
+    return "\n".join(
+        ["| key | meaning | value |", "| --- | --- | --- |", *(f"| `{k.name}` | {k.says} | {v} |" for k, v in rows)]
+    )
+
+
+def _keys(record: type) -> list[tuple[Key, Any]]:
+    """The keys of a record with their defaults; `Ellipsis` for those that must be given."""
+    found = [(one.metadata["key"], one) for one in fields(record) if "key" in one.metadata]
+    return [(key, ... if one.default is MISSING else one.default) for key, one in found]
+
+
+def value_of(key: Key, default: Any) -> str:
+    """The default of a key in the file's own unit; else an example, and whether the key must be given."""
+    if default is ...:
+        return f"required, as `{key.example}`"
+    if default is None or default in ("", ()) or (isinstance(default, float) and not math.isfinite(default)):
+        return f"as `{key.example}`"
+    return f"default `{as_toml(default, scale_of(key))}`"
+
+
+def scale_of(key: Key) -> float:
+    """What a number in the file is multiplied by when it is read."""
+    example = tomllib.loads(f"x = {key.example}")["x"]
+    if isinstance(example, bool) or not isinstance(example, int | float) or example == 0:
+        return 1.0
+    return float(key.check(example)) / example
+
+
+def as_toml(value: Any, scale: float = 1.0) -> str:
+    """A default as it would be written in the file."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(as_toml(one) for one in value) + "]"
+    return f"{value / scale:.3g}" if isinstance(value, int | float) else f'"{value}"'
+
+
+def _from_the_command_line() -> None:
+    for page, parts in pages().items():
+        page.write_text(renewed(page.read_text(encoding="utf-8"), parts), encoding="utf-8")
+        print(f"{page.relative_to(ROOT)}: {len(parts)} generated parts")
+
+
+if __name__ == "__main__":
+    _from_the_command_line()
