@@ -95,7 +95,7 @@ def test_every_section_is_named_by_a_warning_and_every_warning_has_its_section()
     there = anchors(TEXT)
     assert len(set(there)) == len(there)
     assert set(there) == set(SECTIONS.values())
-    assert [one for one in re.split(r"(?m)^### ", TEXT)[1:] if "**Why.**" not in one or "**Do.**" not in one] == []
+    assert [one for one in re.split(r"(?m)^### ", TEXT)[1:] if "**Cause.**" not in one or "**Remedy.**" not in one] == []
     for inside in re.findall(r"\]\(#([^)]+)\)", TEXT):
         assert inside in there
 
