@@ -39,7 +39,7 @@ class Shown:
 
 
 SHOWN = {
-    "demo": Shown("README.md", (*DEMO, "--force"), OF_A_RUN, LEARNING),
+    "demo": Shown("docs/first-beam.md", (*DEMO, "--force"), OF_A_RUN, LEARNING),
     "plan": Shown("docs/plan.md", ("plan", "out/linear-beam"), ("terminal/plans.py", "learning/design"), LEARNING),
     "learned": Shown(
         "", ("examples/readme_picture.py",), ("report/figures/curves.py", "report/figures/style.py"), LEARNING

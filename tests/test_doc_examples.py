@@ -25,7 +25,7 @@ from tests.learning.swinging import HEAVY, released
 ROOT = Path(__file__).parents[1]
 # Those that need more than a page can give are run where their subject is tested, or need a slow film.
 ELSEWHERE = {
-    "README.md": 1,  # examples/learn_linear_beam.py
+    "README.md": 1,  # tests/test_end_to_end.py
     "lab.md": 4,  # tests/lab/fabrication/test_bench_page.py, test_page.py; tests/lab/filming/test_film.py for the film
     "live.md": 2,  # tests/streaming/test_live_page.py, tests/learning/live/test_online_learner.py
     "record.md": 1,  # tests/capture/test_record_page.py

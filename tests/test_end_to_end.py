@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 import subprocess
 import sys
@@ -125,23 +126,32 @@ def test_validating_on_a_beam_of_another_length_is_refused(runs: Runs, tmp_path:
     assert "300 mm long, the learned one 150 mm" in result.stderr.replace("\n", " ")
 
 
-def test_the_example_stands_in_the_readme_and_says_what_it_finds(
-    runs: Runs, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """On what was observed above, by a fit of fewer functions."""
-    text = SCRIPT.read_text(encoding="utf-8")
-    assert text.split("\n", 2)[2].strip() in (ROOT / "README.md").read_text(encoding="utf-8")
+@pytest.fixture
+def asked(runs: Runs, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """What an example observes: each time what was observed above, for a fit of fewer functions."""
     seen, asked = load_observations(runs.out), list[Path]()
 
-    def observe(folder: Path) -> Observations:
-        asked.append(folder)
+    def observe(folder: Path | str) -> Observations:
+        asked.append(ROOT / folder)
         return seen
 
     monkeypatch.setattr(onebend, "observe", observe)
     monkeypatch.setattr(onebend, "fit", partial(onebend.fit, settings=QUICK))
+    return asked
+
+
+def test_the_example_says_what_it_finds(asked: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(SCRIPT))
     assert asked == [EXAMPLE / "train", EXAMPLE / "fast"]
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == SAYS
+
+
+def test_the_example_of_the_readme_says_what_it_finds(asked: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    [example] = re.findall(r"(?ms)^```python\n(.*?)^```$", (ROOT / "README.md").read_text(encoding="utf-8"))
+    exec(example, {})
+    assert asked == [EXAMPLE / "train", EXAMPLE / "fast"]
+    said = [line.split(":")[0] for line in capsys.readouterr().out.splitlines()]
+    assert said == [SAYS[0], "error of the tags on another push, RMS [mm]", "0.2 N put the tip at [m]"]
 
 
 @pytest.mark.slow
