@@ -1,6 +1,6 @@
 """The generated parts of the documentation: `python -m benchmarks.pages` writes them anew, as `make docs` does.
 
-A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end of NAME -->`. docs/cli.md has one
+A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
 from the schema. The text around these parts is written by hand; tests/test_docs.py compares the parts with the code.
 """
@@ -25,7 +25,7 @@ from onebend.recording.toml.entries import TagEntry
 from onebend.recording.toml.schema import Key
 from onebend.recording.toml.source_entries import CameraInfoEntry
 
-COMMON = 5  # commands that have an option with the same words, from which on it is explained once
+COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {
     **RECORDS,
     "beam.masses": MassEntry,
@@ -44,7 +44,7 @@ def pages() -> dict[Path, dict[str, str]]:
 def renewed(text: str, parts: Mapping[str, str]) -> str:
     """The page `text` with its generated parts as they are now; raises `ValueError` where one has no place."""
     for name, part in parts.items():
-        text = put_block(text, f"<!-- generated: {name} -->\n", f"<!-- end of {name} -->", f"\n{part}\n\n")
+        text = put_block(text, f"<!-- generated: {name} -->\n", "<!-- end -->", f"\n{part}\n\n")
     return text
 
 

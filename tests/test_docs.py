@@ -39,8 +39,8 @@ def test_generated_parts_are_those_of_the_code(page: Path) -> None:
 
 
 def test_a_stale_part_is_written_anew_and_a_part_without_a_place_is_named() -> None:
-    text = "A\n<!-- generated: x -->\nold\n<!-- end of x -->\nB\n"
-    assert renewed(text, {"x": "new"}) == "A\n<!-- generated: x -->\n\nnew\n\n<!-- end of x -->\nB\n"
+    text = "A\n<!-- generated: x -->\nold\n<!-- end -->\nB\n"
+    assert renewed(text, {"x": "new"}) == "A\n<!-- generated: x -->\n\nnew\n\n<!-- end -->\nB\n"
     with pytest.raises(ValueError, match="no <!-- generated: y -->"):
         renewed(text, {"y": "new"})
 
