@@ -123,7 +123,7 @@ def key_table(name: str) -> str:
     without = {key.name for key, _ in _keys(TABLES[INHERITED[name]])} if name in INHERITED else set()
     rows = [(key, value_of(key, default)) for key, default in _keys(TABLES[name]) if key.name not in without]
     return "\n".join(
-        ["| key | meaning | value |", "| --- | --- | --- |", *(f"| `{k.name}` | {k.says} | {v} |" for k, v in rows)]
+        ["| key | meaning | default (example) |", "| --- | --- | --- |", *(f"| `{k.name}` | {k.says} | {v} |" for k, v in rows)]
     )
 
 
@@ -136,10 +136,10 @@ def _keys(record: type) -> list[tuple[Key, Any]]:
 def value_of(key: Key, default: Any) -> str:
     """The default of a key in the file's own unit; else an example, and whether the key must be given."""
     if default is ...:
-        return f"required, as `{key.example}`"
+        return f"required (`{key.example}`)"
     if default is None or default in ("", ()) or (isinstance(default, float) and not math.isfinite(default)):
-        return f"as `{key.example}`"
-    return f"default `{as_toml(default, scale_of(key))}`"
+        return f"(`{key.example}`)"
+    return f"`{as_toml(default, scale_of(key))}`"
 
 
 def scale_of(key: Key) -> float:

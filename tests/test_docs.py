@@ -62,9 +62,9 @@ def test_every_option_is_in_its_command_s_part_and_every_key_in_its_table_s() ->
 
 def test_defaults_stand_in_the_unit_of_the_key() -> None:
     tables = pages()[ROOT / "docs" / "recording.md"]
-    assert "| default `0.0025` |" in tables["push"]
-    assert re.search(r"`rest_curvature_sd_deg` .*\| default `8.59` \|", tables["beam"])
-    assert re.search(r"`length_m` .*\| required, as `0.15` \|", tables["beam"])
+    assert "| `0.0025` |" in tables["push"]
+    assert re.search(r"`rest_curvature_sd_deg` .*\| `8.59` \|", tables["beam"])
+    assert re.search(r"`length_m` .*\| required \(`0.15`\) \|", tables["beam"])
 
 
 def test_columns_are_the_documented_ones(tmp_path: Path) -> None:
