@@ -122,9 +122,8 @@ def key_table(name: str) -> str:
     """The keys of a table of `recording.toml`, in Markdown."""
     without = {key.name for key, _ in _keys(TABLES[INHERITED[name]])} if name in INHERITED else set()
     rows = [(key, value_of(key, default)) for key, default in _keys(TABLES[name]) if key.name not in without]
-    return "\n".join(
-        ["| key | meaning | default (example) |", "| --- | --- | --- |", *(f"| `{k.name}` | {k.says} | {v} |" for k, v in rows)]
-    )
+    head = ["| key | meaning | default (example) |", "| --- | --- | --- |"]
+    return "\n".join([*head, *(f"| `{key.name}` | {key.says} | {value} |" for key, value in rows)])
 
 
 def _keys(record: type) -> list[tuple[Key, Any]]:
