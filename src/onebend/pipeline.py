@@ -304,6 +304,6 @@ def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), pro
     if stored.uncertain is None or stored.bench is None:
         raise ResultsError(
             f"{model}: the model has no band on k(s), so nothing says what is not known yet. A regression gives none; "
-            'learn the beam with a band (docs/method.md, "k(s) with a band")'
+            'learn the beam with a band (docs/method.md, "The fit")'
         )
     return plan(stored.uncertain, stored.beam, stored.bench, settings, progress=progress)
