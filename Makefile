@@ -8,6 +8,9 @@ FITS   := import sys; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 python3.11 python,\
             $(shell $(name) -c '$(FITS)' 2>/dev/null && echo $(name))))
 
+# What the tests need beside the core and the group `dev` of pyproject.toml.
+EXTRAS := calibrate make rerun ros sklearn studio
+
 # One BLAS thread: the arrays are small and batched; threads are used where they pay (tag detection).
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
@@ -53,22 +56,29 @@ $(VENV)/bin/python:
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make virtual environments. On Debian or Ubuntu: apt install python3-venv"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
 
+# A lock is whole: pip installs what it names and resolves nothing, so that newer versions on the index change nothing.
+# `pip check` then finds what a lock may lack.
+INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet --no-deps
+CHECK   := $(BIN)/python -m pip --disable-pip-version-check check
+
 $(STAMP): $(VENV)/bin/python requirements.lock pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(INSTALL) --require-hashes -r requirements.lock
+	$(INSTALL) --no-build-isolation --editable .
+	$(CHECK)
 	@touch $@
 
 $(TESTS): $(STAMP) requirements-dev.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements-dev.lock
+	$(INSTALL) --require-hashes -r requirements-dev.lock
+	$(CHECK)
 	@touch $@
 
-# Locks carry hashes and no host names. uv is needed only here.
+# Locks carry hashes and no host names. uv is needed only here. docs/contributing.md says how to prove a new lock.
 lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 	    pyproject.toml tools/build.in -o requirements.lock
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    pyproject.toml tools/build.in --group dev -c requirements.lock -o requirements-dev.lock
+	    pyproject.toml tools/build.in --group dev $(addprefix --extra ,$(EXTRAS)) -c requirements.lock -o requirements-dev.lock
 
 clean:
 	rm -rf $(VENV) out build dist

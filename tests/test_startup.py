@@ -53,6 +53,7 @@ def test_version_and_help_load_no_command(asked: str) -> None:
         "onebend.blas",
         "onebend.cli",
         "onebend.crash",
+        "onebend.errors",
         "onebend.escaping",
     }
     assert not modules & {"numpy", "scipy", *HEAVY}

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
+from onebend.errors import OnebendError
 from onebend.escaping import one_line
 
 FAILED, INTERRUPTED = 2, 130
@@ -35,6 +36,9 @@ def guarded(work: Callable[[], object], version: str) -> NoReturn:
     except KeyboardInterrupt:
         code = INTERRUPTED
         tell("Interrupted.")
+    except OnebendError as error:  # while a command is loaded
+        code = FAILED
+        tell(str(error))
     except BrokenPipeError:
         code = FAILED
     except OSError as error:

@@ -47,6 +47,14 @@ class ExportError(OnebendError):
     """A beam cannot be written for other software: no mass, an unknown kind of file, a setting without meaning."""
 
 
+class MissingPackageError(OnebendError, ImportError):
+    """An optional package is not installed, or does not load."""
+
+    def __init__(self, text: str = "", *, name: str | None = None) -> None:
+        OnebendError.__init__(self, text)
+        self.name = name
+
+
 class StudioError(OnebendError):
     """What the page asked for is not there, or not in the studio's folder."""
 

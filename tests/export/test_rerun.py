@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.cli import app
-from onebend.errors import ExportError
-from onebend.export import rerun_file
+from onebend.errors import MissingPackageError
 from onebend.export.rerun_file import write_rerun
 from onebend.learning.validation import validate
 from onebend.recording.video import FilmFrame
@@ -40,12 +39,9 @@ def test_video_tags_beam_forces_and_residuals_are_there(tmp_path: Path) -> None:
 
 
 def test_without_rerun_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise ImportError(name)
-
-    monkeypatch.setattr(rerun_file, "import_module", missing)
+    monkeypatch.setitem(sys.modules, "rerun", None)
     seen = observed(SOFT, forces(3))
-    with pytest.raises(ExportError, match=r'pip install "onebend\[rerun\]"'):
+    with pytest.raises(MissingPackageError, match=r"pip install 'onebend\[rerun\]'"):
         write_rerun(tmp_path / "a.rrd", SOFT, validate(SOFT, seen), seen)
 
 

@@ -14,6 +14,7 @@ from uuid import uuid4
 from onebend.batch.listing import Item
 from onebend.batch.task import ItemResult, TaskSettings, do
 from onebend.errors import ResultsError
+from onebend.extras import package
 from onebend.workers import available_cores, interrupts_held, leave_interrupts_to_parent
 
 ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
@@ -23,18 +24,10 @@ LOST = "the scheduler of the cluster is lost. Start it and its workers again"
 
 
 def distributed() -> Any:
-    """Dask's library for clusters. Raises `ResultsError` where it is not installed."""
-    try:
-        import dask
-
-        # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
-        dask.config.set({"distributed.logging": {"distributed": "critical"}})
-        import distributed as library
-    except ModuleNotFoundError as error:
-        raise ResultsError(
-            "a batch runs on Dask, which is not installed. Install it with: pip install 'onebend[batch]'"
-        ) from error
-    return library
+    """Dask's library for clusters. Raises `MissingPackageError` where it is not installed."""
+    # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
+    package("dask", "batch").config.set({"distributed.logging": {"distributed": "critical"}})
+    return package("distributed", "batch")
 
 
 @contextmanager
@@ -42,7 +35,8 @@ def cluster(address: str | None = None, workers: int | None = None, *, processes
     """A client of the scheduler at `address`, or of one here with `workers` of one thread each (default: one a core).
 
     Raises:
-        ResultsError: Dask is not installed, or nobody answers at the address.
+        MissingPackageError: Dask is not installed.
+        ResultsError: nobody answers at the address.
     """
     library = distributed()
     if address is not None:

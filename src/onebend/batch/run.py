@@ -14,6 +14,7 @@ from onebend.batch.outcome import BatchOutcome, outcome_of
 from onebend.batch.record import RECORDS, Record, read_record
 from onebend.batch.task import ItemResult, TaskSettings, folder_path
 from onebend.errors import ResultsError
+from onebend.extras import require
 from onebend.files.single_file import write_file
 from onebend.files.target import check_place
 from onebend.files.workplace import enter
@@ -47,8 +48,10 @@ def run_batch(
 
     Raises:
         RecordingError: the list cannot be used.
-        ResultsError: `out` holds something else, or is being written; Dask is not installed, or its scheduler is lost.
+        MissingPackageError: Dask is not installed.
+        ResultsError: `out` holds something else, or is being written; the scheduler is lost.
     """
+    require(("dask", "distributed"), "batch")
     target = Path(os.path.realpath(out))
     items = items_of(Path(source), target)
     if folders:

@@ -24,6 +24,7 @@ from onebend.control.shape.actuators import Grip, Pusher
 from onebend.control.shape.shape import ShapeSettings
 from onebend.control.shape.shape import shape as solve_shape
 from onebend.errors import ControlError
+from onebend.extras import installed
 from onebend.report.figures.pictures import draw
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
@@ -185,17 +186,18 @@ def path(
         way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
         summary = path_summary(str(model), way, sure, written_by=BY)
+        bag = installed("rosbags")
         if output is not None:
             from onebend.report.figures.shaping import path_figure  # here: Matplotlib is for pictures alone
 
             with workplace(output, PATH_FORMAT, overwrite) as place:
                 pictures = draw({"path": lambda: path_figure(way)})
                 inputs = inputs_of([model_file(model), goals])
-                put_in_place(place, path_writer(way, pictures, summary, frame=frame), pictures, inputs=inputs)
+                put_in_place(place, path_writer(way, pictures, summary, frame=frame, bag=bag), pictures, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
-        show_path(screen(), way, sure, output)
+        show_path(screen(), way, sure, output, bag=bag)
 
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:

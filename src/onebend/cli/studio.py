@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import webbrowser
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
 from typing import Annotated
@@ -12,7 +11,7 @@ from typing import Annotated
 import typer
 
 from onebend.cli.common import clean_errors, say
-from onebend.errors import StudioError
+from onebend.extras import require
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder with your recordings and results.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Of 127.0.0.1; default: a free one.")]
@@ -28,8 +27,7 @@ def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) 
     recorded then ends and is kept, and a recording that is being learned is stopped, and what was found of it is kept.
     """
     with clean_errors():
-        if missing := [name for name in NEEDED if find_spec(name) is None]:
-            raise StudioError(f"the studio needs {', '.join(missing)}. Install it: pip install 'onebend[studio]'")
+        require(NEEDED, "studio")
         from onebend.studio.server import serve  # here: it is an optional part
 
         def ready(address: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from onebend.errors import ExportError
+from onebend.extras import require
 from onebend.records import Array
 
 if TYPE_CHECKING:  # as in the functions: few ask for a bag
@@ -31,6 +32,7 @@ def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
     Raises:
         ExportError: no frame has a force, or times that a stamp cannot hold.
     """
+    require(("rosbags",), "ros")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

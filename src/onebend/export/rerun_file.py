@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from PIL import Image
 
 from onebend.beam.model import Beam
 from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.errors import ExportError
+from onebend.extras import package
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import solved_frames
 from onebend.recording.camera.lens import project
@@ -48,9 +47,9 @@ def write_rerun(
         every: keep one picture in so many.
 
     Raises:
-        ExportError: the Rerun SDK is not installed.
+        MissingPackageError: the Rerun SDK is not installed.
     """
-    rr = _rerun()
+    rr = package("rerun", "rerun")
     with rr.RecordingStream("onebend", recording_id=observations.source.name) as stream:
         stream.save(str(path))
         _log_force(rr, stream, observations)
@@ -62,13 +61,6 @@ def write_rerun(
                 stream.set_time(CLOCK, duration=times[frame.index])
                 stream.log("camera/picture", rr.EncodedImage(contents=_jpeg(frame.luma), media_type="image/jpeg"))
         stream.flush()
-
-
-def _rerun() -> Any:
-    try:
-        return import_module("rerun")
-    except ImportError as error:
-        raise ExportError('a Rerun file needs the Rerun SDK: pip install "onebend[rerun]"') from error
 
 
 def _log_force(rr: Any, stream: Any, observations: Observations) -> None:

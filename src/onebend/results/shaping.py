@@ -98,14 +98,15 @@ def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, writ
 
 
 def path_writer(
-    way: FollowedPath, pictures: Pictures, summary: Mapping[str, Any], *, frame: str
+    way: FollowedPath, pictures: Pictures, summary: Mapping[str, Any], *, frame: str, bag: bool
 ) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a ROS 2 bag, a picture."""
+    """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a picture; with `bag` a ROS 2 bag as well."""
 
     def write(folder: Path) -> None:
         write_samples(folder / "path.csv", way)
         write_yaml(folder, way, frame=frame)
-        write_bag(folder / "bag", way, frame=frame)
+        if bag:
+            write_bag(folder / "bag", way, frame=frame)
         pictures.write(folder)
         write_summary(folder, summary)
 

@@ -48,8 +48,8 @@ def _sureness(result: ShapeResult) -> str:
     return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
-def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None) -> None:
-    """Length, stretch, forces, misses, margin."""
+def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None, *, bag: bool) -> None:
+    """Length, stretch, forces, misses, margin; `bag`: whether a ROS 2 bag was written with the other files."""
     table = facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
@@ -65,7 +65,8 @@ def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, outp
     console.print(table, highlight=False)
     for warning in way.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
-    say_written(console, output, "path.csv, ROS 2 messages (YAML and bag), path.png, summary.json")
+    messages = "YAML and bag" if bag else "YAML; for a bag: pip install 'onebend[ros]'"
+    say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
 
 
 def _path_sureness(sure: PathSpread | None) -> str:

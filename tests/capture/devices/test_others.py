@@ -13,7 +13,7 @@ import pytest
 from onebend.capture.clocks import HostClock, PlayedClock
 from onebend.capture.sources import End, Frame, Samples
 from onebend.capture.specs import camera_of, force_of
-from onebend.errors import RecordingError
+from onebend.errors import MissingPackageError, RecordingError
 from tests.recording.bagged import log, write_mcap
 
 
@@ -181,7 +181,7 @@ def test_a_stream_of_the_lab_streaming_layer(module: Any) -> None:
 )
 def test_a_package_that_is_missing_is_named(spec: str, name: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, name, None)  # as if it were not installed
-    with pytest.raises(RecordingError, match=rf"pip install 'onebend\[{extra}\]'"):
+    with pytest.raises(MissingPackageError, match=rf"pip install 'onebend\[{extra}\]'"):
         force_of(spec).open(Hand())
 
 

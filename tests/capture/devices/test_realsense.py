@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from onebend import extras
 from onebend.capture.clocks import HostClock
-from onebend.capture.devices import packages
 from onebend.capture.devices.realsense import RealSenseCamera, RealSenseSettings
 from onebend.capture.sources import End, Frame
 from onebend.capture.specs import camera_of
-from onebend.errors import RecordingError
+from onebend.errors import MissingPackageError, RecordingError
 
 WIDTH, HEIGHT = 8, 4
 OPTIONS = ("global_time_enabled", "emitter_enabled", "enable_auto_exposure", "exposure")
@@ -152,14 +152,14 @@ def test_what_is_not_there_is_refused_in_words(sensors: tuple[Sensor, Sensor], m
     with pytest.raises(RecordingError, match="size=big: write width and height in pixels"):
         camera_of("realsense:any,size=big")
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(RecordingError, match=r"needs the package pyrealsense2.*onebend\[realsense\]"):
+    with pytest.raises(MissingPackageError, match=r"needs the package pyrealsense2.*onebend\[realsense\]"):
         camera_of("realsense:any").open(HostClock())
 
     def without_usb(_name: str) -> Any:
         raise ImportError("libusb-1.0.so.0: cannot open shared object file")
 
-    monkeypatch.setattr(packages, "import_module", without_usb)
-    with pytest.raises(RecordingError, match="pyrealsense2 does not load: libusb"):
+    monkeypatch.setattr(extras, "import_module", without_usb)
+    with pytest.raises(MissingPackageError, match="pyrealsense2 does not load: libusb"):
         RealSenseCamera("", RealSenseSettings()).open(HostClock())
 
 

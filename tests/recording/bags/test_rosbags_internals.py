@@ -32,7 +32,7 @@ def test_only_documented_modules_of_rosbags_are_imported() -> None:
 
 def test_the_versions_of_the_message_are_those_of_the_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert VERSIONS in project["dependencies"]
+    assert VERSIONS in project["optional-dependencies"]["ros"]
 
 
 def test_a_rosbags_without_the_table_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

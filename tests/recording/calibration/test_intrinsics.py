@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
-from onebend.errors import RecordingError
+from onebend.errors import MissingPackageError, RecordingError
 from onebend.recording.calibration import boards
 from onebend.recording.calibration.boards import Board, find_boards, opencv
 from onebend.recording.calibration.intrinsics import Calibration, calibrate, spread
@@ -122,7 +122,7 @@ def test_what_cannot_be_calibrated_is_refused(
     with pytest.raises(RecordingError, match="too few tags"):
         calibrate(empty, Board("charuco", 12, 12, 0.02, dictionary="4x4_50"))
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(RecordingError, match=r'pip install "onebend\[calibrate\]"'):
+    with pytest.raises(MissingPackageError, match=r"pip install 'onebend\[calibrate\]'"):
         calibrate(chess_film, CHESS)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -12,27 +11,12 @@ from onebend.capture.clocks import Clock, StampTiming
 from onebend.capture.devices.cells import Cells
 from onebend.capture.sources import End, Samples
 from onebend.errors import RecordingError
+from onebend.extras import package
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 TOGETHER = 0.01  # s of rows that are given together
 PATIENCE = 5.0  # s to find a stream
 SILENT = 3.0  # s without a row
-
-
-def package(name: str, extra: str) -> Any:
-    """An optional package.
-
-    Raises:
-        RecordingError: it is not installed, or does not load.
-    """
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as wrong:
-        raise RecordingError(
-            f"this needs the package {wrong.name}. Install it with: pip install 'onebend[{extra}]'"
-        ) from None
-    except (ImportError, OSError, RuntimeError) as wrong:  # a library of the system that it needs
-        raise RecordingError(f"the package {name} does not load: {wrong}") from None
 
 
 class _Robot:

@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 
 from onebend.capture.clocks import Clock, StampTiming
-from onebend.capture.devices.packages import package
 from onebend.capture.sources import End, Frame, of_yuyv
 from onebend.errors import RecordingError
+from onebend.extras import package
 
 Stream = Literal["color", "infrared"]
 STREAMS: tuple[Stream, ...] = ("color", "infrared")

@@ -12,17 +12,17 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from rosbags.interfaces import Nodetype
-from rosbags.rosbag2 import Writer
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 from onebend.control.path.follow import FollowedPath
+from onebend.extras import require
 from onebend.records import Array
 from onebend.strict_json import to_json
+
+if TYPE_CHECKING:  # an optional package
+    from rosbags.typesys.store import Typestore
 
 FRAME = "beam_base"  # the beam's frame: origin at the base tag, x along the undeformed beam, y to its left
 JOINT = "gripper"
@@ -120,6 +120,10 @@ def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[
 
 def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
     """A ROS 2 bag (sqlite3) in a new `folder`: the gripper's trajectory at time 0, and every hand's wrench in time."""
+    require(("rosbags",), "ros")
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Writer(folder, version=BAG_VERSION) as bag:
         if path.wrench is not None:
@@ -135,6 +139,8 @@ def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
 
 def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
     """Plain data as the message of a type; fields that are messages, or lists of messages, in turn."""
+    from rosbags.interfaces import Nodetype
+
     fields: dict[str, Any] = {}
     definition: Any = store.fielddefs[name][1]
     for field, (node, inner) in definition:

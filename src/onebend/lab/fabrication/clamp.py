@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from manifold3d import Manifold
 
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design
 from onebend.lab.fabrication.mould import MM, SCREW, MouldSettings, PrintedPart, beam_stations, foot_stations
-from onebend.lab.fabrication.solids import box, mesh_of, strip, upright
+from onebend.lab.fabrication.solids import box, mesh_of, nothing, strip, upright
+
+if TYPE_CHECKING:  # an optional package
+    from manifold3d import Manifold
 
 CAP, FREE = 3.0, 0.6  # mm, the cap's thickness and the gap between its ledge and the beam
 RECESS, PLAY, LIP = 0.3, 0.2, 0.8  # mm, a tag's recess: depth, wider than the tag by, and the plate around it
@@ -86,7 +89,7 @@ def carriers(design: Design, settings: MouldSettings = MouldSettings(), seat: Ta
             f"tags {nearest:.1f} mm apart do not fit side by side: their plates are {side:.1f} mm wide. "
             "Take smaller tags, or fewer"
         )
-    row = Manifold()
+    row = nothing()
     for i, s in enumerate(places):
         row += _carrier(design, float(s), seat).translate((i * (side + BETWEEN), 0.0, 0.0))
     return PrintedPart("carriers", mesh_of(row))

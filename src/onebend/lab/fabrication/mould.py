@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import trimesh
-from manifold3d import Manifold
 
 from onebend.errors import MechanicsError
 from onebend.lab.designs import Design
-from onebend.lab.fabrication.solids import across, box, mesh_of, strip
+from onebend.lab.fabrication.solids import across, box, mesh_of, nothing, strip
 from onebend.records import Array
+
+if TYPE_CHECKING:  # an optional package
+    from manifold3d import Manifold
 
 MM = 1e3  # of a metre
 STATIONS = 301  # along the beam
@@ -59,7 +60,7 @@ class PrintedPart:
     """One solid of a set."""
 
     name: str
-    mesh: trimesh.Trimesh  # mm, watertight
+    mesh: Any  # trimesh.Trimesh in mm, watertight
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Mould:
     design: Design
     settings: MouldSettings
     parts: tuple[PrintedPart, ...]
-    cast: trimesh.Trimesh  # mm, the cured beam with its foot, its neck and the grooves
+    cast: Any  # trimesh.Trimesh in mm, the cured beam with its foot, its neck and the grooves
 
     @property
     def volume(self) -> float:
@@ -106,7 +107,7 @@ def cast_body(design: Design, settings: MouldSettings = MouldSettings(), over: f
     """
     depth = MM * design.depth
     low, high = (height * math.tan(settings.draft) for height in (-0.5 * depth, 0.5 * depth + over))
-    solid = Manifold()
+    solid = nothing()
     for stations in (beam_stations(design, settings), foot_stations(design, settings)):
         solid += strip(_leaning(stations, low), _leaning(stations, high), 0.0, depth + over)
     for s in settings.tag_places:

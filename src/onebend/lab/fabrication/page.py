@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from xml.sax.saxutils import escape
 
 import numpy as np
-from reportlab.pdfgen.canvas import Canvas
 
 from onebend.errors import MechanicsError
+from onebend.extras import package
 from onebend.records import Array
+
+if TYPE_CHECKING:  # an optional package
+    from reportlab.pdfgen.canvas import Canvas
 
 POINT = 25.4 / 72.0  # mm
 PAGES = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}  # mm, upright
@@ -83,7 +86,7 @@ def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, 
 
 def pdf(pages: Sequence[Page], title: str) -> bytes:
     """The pages as a PDF document; the same pages give the same bytes."""
-    canvas = Canvas("", invariant=1, initialFontName="Helvetica")
+    canvas = package("reportlab.pdfgen.canvas", "make").Canvas("", invariant=1, initialFontName="Helvetica")
     canvas.setTitle(title)
     canvas.setCreator("onebend")
     for page in pages:

@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
-from manifold3d import Error, Manifold, Mesh64
 
 from onebend.errors import MechanicsError
+from onebend.extras import package
 from onebend.records import Array
+
+if TYPE_CHECKING:  # an optional package
+    from manifold3d import Manifold
 
 FACETS = 48  # of a cylinder
 MESH_SUFFIXES = (".stl", ".3mf")
 
 
+def nothing() -> Manifold:
+    """The empty solid, to add others to."""
+    return _manifold3d().Manifold()
+
+
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Manifold:
     """The box between two opposite corners."""
     size = tuple(b - a for a, b in zip(low, high, strict=True))
-    return Manifold.cube(size).translate(low)
+    return _manifold3d().Manifold.cube(size).translate(low)
 
 
 def upright(x: float, y: float, low: float, high: float, diameter: float) -> Manifold:
     """A cylinder along z."""
-    return Manifold.cylinder(high - low, 0.5 * diameter, circular_segments=FACETS).translate((x, y, low))
+    return _cylinder(high - low, diameter).translate((x, y, low))
 
 
 def across(x: float, z: float, low: float, high: float, diameter: float) -> Manifold:
     """A cylinder along y."""
-    lying = Manifold.cylinder(high - low, 0.5 * diameter, circular_segments=FACETS).rotate((-90.0, 0.0, 0.0))
-    return lying.translate((x, low, z))
+    return _cylinder(high - low, diameter).rotate((-90.0, 0.0, 0.0)).translate((x, low, z))
 
 
 def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
@@ -57,20 +64,22 @@ def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
         [np.column_stack([j, following, following + 2 * n]), np.column_stack([j, following + 2 * n, j + 2 * n])]
     )
     faces = np.concatenate([cap[:, ::-1], cap + 2 * n, sides])
-    made = Manifold(Mesh64(vert_properties=np.concatenate(rings), tri_verts=faces.astype(np.uint64)))
-    if made.status() != Error.NoError:
+    library = _manifold3d()
+    surface = library.Mesh64(vert_properties=np.concatenate(rings), tri_verts=faces.astype(np.uint64))
+    made = library.Manifold(surface)
+    if made.status() != library.Error.NoError:
         raise MechanicsError(f"the part's surface does not close ({made.status()})")
     return made
 
 
-def mesh_of(solid: Manifold) -> trimesh.Trimesh:
-    """The surface of a solid, checked.
+def mesh_of(solid: Manifold) -> Any:
+    """The surface of a solid as a `trimesh.Trimesh`, checked.
 
     Raises:
         MechanicsError: the solid is empty or its surface is not watertight.
     """
     found = solid.to_mesh64()
-    mesh = trimesh.Trimesh(
+    mesh = package("trimesh", "make").Trimesh(
         np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts, dtype=np.int64), process=False
     )
     if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0):
@@ -78,8 +87,8 @@ def mesh_of(solid: Manifold) -> trimesh.Trimesh:
     return mesh
 
 
-def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh as STL or 3MF, in mm.
+def write_mesh(path: Path, mesh: Any) -> None:
+    """Write a `trimesh.Trimesh` as STL or 3MF, in mm.
 
     Raises:
         MechanicsError: a file name that ends in neither.
@@ -89,3 +98,11 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     mesh.units = "mm"
     data = mesh.export(file_type=path.suffix.lower()[1:])
     path.write_bytes(data if isinstance(data, bytes) else str(data).encode())
+
+
+def _cylinder(height: float, diameter: float) -> Manifold:
+    return _manifold3d().Manifold.cylinder(height, 0.5 * diameter, circular_segments=FACETS)
+
+
+def _manifold3d() -> Any:
+    return package("manifold3d", "make")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from onebend.errors import RecordingError
+from onebend.extras import require
 from onebend.recording.bags.items import Channel
 from onebend.recording.bags.type_limits import (
     MOST_NUMBERS,
@@ -59,6 +60,7 @@ def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[
 
 def types_of(channel: Channel, definitions: Path | None) -> Typestore:
     """The types that the channel needs: its own definition first, else the standard ones and those of the folder."""
+    require(("rosbags",), "ros")
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     types: Typesdict = {}

@@ -158,9 +158,9 @@ def damaged(bag: Bag, fault: str) -> RecordingError:
 
 def connections(part: Path) -> list[tuple[Channel, int]]:
     """Topics and counts of one sound part, by its index."""
+    bounded_readers(list(files_of(part)))
     from rosbags.interfaces import MessageDefinitionFormat
 
-    bounded_readers(list(files_of(part)))
     with reader_of(part) as reader:
         topics = []
         for connection in reader.connections:

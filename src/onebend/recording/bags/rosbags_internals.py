@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from zlib import crc32
 
 from onebend.errors import RecordingError
+from onebend.extras import require
 from onebend.recording.bags.items import BrokenOffError
 
 VERSIONS = "rosbags>=0.11.9,<0.12"  # as in pyproject.toml: older ones lack names or miss damage
@@ -63,7 +64,12 @@ BUDGET = ReadingBudget()
 
 
 def bounded_readers(files: list[Path]) -> None:
-    """Have rosbags unpack no more than one reading of `files` may come to."""
+    """Have rosbags unpack no more than one reading of `files` may come to.
+
+    Raises:
+        MissingPackageError: rosbags is not installed.
+    """
+    require(("rosbags",), "ros")
     BUDGET.renew(files)
     table = _decompressors()
     table.update({kind: _bounded_mcap(kind) for kind in ("", "zstd", "lz4")})

@@ -5,7 +5,6 @@ OpenCV is an optional part of onebend. Only this module and `calibration` know i
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from onebend.errors import RecordingError
+from onebend.extras import package
 from onebend.progress import Progress, Silent
 from onebend.recording.bags.film_topic import bag_frames
 from onebend.recording.bags.reader import is_bag, listed, open_bag
@@ -92,12 +92,9 @@ def opencv() -> Any:
     """The module `cv2`.
 
     Raises:
-        RecordingError: it is not installed.
+        MissingPackageError: it is not installed.
     """
-    try:
-        return importlib.import_module("cv2")
-    except ImportError:
-        raise RecordingError('Calibrating needs OpenCV, an optional part: pip install "onebend[calibrate]"') from None
+    return package("cv2", "calibrate")
 
 
 def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress = Silent()) -> BoardFilm:

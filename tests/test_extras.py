@@ -1,0 +1,72 @@
+"""The core does without the optional packages, and names the line that installs a missing one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from onebend.errors import MissingPackageError, OnebendError
+from onebend.extras import package, require
+from onebend.results.model import save_model
+from tests import made_up
+
+ROOT = Path(__file__).parents[1]
+OF_EXTRAS = ("cv2", "distributed", "lxml", "manifold3d", "networkx", "reportlab", "rosbags", "starlette", "trimesh")
+VIDEO = str(ROOT / "examples/linear-beam/train/video.mp4")
+
+
+def without_extras(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """`onebend` in a Python that has none of the optional packages."""
+    call = f"import sys\nsys.modules.update(dict.fromkeys({OF_EXTRAS!r}))\nfrom onebend.cli import main\nmain()"
+    return subprocess.run([sys.executable, "-c", call, *arguments], capture_output=True, text=True, check=False)
+
+
+def test_a_missing_package_is_an_error_of_onebend_and_an_import_error() -> None:
+    with pytest.raises(MissingPackageError, match=r"no_such_package.*pip install 'onebend\[make\]'") as caught:
+        package("no_such_package", "make")
+    assert isinstance(caught.value, OnebendError)
+    assert isinstance(caught.value, ImportError)
+    assert caught.value.name == "no_such_package"
+    with pytest.raises(MissingPackageError, match=r"no_such, nor_this.*onebend\[studio\]"):
+        require(("sys", "no_such", "nor_this"), "studio")
+
+
+@pytest.mark.parametrize(
+    ("extra", "arguments"),
+    [
+        ("make", ("mould", "linear", "-o", "OUT")),
+        ("make", ("tags", str(ROOT / "examples/linear-beam/train"), "-o", "OUT.pdf")),
+        ("ros", ("topics", "BAG")),
+        ("calibrate", ("calibrate", VIDEO, "--board", "chessboard", "9x6", "--square-mm", "20")),
+        ("batch", ("batch", str(ROOT / "examples/linear-beam"), "-o", "OUT")),
+        ("studio", ("studio", ".")),
+    ],
+)
+def test_a_command_names_the_extra_that_it_lacks(extra: str, arguments: tuple[str, ...], tmp_path: Path) -> None:
+    bag = tmp_path / "log.mcap"
+    bag.write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    places = {"OUT": str(tmp_path / "out"), "OUT.pdf": str(tmp_path / "out.pdf"), "BAG": str(bag)}
+    done = without_extras(*(places.get(word, word) for word in arguments))
+    assert done.returncode == 2
+    assert f"pip install 'onebend[{extra}]'" in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_needs_no_extra_works_without_them(tmp_path: Path) -> None:
+    fit = made_up.posterior()
+    model, goals = tmp_path / "model.json", tmp_path / "goals.csv"
+    save_model(model, fit.beam, written_by="a test", uncertain=fit.stiffness)
+    places = [fit.beam.equilibrium((0.0, newtons)).xy(1.0) for newtons in (0.2, 0.3)]
+    goals.write_text("time_s,x_m,y_m\n" + "".join(f"{time},{x},{y}\n" for time, (x, y) in enumerate(places)))
+    assert without_extras("design", "linear").returncode == 0
+    svg = without_extras("tags", str(ROOT / "examples/linear-beam/train"), "-o", str(tmp_path / "tags.svg"))
+    assert svg.returncode == 0, svg.stderr
+    done = without_extras("path", str(model), "--goals", str(goals), "-o", str(tmp_path / "path"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "path" / "path.csv").is_file()
+    assert not (tmp_path / "path" / "bag").exists()
+    assert "onebend[ros]" in done.stdout
