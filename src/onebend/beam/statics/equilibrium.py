@@ -172,7 +172,7 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     doubtful = np.flatnonzero(~stable)
     if doubtful.size:
         part = problem if doubtful.size == len(q) else problem.take(doubtful)
-        stable[doubtful] = positive_definite(_second_variation(part, forces.along[doubtful], part.stiff))
+        stable[doubtful] = positive_definite(second_variation(part, forces.along[doubtful], part.stiff))
     return stable
 
 
@@ -200,7 +200,7 @@ def _gradient(problem: Problem, q: Array, load_factor: Array | float, forces: No
 
 
 def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
-    out = _second_variation(problem, forces.along, problem.stiff)
+    out = second_variation(problem, forces.along, problem.stiff)
     if problem.follower.shape[1]:
         _, turning = turned_followers(problem, q)
         factor = np.asarray(load_factor, dtype=float)[..., None, None]
@@ -217,7 +217,7 @@ def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: Nod
     return out
 
 
-def _second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
+def second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
     """(T, Q, Q) `diag(diagonal) + B^T diag(along) B`."""
     out = _congruence(problem.to_nodes, along)
     nodes = out.shape[-1]

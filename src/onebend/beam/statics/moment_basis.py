@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.beam.grid import apply
-from onebend.beam.statics.equilibrium import gradient, tangent
+from onebend.beam.grid import apply, transposed
+from onebend.beam.statics.equilibrium import Equilibrium, gradient, tangent
 from onebend.beam.statics.newton import solve_batch
 from onebend.beam.statics.nodal_beam import MomentBasis
 from onebend.beam.statics.problem import Problem
@@ -37,25 +37,33 @@ def in_basis(problem: Problem, basis: MomentBasis) -> Problem:
     )
 
 
+def on_grid(solved: Equilibrium, problem: Problem, basis: MomentBasis) -> Array:
+    """(T, n) coefficients in the basis, of shapes of the same beam on another grid."""
+    q = solved.q if solved.problem.modes is None else solved.q @ solved.problem.modes.T
+    rows = transposed(solved.problem.grid.value_at(problem.grid.nodes))
+    return np.asarray(q @ (rows @ (problem.stiff[:, None] * basis.modes)))
+
+
 def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[Array, BoolArray]:
     """(T, Q) equilibria near those found in the basis, coefficients (T, n); True where one was reached."""
     q = coefficients @ basis.modes.T
-    stiff, before = problem.stiff, np.zeros(len(q))
-    matrices = tangent(in_basis(problem, basis), coefficients)
+    matrices, before = tangent(in_basis(problem, basis), coefficients), np.zeros(len(q))
     near = np.zeros(len(q), dtype=bool)
-    todo, part = np.arange(len(q)), problem
+    todo, part, here = np.arange(len(q)), problem, q
     for _ in range(_MOST):
-        off = gradient(part, q[todo], 1.0)
+        off = gradient(part, here, 1.0)
         within = off @ basis.modes
-        update = off / stiff + (solve_batch(matrices[todo], within) - within) @ basis.modes.T
-        q[todo] -= update
+        update = off / problem.stiff + (solve_batch(matrices, within) - within) @ basis.modes.T
+        here = here - update
         size = np.max(np.abs(apply(part.to_nodes, update)), axis=-1)
-        first = before[todo] == 0.0
-        share = np.where(first, 1.0, size / np.where(first, 1.0, before[todo]))  # of the update before
-        near[todo] = size * np.minimum(share, 1.0) < _REMAINING
-        going = todo[~near[todo] & (first | (share < 0.5))]
-        before[todo] = size
+        share = np.divide(size, before, out=np.ones_like(size), where=before > 0.0)  # of the update before
+        done = size * np.minimum(share, 1.0) < _REMAINING
+        q[todo], near[todo] = here, done
+        going = np.flatnonzero(~done & ((before == 0.0) | (share < 0.5)))
         if going.size == 0:
             break
-        todo, part = going, part if going.size == todo.size else problem.take(going)
+        before = size
+        if going.size < todo.size:
+            todo, part = todo[going], part.take(going)
+            here, matrices, before = here[going], matrices[going], before[going]
     return q, near
