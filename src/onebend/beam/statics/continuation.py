@@ -46,6 +46,7 @@ class ContinuationSettings:
 
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
+_TIP = np.array([1.0])
 _ROUGHLY = 1e-6  # rad, of shapes from which `settle` goes on
 
 _HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
@@ -97,22 +98,19 @@ def equilibrium(
 
 def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
     """On the coarsest grid that is fine enough for the few frames that bend the beam most."""
-    (first, own), tip = first_resolution(beam, loads), None
+    first, own = first_resolution(beam, loads)
     resolution, problem = first, make_problem(beam, loads, first)
-    on_first, chosen = problem, _hardest(problem)
-    part = problem if chosen is None else problem.take(chosen)
-    result = _solved(part, _basis(beam, loads, first), settings, fall)
+    on_first, chosen, before = problem, _hardest(problem), None
     while True:
+        part = problem if chosen is None else problem.take(chosen)
+        result = _solved(part, _basis(beam, loads, resolution), settings, fall, before)
         missed = missed_by_angles(part.grid, result.q)
         if resolution.widest <= NARROW or np.all(missed < max(RESOLVED, AS_ROUGH * own)):
             break
-        there = result.xy(np.array([1.0]))
-        if tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length:
+        if before is not None and np.max(np.abs(result.xy(_TIP) - before.xy(_TIP))) < 1e-11 * beam.length:
             break
-        resolution, tip = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), there
+        resolution, before = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), result
         problem = make_problem(beam, loads, resolution)
-        part = problem if chosen is None else problem.take(chosen)
-        result = _solved(part, _basis(beam, loads, resolution), settings, fall, result)
     if chosen is None:
         return result
     rough, basis, nodal = None, _basis(beam, loads, resolution), remembered(beam, loads, first)
@@ -144,6 +142,8 @@ def _solved(
         found, begin = before, on_grid(before, problem, basis)
     q, near = settle(problem, basis, begin)
     near &= found.stable & np.isnan(found.buckled_at)
+    if problem.follower.shape[1] == 0:
+        near &= is_stable(problem, q)
     lost = np.flatnonzero(~near)
     if lost.size == 0:
         return replace(found, problem=problem, q=q)
@@ -161,7 +161,7 @@ def _hardest(problem: Problem) -> IntArray | None:
     """The few frames with the largest loads; None for all of them."""
     if problem.size <= _PROBE_FRAMES:
         return None
-    size = np.max(np.linalg.norm(problem.dead_force, axis=-1), axis=1) * float(problem.length)
+    size = np.sqrt(np.max(np.sum(problem.dead_force**2, axis=-1), axis=1)) * float(problem.length)
     size += np.max(np.abs(problem.moment), axis=1) + np.sum(np.abs(problem.follower), axis=(1, 2)) * problem.length
     return np.sort(np.argsort(size)[-_PROBE_FRAMES:])
 
@@ -181,7 +181,8 @@ def follow(
     if settings.at_once:
         _look_ahead(problem, state, open_frames)
         far = np.flatnonzero(_stride(state, open_frames, settings) < 1.0)
-        reached, q, state.iterations = at_once(problem.take(far), settings.tolerance, settings.corrections)
+        part = problem if far.size == size else problem.take(far)
+        reached, q, state.iterations = at_once(part, settings.tolerance, settings.corrections)
         state.q[far[reached]], state.factor[far[reached]] = q, 1.0
         open_frames = np.flatnonzero(state.factor < 1.0)
     for _ in range(settings.max_steps):

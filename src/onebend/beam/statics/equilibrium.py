@@ -141,14 +141,16 @@ def potential(problem: Problem, q: Array) -> Array:
     return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
 
 
-def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads."""
-    return _gradient(problem, q, load_factor, nodal_forces(problem, q, load_factor))
+def gradient(
+    problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None
+) -> Array:
+    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads; `forces`: of q, where known."""
+    return _gradient(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
 
 
-def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
     """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
-    return _tangent(problem, q, load_factor, nodal_forces(problem, q, load_factor))
+    return _tangent(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:

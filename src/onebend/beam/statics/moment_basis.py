@@ -19,10 +19,12 @@ from onebend.beam.grid import apply, transposed
 from onebend.beam.statics.equilibrium import Equilibrium, gradient, tangent
 from onebend.beam.statics.newton import solve_batch
 from onebend.beam.statics.nodal_beam import MomentBasis
+from onebend.beam.statics.nodal_forces import nodal_forces
 from onebend.beam.statics.problem import Problem
 from onebend.records import Array, BoolArray
 
 _REMAINING = 1e-12  # rad: turn that the iteration may leave
+_NEARBY = 1e-2  # rad, the farthest turn from where it begins
 _MOST = 12  # iterations
 
 
@@ -45,13 +47,14 @@ def on_grid(solved: Equilibrium, problem: Problem, basis: MomentBasis) -> Array:
 
 
 def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[Array, BoolArray]:
-    """(T, Q) equilibria near those found in the basis, coefficients (T, n); True where one was reached."""
-    q = coefficients @ basis.modes.T
-    matrices, before = tangent(in_basis(problem, basis), coefficients), np.zeros(len(q))
+    """(T, Q) equilibria near those found in the basis, coefficients (T, n); True where one was reached nearby."""
+    begin = coefficients @ basis.modes.T
+    q = begin.copy()
+    forces, before = nodal_forces(problem, q), np.zeros(len(q))
+    off, matrices = gradient(problem, q, 1.0, forces), tangent(in_basis(problem, basis), coefficients, 1.0, forces)
     near = np.zeros(len(q), dtype=bool)
     todo, part, here = np.arange(len(q)), problem, q
     for _ in range(_MOST):
-        off = gradient(part, here, 1.0)
         within = off @ basis.modes
         update = off / problem.stiff + (solve_batch(matrices, within) - within) @ basis.modes.T
         here = here - update
@@ -66,4 +69,5 @@ def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[A
         if going.size < todo.size:
             todo, part = todo[going], part.take(going)
             here, matrices, before = here[going], matrices[going], before[going]
-    return q, near
+        off = gradient(part, here)
+    return q, near & (np.max(np.abs(apply(problem.to_nodes, q - begin)), axis=-1) < _NEARBY)

@@ -39,7 +39,7 @@ def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
         return np.zeros(0, dtype=np.int64), pull, pull
     rest, (x, y) = node_angles(problem, problem.q0), problem.dead_pull
     cos, sin = np.cos(rest), np.sin(rest)
-    along, across, pull = x * cos + y * sin, y * cos - x * sin, np.hypot(x, y)
+    along, across, pull = x * cos + y * sin, y * cos - x * sin, np.sqrt(x**2 + y**2)
     side = np.sign(np.sum(across, axis=-1, keepdims=True))
     acts = pull > 0.0
     chosen = np.all((side * across > _AXIAL * pull) | ~acts, axis=-1) & np.any(acts, axis=-1)
