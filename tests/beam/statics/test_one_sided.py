@@ -99,7 +99,7 @@ def test_the_load_falls_beside_the_angle(phi: float, share: float, eps: float, d
 
     def rise(gamma: float) -> float:  # gamma^2 times minus the derivative of f / gamma
         psi = phi - gamma
-        return gamma * (np.cos(psi) + eps * np.cos(2.0 * psi)) + np.sin(psi) * (1.0 + eps * np.cos(psi))
+        return float(gamma * (np.cos(psi) + eps * np.cos(2.0 * psi)) + np.sin(psi) * (1.0 + eps * np.cos(psi)))
 
     assert rise(share * phi) > -1e-15
     if (phi + d) * (np.cos(d) - abs(eps)) > np.sin(d) * (1.0 + abs(eps)):
@@ -148,4 +148,3 @@ def test_a_fine_grid_begins_where_a_coarse_one_ended() -> None:
     assert np.max(solved.angle(S)) > 1.5
     slow = follow(solved.problem, settings=IN_STEPS)
     np.testing.assert_allclose(solved.angle(S), slow.angle(S), atol=1e-11)
-

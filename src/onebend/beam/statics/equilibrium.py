@@ -141,9 +141,7 @@ def potential(problem: Problem, q: Array) -> Array:
     return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
 
 
-def gradient(
-    problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None
-) -> Array:
+def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
     """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads; `forces`: of q, where known."""
     return _gradient(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
 

@@ -23,7 +23,7 @@ AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a lo
 _MOST_KNOTS = 60  # that get an edge each
 _BETWEEN_KNOTS = ((4, 1.0), (6, 1.0), (8, 1.0), (10, 1.0), (12, 1.0), (16, 1.0), (16, 0.5))  # nodes, share of widest
 _MOMENT_ORDER, _ROUGH_ORDER = 16, 8  # of a moment's polynomials
-_FEWEST_NODES = 2.0  # for each unknown in moments, for which they are worth their while
+_FEWEST_NODES = 2.0  # for each node of a moment, for which the basis is worth its while
 _SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
 _MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
 
@@ -44,8 +44,9 @@ class NodalBeam:
     @cached_property
     def basis(self) -> MomentBasis | None:
         """For loads at `places`; None where it has not much fewer unknowns than there are nodes."""
-        found = self._moments(_MOMENT_ORDER)
-        return found if len(self.nodes) >= _FEWEST_NODES * found.modes.shape[1] else None
+        if len(self.nodes) < _FEWEST_NODES * len(make_grid(self.places, order=_MOMENT_ORDER).nodes):
+            return None
+        return self._moments(_MOMENT_ORDER)
 
     @cached_property
     def rough(self) -> MomentBasis:

@@ -54,7 +54,7 @@ def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
 
 
 def at_once(problem: Problem, tolerance: float, corrections: int) -> tuple[IntArray, Array, int]:
-    """Frames (n,) on one side, their equilibria (n, Q), and the number of iterations; frames not reached are left out."""
+    """Frames (n,) on one side that were reached, their equilibria (n, Q), and the number of iterations."""
     frames, phi, pull = on_one_side(problem)
     if frames.size == 0:
         return frames, np.zeros((0, problem.to_nodes.shape[-1])), 0
