@@ -197,17 +197,12 @@ def public_calls(force: Array) -> list[Row]:
 
 
 def large_bending() -> list[Row]:
-    """`Beam.equilibrium` where tips turn by up to 90 degrees, beside the bare linear algebra of it and solve_bvp."""
+    """`Beam.equilibrium` where tips turn by up to 90 degrees, beside the bare linear algebra of it."""
     many = large_pushes(1000)
     shape = BEAM.equilibrium(many)
     turned = np.abs(shape.angle(1.0))
     one = many[int(np.argmax(turned))]
     fine = equilibrium(BEAM, push(one), resolution=Resolution(32, 0.25)).xy(TIP)[0, 0]
-    tolerance = next(
-        t
-        for t in (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
-        if float(np.linalg.norm(by_collocation_library(one, t) - fine)) <= 1e-8 * BEAM.length
-    )
     q = shape.solved.q
     matrices, right, angles = (
         tangent(shape.solved.problem, q)[:, ::2, ::2].copy(),
@@ -222,14 +217,12 @@ def large_bending() -> list[Row]:
 
     batch, single = best_of(lambda: BEAM.equilibrium(many), 9), best_of(lambda: BEAM.equilibrium(one), 50)
     off = float(np.linalg.norm(BEAM.equilibrium(one).xy(1.0) - fine)) / BEAM.length
-    ratio = in_pairs(lambda: BEAM.equilibrium(one).xy(1.0), lambda: by_collocation_library(one, tolerance))
     return [
         Row("largest turn of the tip, of 1000 forces", float(np.rad2deg(np.max(turned))), "degrees", ""),
         Row("Beam.equilibrium, these 1000 forces", 1e3 * batch, "ms", "<= 12"),
         Row("floor: three times cos, sin and a solve of 16 unknowns each, bare", 1e3 * best_of(bare, 9), "ms", ""),
         Row("Beam.equilibrium, the one of them that turns the tip most", 1e3 * single, "ms", "<= 0.6"),
         Row("its error at the tip", off, "L", "<= 1e-8"),
-        Row(f"the same, times faster than solve_bvp at 1e-8 L (tol {tolerance:g})", ratio, "", ""),
     ]
 
 
