@@ -7,6 +7,7 @@ the tangent (cos, sin) it gives the position over L (4).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -59,7 +60,7 @@ class Grid:
         """Rows R (..., S, Q) with `R @ f = int_0^s f` for places `s` (..., S) in [0, 1]; not to be written to."""
         s = np.asarray(s, dtype=float)
         if s.ndim == self.edges.ndim == 1 and len(s) <= _FEW_PLACES:
-            return _rows_to(s.tobytes(), self.edges.tobytes(), self.order)
+            return _remembered(_integral_to, s.tobytes(), self.edges.tobytes(), self.order)
         return _integral_to(s, self.edges, self.order)
 
     @property
@@ -68,15 +69,11 @@ class Grid:
         return self.integral_to(self.nodes)
 
     def value_at(self, s: Array) -> Array:
-        """Rows R (..., S, Q) with `R @ f` the values at places `s` (S,)."""
+        """Rows R (..., S, Q) with `R @ f` the values at places `s` (S,); not to be written to."""
         s = np.asarray(s, dtype=float)
-        panels = self.edges.shape[-1] - 1
-        panel = np.clip(np.sum(self.edges[..., None, :] < s[:, None], axis=-1) - 1, 0, panels - 1)  # (..., S)
-        low = np.take_along_axis(self.edges, panel, axis=-1)
-        x = 2.0 * (s - low) / np.take_along_axis(np.diff(self.edges), panel, axis=-1) - 1.0
-        values = np.polynomial.legendre.legvander(x, self.order - 1) @ _to_legendre(self.order)
-        rows = (panel[..., None] == np.arange(panels))[..., None] * values[..., None, :]
-        return np.asarray(rows.reshape(*rows.shape[:-2], -1))
+        if self.edges.ndim == 1 and len(s) <= _FEW_PLACES:
+            return _remembered(_value_at, s.tobytes(), self.edges.tobytes(), self.order)
+        return _value_at(s, self.edges, self.order)
 
     def legendre_tail(self, f: Array) -> Array:
         """Share of the last two Legendre coefficients in f (..., Q), the largest over the panels: 0 is resolved."""
@@ -147,11 +144,22 @@ def _to_legendre(order: int) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _rows_to(places: bytes, edges: bytes, order: int) -> Array:
-    """Remembered: the places of a beam's tags are asked for again and again."""
-    rows = _integral_to(np.frombuffer(places), np.frombuffer(edges), order)
+def _remembered(make: Callable[[Array, Array, int], Array], places: bytes, edges: bytes, order: int) -> Array:
+    """The places of a beam's tags are asked for again and again."""
+    rows = make(np.frombuffer(places), np.frombuffer(edges), order)
     rows.flags.writeable = False
     return rows
+
+
+def _value_at(s: Array, edges: Array, order: int) -> Array:
+    """As `Grid.value_at`."""
+    panels = edges.shape[-1] - 1
+    panel = np.clip(np.sum(edges[..., None, :] < s[:, None], axis=-1) - 1, 0, panels - 1)  # (..., S)
+    low = np.take_along_axis(edges, panel, axis=-1)
+    x = 2.0 * (s - low) / np.take_along_axis(np.diff(edges), panel, axis=-1) - 1.0
+    values = np.polynomial.legendre.legvander(x, order - 1) @ _to_legendre(order)
+    rows = (panel[..., None] == np.arange(panels))[..., None] * values[..., None, :]
+    return np.asarray(rows.reshape(*rows.shape[:-2], -1))
 
 
 def _integral_to(s: Array, edges: Array, order: int) -> Array:

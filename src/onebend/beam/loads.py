@@ -7,6 +7,7 @@ with `push`, `twist`, `follow_push`, `weight` and join them with `+`. A force is
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,12 +43,12 @@ class Loads:
             if item.name.endswith("_s") and np.any(outside):
                 raise MechanicsError(f"loads act at s in [0, 1]; {item.name} holds {values[outside][0]}")
 
-    @property
+    @cached_property
     def size(self) -> int:
         """T, the number of equilibria asked for."""
         return max(len(getattr(self, item.name)) for item in fields(self))
 
-    @property
+    @cached_property
     def places(self) -> Array:
         """(T, a + b + c) every place where something acts."""
         full = self.spread(self.size)

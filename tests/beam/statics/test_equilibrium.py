@@ -292,7 +292,7 @@ def test_strides_land_where_tiny_load_steps_lead(beam: Beam) -> None:
     force[:30, 0] = -np.abs(force[:30, 0]) * 3.0
     force[:30, 1] *= 10.0 ** rng.uniform(-6.0, -1.0, 30)
     problem = make_problem(beam, push(force), Resolution(10, 0.3))
-    tiny = ContinuationSettings(max_turn=0.04, trust=0.01, min_step=1e-11, max_steps=6000)
+    tiny = ContinuationSettings(max_turn=0.04, trust=0.01, min_step=1e-11, max_steps=6000, at_once=False)
     quick, slow = follow(problem), follow(problem, settings=tiny)
     assert np.all(quick.converged)
     assert np.all(quick.stable)

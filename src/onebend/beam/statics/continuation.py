@@ -18,9 +18,10 @@ from onebend.beam.grid import apply
 from onebend.beam.loads import Loads
 from onebend.beam.statics.by_load import by_load, terms_at_rest
 from onebend.beam.statics.equilibrium import Equilibrium, is_stable, tangent
-from onebend.beam.statics.moment_basis import in_basis, settle
+from onebend.beam.statics.moment_basis import in_basis, on_grid, settle
 from onebend.beam.statics.newton import correct, solve_batch
-from onebend.beam.statics.nodal_beam import AS_ROUGH, NARROW, RESOLVED, missed_by_angles
+from onebend.beam.statics.nodal_beam import AS_ROUGH, NARROW, RESOLVED, MomentBasis, missed_by_angles
+from onebend.beam.statics.one_sided import at_once
 from onebend.beam.statics.problem import Problem, Resolution, first_resolution, make_problem, remembered
 from onebend.beam.statics.rod import Rod
 from onebend.beam.statics.snap_through import Side, let_fall
@@ -41,10 +42,12 @@ class ContinuationSettings:
     tolerance_on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
     min_step: float = 1e-9  # share of the load: a step below this has met the end of the branch
     max_steps: int = 400  # steps
+    at_once: bool = True  # frames whose loads all push to one side (`one_sided.py`) without steps
 
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
-
+_TIP = np.array([1.0])
+_ROUGHLY = 1e-6  # rad, of shapes from which `settle` goes on
 
 _HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
 _LOAD_OVERSHOOT = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
@@ -95,39 +98,52 @@ def equilibrium(
 
 def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
     """On the coarsest grid that is fine enough for the few frames that bend the beam most."""
-    (resolution, own), tip = first_resolution(beam, loads), None
-    problem = make_problem(beam, loads, resolution)
-    chosen = _hardest(problem)
+    first, own = first_resolution(beam, loads)
+    resolution, problem = first, make_problem(beam, loads, first)
+    on_first, chosen, before = problem, _hardest(problem), None
     while True:
         part = problem if chosen is None else problem.take(chosen)
-        result = _solved(beam, loads, part, resolution, settings, fall)
+        result = _solved(part, _basis(beam, loads, resolution), settings, fall, before)
         missed = missed_by_angles(part.grid, result.q)
         if resolution.widest <= NARROW or np.all(missed < max(RESOLVED, AS_ROUGH * own)):
             break
-        there = result.xy(np.array([1.0]))
-        if tip is not None and np.max(np.abs(there - tip)) < 1e-11 * beam.length:
+        if before is not None and np.max(np.abs(result.xy(_TIP) - before.xy(_TIP))) < 1e-11 * beam.length:
             break
-        resolution, tip = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), there
+        resolution, before = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), result
         problem = make_problem(beam, loads, resolution)
-    return result if chosen is None else _solved(beam, loads, problem, resolution, settings, fall)
+    if chosen is None:
+        return result
+    rough, basis, nodal = None, _basis(beam, loads, resolution), remembered(beam, loads, first)
+    if resolution != first and basis is not None and nodal is not None and fall is None:
+        rough = follow(in_basis(on_first, nodal.rough), settings=replace(settings, tolerance=_ROUGHLY))
+    return _solved(problem, basis, settings, fall, rough)
+
+
+def _basis(beam: Rod, loads: Loads, resolution: Resolution) -> MomentBasis | None:
+    nodal = remembered(beam, loads, resolution)
+    return None if nodal is None else nodal.basis
 
 
 def _solved(
-    beam: Rod,
-    loads: Loads,
     problem: Problem,
-    resolution: Resolution,
+    basis: MomentBasis | None,
     settings: ContinuationSettings,
     fall: Side | None,
+    before: Equilibrium | None = None,
 ) -> Equilibrium:
-    """As `follow`; on many nodes in few unknowns, where that leads to a stable equilibrium."""
-    nodal = remembered(beam, loads, resolution)
-    basis = None if nodal is None else nodal.basis
+    """As `follow`; on many nodes in few unknowns, or from the same on a coarser grid, where that leads to a stable
+    equilibrium."""
     if basis is None or fall is not None:
         return follow(problem, settings=settings, fall=fall)
-    found = follow(in_basis(problem, basis), settings=settings)
-    q, near = settle(problem, basis, found.q)
+    if before is None:
+        found = follow(in_basis(problem, basis), settings=replace(settings, tolerance=_ROUGHLY))
+        begin = found.q
+    else:
+        found, begin = before, on_grid(before, problem, basis)
+    q, near = settle(problem, basis, begin)
     near &= found.stable & np.isnan(found.buckled_at)
+    if problem.follower.shape[1] == 0:
+        near &= is_stable(problem, q)
     lost = np.flatnonzero(~near)
     if lost.size == 0:
         return replace(found, problem=problem, q=q)
@@ -145,7 +161,7 @@ def _hardest(problem: Problem) -> IntArray | None:
     """The few frames with the largest loads; None for all of them."""
     if problem.size <= _PROBE_FRAMES:
         return None
-    size = np.max(np.linalg.norm(problem.dead_force, axis=-1), axis=1) * float(problem.length)
+    size = np.sqrt(np.max(np.sum(problem.dead_force**2, axis=-1), axis=1)) * float(problem.length)
     size += np.max(np.abs(problem.moment), axis=1) + np.sum(np.abs(problem.follower), axis=(1, 2)) * problem.length
     return np.sort(np.argsort(size)[-_PROBE_FRAMES:])
 
@@ -162,6 +178,13 @@ def follow(
     rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
     state = _State(rest, size)
     open_frames = np.arange(size)
+    if settings.at_once:
+        _look_ahead(problem, state, open_frames)
+        far = np.flatnonzero(_stride(state, open_frames, settings) < 1.0)
+        part = problem if far.size == size else problem.take(far)
+        reached, q, state.iterations = at_once(part, settings.tolerance, settings.corrections)
+        state.q[far[reached]], state.factor[far[reached]] = q, 1.0
+        open_frames = np.flatnonzero(state.factor < 1.0)
     for _ in range(settings.max_steps):
         if open_frames.size == 0:
             break
@@ -213,11 +236,7 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
     part = problem if frames.size == problem.size else problem.take(frames)
     q, factor = state.q[frames], state.factor[frames]
     _look_ahead(part, state, frames)
-    turn = state.turn[frames]
-    step = np.minimum(state.step[frames], settings.max_turn / np.maximum(turn, 1e-300))
-    curl = np.maximum(state.curl[frames], 1e-300)
-    step = np.minimum(step, np.maximum(_HIGHER_ORDER_SHARE * turn, settings.least_correction) / curl)
-    step = np.minimum(step, 1.0 - factor)
+    turn, step = state.turn[frames], _stride(state, frames, settings)
     last = factor + step >= 1.0 - 1e-12
     target = np.where(last, 1.0, factor + step)
     remaining = np.where(last, settings.tolerance, settings.tolerance_on_the_way)
@@ -244,6 +263,14 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
     state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
     ended = ~near & (state.step[frames] < settings.min_step)
     state.lost[frames[ended]] = True
+
+
+def _stride(state: _State, frames: IntArray, settings: ContinuationSettings) -> Array:
+    """(n,) share of the load by which the frames go on: as far as the branch can be told ahead."""
+    turn, curl = state.turn[frames], np.maximum(state.curl[frames], 1e-300)
+    step = np.minimum(state.step[frames], settings.max_turn / np.maximum(turn, 1e-300))
+    step = np.minimum(step, np.maximum(_HIGHER_ORDER_SHARE * turn, settings.least_correction) / curl)
+    return np.minimum(step, 1.0 - state.factor[frames])
 
 
 def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:

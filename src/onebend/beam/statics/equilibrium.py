@@ -141,14 +141,14 @@ def potential(problem: Problem, q: Array) -> Array:
     return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
 
 
-def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads."""
-    return _gradient(problem, q, load_factor, nodal_forces(problem, q, load_factor))
+def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
+    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads; `forces`: of q, where known."""
+    return _gradient(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
 
 
-def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
     """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
-    return _tangent(problem, q, load_factor, nodal_forces(problem, q, load_factor))
+    return _tangent(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
@@ -172,7 +172,7 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     doubtful = np.flatnonzero(~stable)
     if doubtful.size:
         part = problem if doubtful.size == len(q) else problem.take(doubtful)
-        stable[doubtful] = positive_definite(_second_variation(part, forces.along[doubtful], part.stiff))
+        stable[doubtful] = positive_definite(second_variation(part, forces.along[doubtful], part.stiff))
     return stable
 
 
@@ -200,7 +200,7 @@ def _gradient(problem: Problem, q: Array, load_factor: Array | float, forces: No
 
 
 def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
-    out = _second_variation(problem, forces.along, problem.stiff)
+    out = second_variation(problem, forces.along, problem.stiff)
     if problem.follower.shape[1]:
         _, turning = turned_followers(problem, q)
         factor = np.asarray(load_factor, dtype=float)[..., None, None]
@@ -217,7 +217,7 @@ def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: Nod
     return out
 
 
-def _second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
+def second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
     """(T, Q, Q) `diag(diagonal) + B^T diag(along) B`."""
     out = _congruence(problem.to_nodes, along)
     nodes = out.shape[-1]

@@ -22,8 +22,8 @@ NARROW = 1.0 / 32.0  # panels that are not halved again
 AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a load may make of it
 _MOST_KNOTS = 60  # that get an edge each
 _BETWEEN_KNOTS = ((4, 1.0), (6, 1.0), (8, 1.0), (10, 1.0), (12, 1.0), (16, 1.0), (16, 0.5))  # nodes, share of widest
-_MOMENT_ORDER = 16  # of a moment's polynomials
-_FEWEST_NODES = 2.0  # for each unknown in moments, for which they are worth their while
+_MOMENT_ORDER, _ROUGH_ORDER = 16, 8  # of a moment's polynomials
+_FEWEST_NODES = 2.0  # for each node of a moment, for which the basis is worth its while
 _SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
 _MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
 
@@ -44,12 +44,20 @@ class NodalBeam:
     @cached_property
     def basis(self) -> MomentBasis | None:
         """For loads at `places`; None where it has not much fewer unknowns than there are nodes."""
-        coarse = make_grid(self.places, order=_MOMENT_ORDER)
+        if len(self.nodes) < _FEWEST_NODES * len(make_grid(self.places, order=_MOMENT_ORDER).nodes):
+            return None
+        return self._moments(_MOMENT_ORDER)
+
+    @cached_property
+    def rough(self) -> MomentBasis:
+        """The same in few unknowns, for shapes from which `moment_basis.settle` goes on."""
+        return self._moments(_ROUGH_ORDER)
+
+    def _moments(self, order: int) -> MomentBasis:
+        coarse = make_grid(self.places, order=order)
         columns = coarse.value_at(self.nodes) / self.k[:, None]
         if np.any(self.q0 != 0.0):
             columns = np.column_stack([columns, self.q0])
-        if len(self.nodes) < _FEWEST_NODES * columns.shape[1]:
-            return None
         root = np.sqrt(self.weights * self.k)
         modes = np.linalg.qr(root[:, None] * columns)[0] / root[:, None]
         return MomentBasis(modes, self.to_nodes @ modes, (root**2 * self.q0) @ modes)
