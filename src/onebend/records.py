@@ -337,6 +337,8 @@ class Observations:
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
     by_camera: Array | None = None
     frequencies: tuple[MeasuredFrequency, ...] = ()
+    # (T, m, 2) m/s^2 of the tags, where the frames are means of several; None: the frames tell by themselves
+    acceleration: Array | None = None
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

@@ -56,6 +56,7 @@ from onebend.learning.learned_mass import (
     weight_doubts,
 )
 from onebend.learning.model.allowed import secant_of
+from onebend.learning.model.condensed import condensed
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.frames import check_same_beam
@@ -279,10 +280,11 @@ def _fit(
 ) -> Posterior:
     """Data, problem, start, optimum, posterior, criticism: first with a few frames of each recording, then with all."""
     late = replace(settings.optimizer, coarse_rounds=0, rounds=settings.last_rounds)
-    early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
+    early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way, rounds=settings.first_rounds)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    recordings, settings = with_shared_shape(recordings), shared_among(settings, len(recordings))
+    settings = shared_among(settings, len(recordings))
+    recordings = with_shared_shape([condensed(one, settings.most_frames) for one in recordings])
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)

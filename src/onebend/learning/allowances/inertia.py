@@ -70,6 +70,8 @@ def inertial_force(
 def tag_accelerations(observations: Observations) -> Array | None:
     """(T, m, 2) m/s^2 by polynomials over a few frames; None for films that are too short, or of uneven frames."""
     time, xy = observations.time, observations.xy
+    if observations.acceleration is not None:
+        return observations.acceleration
     if len(time) < 2 * _WINDOW:
         return None
     step = float(np.median(np.diff(time)))

@@ -18,7 +18,7 @@ from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at
 from onebend.learning.known_shape import known_shape
 from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.frames import chosen_frames
+from onebend.learning.model.frames import chosen_frames, evenly_spread
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.records import Array, BoolArray, Observations
@@ -34,10 +34,11 @@ class FitSettings:
     functions: int = 45  # of the spline of log k
     most_frames: int = 500  # of each recording, evenly chosen
     most_frames_together: int = 5000  # of all recordings
-    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
+    first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
     priors: Priors = field(default_factory=Priors)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
+    first_rounds: int = 4  # at most, with the first frames
     last_rounds: int = 6  # at most, with all frames
     allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 
@@ -76,9 +77,14 @@ def whole_problem(recordings: Sequence[Observations], problem: FitProblem, setti
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
 
 
-def rewritten_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
-    """The problem with the same frames of the same recordings, of which something else is written."""
+def rewritten_problem(
+    recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings, most: int | None = None
+) -> FitProblem:
+    """The problem with the same frames of the same recordings, or at most `most` of these, of which something else is
+    written."""
     frames = [one.frames for one in problem.recordings]
+    if most is not None:
+        frames = [evenly_spread(np.flatnonzero(one), most, len(one)) for one in frames]
     data = _data_of(recordings, frames, problem.layout.spline, settings.allowances)
     layout = _layout(recordings, data, problem.layout.spline, settings)
     return replace(problem, recordings=data, layout=layout)

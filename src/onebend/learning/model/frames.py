@@ -133,6 +133,7 @@ def _of_tags(one: Observations, kept: BoolArray) -> Observations:
         rest_angle=one.rest_angle[kept],
         rest_covariance=one.rest_covariance[kept],
         by_camera=None if one.by_camera is None else one.by_camera[:, kept],
+        acceleration=None if one.acceleration is None else one.acceleration[:, kept],
     )
 
 
@@ -156,6 +157,7 @@ def at_frames(one: Observations, kept: BoolArray) -> Observations:
         held=None if one.held is None else one.held[kept],
         known_loads=known,
         by_camera=None if one.by_camera is None else one.by_camera[kept],
+        acceleration=None if one.acceleration is None else one.acceleration[kept],
     )
 
 
