@@ -67,6 +67,8 @@ from onebend.learning.stiffness_band import prior_part, stiffness_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
 
+_HOPELESS_ROUNDS, _HOPELESS_STEPS = 2, 10  # with all frames, where the first ones show that the model cannot be right
+
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 
 
@@ -288,6 +290,9 @@ def _fit(
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
+    hopeless = any(miss.hopeless for miss in misses(problem.recordings, near.predictions))
+    if hopeless:  # nothing that is fitted means anything: a short look at all frames says so as clearly
+        late = replace(late, rounds=_HOPELESS_ROUNDS, most_steps=_HOPELESS_STEPS)
     recordings, near = with_mass_found(recordings, problem, near)
 
     every = whole_problem(recordings, problem, settings)
@@ -299,7 +304,7 @@ def _fit(
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
     ask = known and optimum.converged
-    place = search_place(whole, optimum, settings, thorough=doubtful(critic)) if ask else None
+    place = search_place(whole, optimum, settings, thorough=doubtful(critic) and not hopeless) if ask else None
     progress.done()
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
     optimum = with_places(whole, optimum, place, found.log_at(SHAPE_PLACES)[1])
