@@ -303,7 +303,7 @@ def _fit(
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
-    ask = known and optimum.converged
+    ask = optimum.converged and (known or bool(critic.striking))
     place = search_place(whole, optimum, settings, thorough=doubtful(critic) and not hopeless) if ask else None
     progress.done()
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))

@@ -32,7 +32,7 @@ class FitSettings:
     """How the marker-space fit runs."""
 
     functions: int = 45  # of the spline of log k
-    most_frames: int = 500  # of each recording, evenly chosen
+    most_frames: int = 500  # of each recording, after neighbours are averaged (`condensed`)
     most_frames_together: int = 5000  # of all recordings
     first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
