@@ -67,8 +67,7 @@ def test_a_right_place_is_neither_accused_nor_widened() -> None:
 
 
 def test_a_quiet_fit_is_asked_beside_its_push_alone() -> None:
-    seen = observed(SOFT, forces(40), at_s=1.0, noise=(1e-5, 5e-4))
-    one = fit([seen], 0.02, settings=SETTINGS)
+    one = fitted(1.0, 1.0)
     assert search_place(one.problem, one.optimum, SETTINGS, thorough=False) is None
     critic = one.criticism
     quiet = [replace(f, score=replace(f.score, log10_p=-0.5)) for f in critic.findings]
@@ -183,7 +182,7 @@ def test_a_right_place_inside_gains_nothing_on_either_side() -> None:
 
 def test_places_are_compared_under_one_noise() -> None:
     one = fitted(0.75, 0.75)
-    here = at_written(one.problem, one.optimum, 0.75, SETTINGS)
+    here = at_written(one.problem, one.optimum, 0.75)
     assert here is not None
     there = moved(here, 0.85, SETTINGS)
     assert there is not None

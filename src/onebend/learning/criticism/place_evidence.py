@@ -28,14 +28,13 @@ from onebend.learning.inference.hyperparameters import Evidence, with_stiffness_
 from onebend.learning.inference.linear_gaussian import data_information
 from onebend.learning.inference.optimizer import OptimizerSettings, Optimum, find_maximum
 from onebend.learning.inference.stages import FitSettings, carried_over, rewritten_problem, starting
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import Array
 
-_FRAMES = 24  # that are fitted
-_COUNTS = 14.0  # frames that a recording counts as, at most
+_FRAMES = 50.0  # that a recording counts as, at most
 _NOISE = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
-_AGAIN = replace(_NOISE, rounds=2)  # of a fit whose sizes are those of all frames to begin with
 _ROUNDS = 3  # of a fit, each but the last with a new prior of log k after it
 _FAR_BELOW = 50.0  # of the log evidence, below the best place: another prior of log k seldom adds more than a few
 _NEAR = 0.03  # of the length: so near to a push nothing bends, and the ratio of two moments tells nothing
@@ -52,35 +51,36 @@ class AtPlace:
     log_evidence: float  # but for a constant, under one noise
 
 
-def at_written(problem: FitProblem, optimum: Optimum, place: float, settings: FitSettings) -> AtPlace | None:
-    """The fit with the push where it is written, on some frames, with a noise of its own; None where there is none."""
+def at_written(problem: FitProblem, optimum: Optimum, place: float) -> AtPlace | None:
+    """The fit with the push where it is written, with a noise of its own; None where there is none."""
     found = MapEstimate(optimum.x, optimum.hyperparameters, optimum.predictions)
-    seen = [one.observations for one in problem.recordings]
-    few = rewritten_problem(seen, problem, settings, _FRAMES)
-    try:
-        return with_own_noise(AtPlace(place, few, carried_over(problem, found, few, [0]), np.nan), _AGAIN)
-    except LearningError:
-        return None
+    return with_own_noise(AtPlace(place, problem, found, np.nan))
 
 
-def with_own_noise(fit: AtPlace, settings: OptimizerSettings = _NOISE) -> AtPlace | None:
+def with_own_noise(fit: AtPlace) -> AtPlace | None:
     """The fit with noise and sizes from its own residuals."""
     try:
-        estimate = find_maximum(fit.problem, fit.estimate, settings, Silent())
+        estimate = find_maximum(fit.problem, fit.estimate, _NOISE, Silent())
     except (LearningError, np.linalg.LinAlgError):
         return None
     return under(replace(fit, estimate=estimate), coarsened(estimate.hyperparameters, fit.problem))
 
 
+def frames_of_film(recording: FitData) -> int:
+    """How many frames of the film are fitted, means counted as the frames that they are of."""
+    o = recording.observations
+    return int(np.sum(recording.frames if o.means is None else o.means.count[recording.frames]))
+
+
 def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
-    """With noise so large that the frames of a recording tell as much as _COUNTS of them."""
+    """With noise so large that the frames of a recording tell as much as _FRAMES of them."""
 
     def of(noise: RecordingNoise, frames: int) -> RecordingNoise:
-        wider = float(np.sqrt(max(frames / _COUNTS, 1.0)))
+        wider = float(np.sqrt(max(frames / _FRAMES, 1.0)))
         return RecordingNoise(wider * noise.marker, wider * noise.force)
 
     each_one = zip(found.noise, problem.recordings, strict=True)
-    return replace(found, noise=tuple(of(noise, len(recording.force)) for noise, recording in each_one))
+    return replace(found, noise=tuple(of(noise, frames_of_film(recording)) for noise, recording in each_one))
 
 
 def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.inf) -> AtPlace | None:

@@ -127,7 +127,7 @@ def search_place(
     if not one_place or first.observations.source.place_seen:
         return None
     written, length = float(places[0]), first.observations.length
-    here = at_written(problem, optimum, written, settings)
+    here = at_written(problem, optimum, written)
     found = [] if here is None else _every_place(here, settings, thorough=thorough)
     if here is None or not found:
         return None

@@ -18,7 +18,7 @@ from onebend.learning.inference.hyperparameters import expected_recording_noise
 from onebend.learning.inference.optimizer import OptimizerSettings, estimate_at
 from onebend.learning.known_shape import known_shape
 from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.frames import chosen_frames, evenly_spread
+from onebend.learning.model.frames import chosen_frames
 from onebend.learning.model.parameters import Layout, Priors, make_layout
 from onebend.learning.model.spline import Spline
 from onebend.records import Array, BoolArray, Observations
@@ -77,14 +77,9 @@ def whole_problem(recordings: Sequence[Observations], problem: FitProblem, setti
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
 
 
-def rewritten_problem(
-    recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings, most: int | None = None
-) -> FitProblem:
-    """The problem with the same frames of the same recordings, or at most `most` of these, of which something else is
-    written."""
+def rewritten_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+    """The problem with the same frames of the same recordings, of which something else is written."""
     frames = [one.frames for one in problem.recordings]
-    if most is not None:
-        frames = [evenly_spread(np.flatnonzero(one), most, len(one)) for one in frames]
     data = _data_of(recordings, frames, problem.layout.spline, settings.allowances)
     layout = _layout(recordings, data, problem.layout.spline, settings)
     return replace(problem, recordings=data, layout=layout)

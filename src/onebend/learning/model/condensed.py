@@ -6,9 +6,11 @@ they do together. So a film's frames are taken together in windows: each spans a
 displacement, TURN of the force's direction, and SECONDS. None crosses a place where the load begins, reverses or ends,
 nor one where frames are left out.
 
-The mean of poses is the pose under the mean force but for second order in what a window spans. The noise of the tags
-is in part white and in part slow: the white part averages down, and the slow one stays. Third differences of a film
-tell the white part; motion and slow noise hardly enter them.
+The mean of poses is not quite the pose under the mean force: both bend in time, by half their second derivative times
+the variance of the window's instants. Without that part both are values at the mean instant, which belong together.
+
+The noise of the tags is in part white and in part slow: the white part averages down, and the slow one stays. Third
+differences of a film tell the white part; motion and slow noise hardly enter them.
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances.inertia import tag_accelerations
+from onebend.learning.allowances.inertia import second_derivative, tag_accelerations
 from onebend.learning.model.frames import learnable_frames, push_places, usable_frames
 from onebend.recording.force.load_stages import TURN as REVERSAL
 from onebend.recording.force.load_stages import displacement, turning_points
 from onebend.recording.signals import bridged, runs
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations
 
-STEP = 0.05  # of the largest displacement
-TURN = 0.1  # rad, of the force
-SECONDS = 0.5
+STEP = 0.02  # of the largest displacement
+TURN = 0.05  # rad, of the force
+SECONDS = 0.2
 _FEW = 60  # frames: so many cost little as they are
 _FIRM = 0.2  # of the largest force: the direction of a smaller one is noise
 _THIRD = 20.0  # variance of the third difference of white noise of variance one
@@ -113,10 +115,17 @@ def averaged(o: Observations, windows: list[IntArray]) -> Observations:
     def mean(values: Array) -> Array:
         return total(values) / count.reshape(-1, *[1] * (values.ndim - 1))
 
-    poses = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
+    poses, time = np.concatenate([o.xy, o.angle[..., None]], axis=-1), mean(o.time)
+    variance = mean((o.time - np.repeat(time, count)) ** 2)  # s^2, of the instants in each window
+
+    def at_mean_instant(values: Array) -> Array:
+        second = second_derivative(o.time, values)
+        bent = 0.0 if second is None else mean(second) * variance.reshape(-1, *[1] * (values.ndim - 1))
+        return mean(values) - 0.5 * bent
+
     filled = bridged(o.time, poses.reshape(len(poses), -1)).reshape(poses.shape)
     seen = mean(np.isfinite(poses).astype(float))
-    pose = np.where(seen > 0.0, mean(filled), np.nan)
+    pose = np.where(seen > 0.0, at_mean_instant(filled), np.nan)
     known = np.all(np.isfinite(o.covariance), axis=(-1, -2))
     frames = total(known.astype(float))[..., None, None]  # in which each tag was seen
     of_all = total(np.where(known[..., None, None], o.covariance, 0.0))
@@ -125,18 +134,18 @@ def averaged(o: Observations, windows: list[IntArray]) -> Observations:
     acceleration = tag_accelerations(o)
     return replace(
         o,
-        time=mean(o.time),
+        time=time,
         frame=o.frame[middle],
         xy=pose[..., :2],
         angle=pose[..., 2],
         covariance=usual * mean_variance(white_share(o, poses)[:, None, None], frames),
-        force=mean(o.force),
+        force=at_mean_instant(o.force),
         push_s=o.push_s[middle],
         loaded=o.loaded[middle],
         gravity=mean(o.gravity),
         held=None if o.held is None else o.held[middle],
         by_camera=None if o.by_camera is None else mean(o.by_camera),
-        acceleration=None if acceleration is None else mean(acceleration),
+        means=FrameMeans(count, None if acceleration is None else mean(acceleration)),
     )
 
 
