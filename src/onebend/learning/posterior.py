@@ -290,7 +290,7 @@ def _fit(
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
-    hopeless = any(miss.hopeless for miss in misses(problem.recordings, near.predictions))
+    hopeless = any(miss.hopeless for miss in misses(few.recordings, near.predictions))
     if hopeless:  # nothing that is fitted means anything: a short look at all frames says so as clearly
         late = replace(late, rounds=_HOPELESS_ROUNDS, most_steps=_HOPELESS_STEPS)
     recordings, near = with_mass_found(recordings, problem, near)

@@ -25,7 +25,7 @@ def test_means_of_neighbours_give_the_posterior_of_all_frames() -> None:
     seen = pushed()
     settings = replace(IDEAL, functions=16)
     small = condensed(seen, 500)
-    assert len(small.time) < 0.3 * len(seen.time)
+    assert len(small.time) < 0.5 * len(seen.time)
     few = fit([small], 0.02, settings=settings)
     # held against condensing: the places of the push differ by next to nothing
     apart = replace(seen, push_s=np.where(np.arange(len(seen.time)) % 2 == 1, 1.0 - 1e-9, 1.0))
