@@ -303,6 +303,14 @@ class Source:
 
 
 @dataclass(frozen=True)
+class FrameMeans:
+    """What means of neighbouring frames no longer show of these."""
+
+    count: IntArray  # (T,) frames of the film
+    acceleration: Array | None  # (T, m, 2) m/s^2 of the tags; None where the film does not show it
+
+
+@dataclass(frozen=True)
 class Observations:
     """What a recording says, on one clock and in one frame: all that learning and validation need.
 
@@ -337,6 +345,7 @@ class Observations:
     # of all frames together; not in `covariance`. None where there is no camera, or where it is in `covariance`.
     by_camera: Array | None = None
     frequencies: tuple[MeasuredFrequency, ...] = ()
+    means: FrameMeans | None = None  # where the frames are means of several frames of the film
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

@@ -16,6 +16,7 @@ from onebend.errors import ResultsError
 from onebend.records import (
     BenchPoses,
     ForceNoise,
+    FrameMeans,
     KnownLoads,
     MassLine,
     MeasuredFrequency,
@@ -98,6 +99,7 @@ def full() -> Observations:
         held=np.arange(frames) > 3,
         known_loads=known,
         frequencies=(MeasuredFrequency(1 / 3, 0.01, 2, (0.1, -9.81), 0.02),),
+        means=FrameMeans(np.arange(frames) + 1, rng.normal(size=made.xy.shape)),
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
         readings=Readings("x", 2, 1 / 7),

@@ -56,6 +56,7 @@ from onebend.learning.learned_mass import (
     weight_doubts,
 )
 from onebend.learning.model.allowed import secant_of
+from onebend.learning.model.condensed import condensed
 from onebend.learning.model.fit_data import FitData
 from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.model.frames import check_same_beam
@@ -65,6 +66,8 @@ from onebend.learning.start import start_of
 from onebend.learning.stiffness_band import prior_part, stiffness_of
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray, Observations
+
+_HOPELESS_ROUNDS, _HOPELESS_STEPS = 2, 10  # with all frames, where the first ones show that the model cannot be right
 
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 
@@ -279,13 +282,17 @@ def _fit(
 ) -> Posterior:
     """Data, problem, start, optimum, posterior, criticism: first with a few frames of each recording, then with all."""
     late = replace(settings.optimizer, coarse_rounds=0, rounds=settings.last_rounds)
-    early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way)
+    early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way, rounds=settings.first_rounds)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    recordings, settings = with_shared_shape(recordings), shared_among(settings, len(recordings))
+    settings = shared_among(settings, len(recordings))
+    recordings = with_shared_shape([condensed(one, settings.most_frames) for one in recordings])
     some = first_recordings(recordings, settings)
     problem, x = first_problem([recordings[i] for i in some], start, settings)
     few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
+    hopeless = any(miss.hopeless for miss in misses(few.recordings, near.predictions))
+    if hopeless:  # nothing that is fitted means anything: a short look at all frames says so as clearly
+        late = replace(late, rounds=_HOPELESS_ROUNDS, most_steps=_HOPELESS_STEPS)
     recordings, near = with_mass_found(recordings, problem, near)
 
     every = whole_problem(recordings, problem, settings)
@@ -296,8 +303,8 @@ def _fit(
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
-    ask = known and optimum.converged
-    place = search_place(whole, optimum, settings, thorough=doubtful(critic)) if ask else None
+    ask = optimum.converged and (known or bool(critic.striking))
+    place = search_place(whole, optimum, settings, thorough=doubtful(critic) and not hopeless) if ask else None
     progress.done()
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
     optimum = with_places(whole, optimum, place, found.log_at(SHAPE_PLACES)[1])

@@ -149,7 +149,8 @@ def test_frequencies_alone_of_an_unknown_mass_are_refused(tmp_path: Path) -> Non
 def test_a_film_and_a_frequency_are_fitted_together() -> None:
     """A film of a push tells k(s); an exact frequency beside it, the mass."""
     film = with_stated(made_up.observations(), mass=np.nan, mass_along="even")
-    film = replace(film, frequencies=(MeasuredFrequency(5.0, 0.005, 1, (0.0, 0.0)),))
+    source = replace(film.source, place_seen=True)
+    film = replace(film, source=source, frequencies=(MeasuredFrequency(5.0, 0.005, 1, (0.0, 0.0)),))
     (ready,) = with_mass([film])
     posterior = fit([ready], start_of([ready], None), settings=QUICK)
     assert posterior.mass is not None

@@ -69,14 +69,20 @@ def inertial_force(
 
 def tag_accelerations(observations: Observations) -> Array | None:
     """(T, m, 2) m/s^2 by polynomials over a few frames; None for films that are too short, or of uneven frames."""
-    time, xy = observations.time, observations.xy
+    if observations.means is not None:
+        return observations.means.acceleration
+    return second_derivative(observations.time, observations.xy)
+
+
+def second_derivative(time: Array, values: Array) -> Array | None:
+    """(T, ...) of values (T, ...) with `time` (T,), as in `tag_accelerations`; NaN counts as not measured."""
     if len(time) < 2 * _WINDOW:
         return None
     step = float(np.median(np.diff(time)))
     even = np.arange(time[0], time[-1] + 0.5 * step, step)
     if len(even) > 2 * len(time):
         return None
-    flat = xy.reshape(len(time), -1)
+    flat = values.reshape(len(time), -1)
     known = [np.isfinite(column) for column in flat.T]
     if any(np.sum(k) < _WINDOW for k in known):
         return None
@@ -85,4 +91,4 @@ def tag_accelerations(observations: Observations) -> Array | None:
     weights = 2.0 * np.linalg.pinv(powers)[2]  # of the best polynomial, in the middle (Savitzky, Golay)
     second = np.stack([np.convolve(np.pad(c, _WINDOW // 2, mode="edge"), weights[::-1], "valid") for c in filled.T], 1)
     back = np.stack([np.interp(time, even, c) for c in second.T], axis=1)
-    return np.asarray(back.reshape(xy.shape))
+    return np.asarray(back.reshape(values.shape))

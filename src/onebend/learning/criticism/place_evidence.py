@@ -28,6 +28,7 @@ from onebend.learning.inference.hyperparameters import Evidence, with_stiffness_
 from onebend.learning.inference.linear_gaussian import data_information
 from onebend.learning.inference.optimizer import OptimizerSettings, Optimum, find_maximum
 from onebend.learning.inference.stages import FitSettings, carried_over, rewritten_problem, starting
+from onebend.learning.model.fit_data import FitData
 from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import Array
@@ -65,6 +66,12 @@ def with_own_noise(fit: AtPlace) -> AtPlace | None:
     return under(replace(fit, estimate=estimate), coarsened(estimate.hyperparameters, fit.problem))
 
 
+def frames_of_film(recording: FitData) -> int:
+    """How many frames of the film are fitted, means counted as the frames that they are of."""
+    o = recording.observations
+    return int(np.sum(recording.frames if o.means is None else o.means.count[recording.frames]))
+
+
 def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
     """With noise so large that the frames of a recording tell as much as _FRAMES of them."""
 
@@ -73,7 +80,7 @@ def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
         return RecordingNoise(wider * noise.marker, wider * noise.force)
 
     each_one = zip(found.noise, problem.recordings, strict=True)
-    return replace(found, noise=tuple(of(noise, len(recording.force)) for noise, recording in each_one))
+    return replace(found, noise=tuple(of(noise, frames_of_film(recording)) for noise, recording in each_one))
 
 
 def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.inf) -> AtPlace | None:

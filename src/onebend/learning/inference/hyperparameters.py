@@ -130,7 +130,7 @@ def _chosen(hyperparameters: Hyperparameters) -> Array:
 def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
     """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
     bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
-    options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-5, "gtol": 0.03}
+    options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-4, "gtol": 0.15}
     result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
     return with_stiffness_prior(evidence, evidence.hyperparameters_at(start, result.x))
 

@@ -32,12 +32,13 @@ class FitSettings:
     """How the marker-space fit runs."""
 
     functions: int = 45  # of the spline of log k
-    most_frames: int = 500  # of each recording, evenly chosen
+    most_frames: int = 500  # of each recording, after neighbours are averaged (`condensed`)
     most_frames_together: int = 5000  # of all recordings
-    first_frames: int = 100  # of each recording, for the way from the start to near the optimum
+    first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
     priors: Priors = field(default_factory=Priors)
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
+    first_rounds: int = 4  # at most, with the first frames
     last_rounds: int = 6  # at most, with all frames
     allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 

@@ -12,7 +12,7 @@ from onebend.beam.profiles.polyline import Polyline
 from onebend.beam.profiles.stiffness import Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, IntArray, KnownLoads, Observations
+from onebend.records import Array, BoolArray, FrameMeans, IntArray, KnownLoads, Observations
 
 _BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
 _SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
@@ -133,7 +133,16 @@ def _of_tags(one: Observations, kept: BoolArray) -> Observations:
         rest_angle=one.rest_angle[kept],
         rest_covariance=one.rest_covariance[kept],
         by_camera=None if one.by_camera is None else one.by_camera[:, kept],
+        means=None if one.means is None else _kept(one.means, tags=kept),
     )
+
+
+def _kept(
+    means: FrameMeans, *, frames: BoolArray | slice = slice(None), tags: BoolArray | slice = slice(None)
+) -> FrameMeans:
+    """Of these frames and tags alone."""
+    motion = means.acceleration
+    return FrameMeans(means.count[frames], None if motion is None else motion[frames][:, tags])
 
 
 def at_frames(one: Observations, kept: BoolArray) -> Observations:
@@ -156,6 +165,7 @@ def at_frames(one: Observations, kept: BoolArray) -> Observations:
         held=None if one.held is None else one.held[kept],
         known_loads=known,
         by_camera=None if one.by_camera is None else one.by_camera[kept],
+        means=None if one.means is None else _kept(one.means, frames=kept),
     )
 
 

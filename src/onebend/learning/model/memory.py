@@ -20,7 +20,7 @@ from onebend.learning.model.parameters import Layout
 from onebend.learning.model.tag_jacobian import ResponseColumns
 from onebend.records import Array, IntArray
 
-_KEY_FRAMES = 48  # at most, through which the memory is followed
+_KEY_FRAMES = 24  # at most, through which the memory is followed
 _PASSES = 2  # each leaves about the relaxing share of what the one before left
 
 

@@ -1,0 +1,118 @@
+"""Neighbouring frames are averaged where they show the same, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.learning.model.condensed import SECONDS, averaged, condensed, mean_variance, white_share, windows_of
+from onebend.learning.model.frames import learnable_frames
+from onebend.learning.posterior import fit
+from onebend.records import Array, Observations
+from tests.learning.bench import IDEAL, SOFT, forces, observed
+from tests.made_up import with_source
+
+NOISE = (2e-5, 1e-3)
+S = np.linspace(0.1, 0.9, 33)
+
+
+def pushed(count: int = 400, seed: int = 0) -> Observations:
+    return observed(SOFT, forces(count), noise=NOISE, seed=seed)
+
+
+def test_means_of_neighbours_give_the_posterior_of_all_frames() -> None:
+    seen = pushed()
+    settings = replace(IDEAL, functions=16)
+    small = condensed(seen, 500)
+    assert len(small.time) < 0.5 * len(seen.time)
+    few = fit([small], 0.02, settings=settings)
+    # held against condensing: the places of the push differ by next to nothing
+    apart = replace(seen, push_s=np.where(np.arange(len(seen.time)) % 2 == 1, 1.0 - 1e-9, 1.0))
+    every = fit([apart], 0.02, settings=settings)
+    assert len(every.recordings[0].frames) == len(seen.time)
+    one, other = few.band(S), every.band(S)
+    sd = np.log(other.high / other.low) / (2.0 * 1.96)
+    assert np.all(np.abs(np.log(one.k / other.k)) < 0.5 * sd)
+    np.testing.assert_allclose(np.log(one.high / one.low), np.log(other.high / other.low), rtol=0.25)
+
+
+def test_the_covariance_of_a_mean_is_that_of_simulated_noise() -> None:
+    rng, seen, count = np.random.default_rng(1), pushed(4000), 5
+    white, slow = 2e-5, 3e-5
+    lasting = np.repeat(rng.normal(size=(100, 3, 2)), 40, axis=0)
+    noise = white * rng.normal(size=seen.xy.shape) + slow * lasting
+    still = np.zeros_like(seen.angle)
+    sd = np.array([np.hypot(white, slow), np.hypot(white, slow), 1e-3])
+    angle = still + np.sqrt(1.0 / (1.0 + (slow / white) ** 2)) * 1e-3 * rng.normal(size=still.shape)
+    one = replace(seen, xy=noise, angle=angle, covariance=np.tile(np.diag(sd**2), (*still.shape, 1, 1)))
+    windows = list(np.arange(4000).reshape(-1, count))
+    found = averaged(one, windows)
+    expected = slow**2 + white**2 / count
+    np.testing.assert_allclose(np.mean(found.xy**2), expected, rtol=0.2)
+    np.testing.assert_allclose(found.covariance[..., 0, 0], expected, rtol=0.05)
+
+
+def test_the_mean_of_a_tag_that_was_seen_less_often_is_less_exact() -> None:
+    assert np.allclose(mean_variance(np.array([1.0, 0.5, 0.0]), np.array([4.0, 4.0, 4.0])), [0.25, 0.625, 1.0])
+    seen = pushed()
+    hidden = replace(seen, xy=seen.xy.copy(), covariance=seen.covariance.copy())
+    hidden.xy[1::2, 0] = np.nan
+    hidden.covariance[1::2, 0] = np.nan
+    windows = list(np.arange(400).reshape(-1, 4))
+    whole, part = averaged(seen, windows), averaged(hidden, windows)
+    share = part.covariance[:, 0, 0, 0] / whole.covariance[:, 0, 0, 0]
+    assert np.all(share > 1.5)
+    np.testing.assert_allclose(part.xy[2:-2, 0], whole.xy[2:-2, 0], atol=1e-4)  # at the mean instant of all frames
+
+
+def test_third_differences_tell_the_white_share() -> None:
+    seen = pushed()
+    poses = np.concatenate([seen.xy, seen.angle[..., None]], axis=-1)
+    np.testing.assert_allclose(white_share(seen, poses), 1.0, atol=0.2)
+    quieter = replace(seen, covariance=4.0 * seen.covariance)
+    np.testing.assert_allclose(white_share(quieter, poses), 0.25, atol=0.06)
+
+
+def test_no_window_crosses_a_kink() -> None:
+    seen = pushed()
+    size = np.linalg.norm(seen.xy - seen.rest_xy, axis=(1, 2))
+    turn, gap = int(np.argmax(size)), 77
+    moved = replace(seen, push_s=np.where(np.arange(400) < 301, 1.0, 0.9))
+    learnable = learnable_frames(moved)
+    learnable[gap] = False
+    windows = windows_of(moved, learnable, 500)
+    together = np.concatenate(windows)
+    np.testing.assert_array_equal(together, np.flatnonzero(learnable))
+    for window in windows:
+        assert np.all(np.diff(window) == 1)
+        assert np.ptp(seen.time[window]) <= 1.1 * SECONDS
+        assert len({bool(i < 301) for i in window}) == 1
+        assert window[-1] < turn + 2 or window[0] >= turn - 2
+        assert np.ptp(size[window]) < 0.1 * np.max(size)
+
+
+def test_what_is_no_film_of_many_frames_stays_as_it_is() -> None:
+    seen = pushed(400)
+    assert condensed(replace(seen, static=True), 10) is not None
+    assert condensed(replace(seen, static=True), 10).xy is seen.xy
+    held = replace(seen, held=np.arange(400) == 5)
+    assert condensed(held, 10).xy is seen.xy
+    short = pushed(40)
+    assert condensed(short, 500).xy is short.xy
+
+
+def test_a_film_is_condensed_to_what_may_be_used() -> None:
+    seen = pushed(400)
+    for most in (20, 40):
+        small = condensed(seen, most)
+        assert 0.5 * most < len(small.time) <= most
+
+
+def test_frames_whose_force_is_not_known_are_never_learned_from() -> None:
+    seen = pushed(400)
+    force: Array = seen.force.copy()
+    force[100:110] = np.nan
+    small = condensed(with_source(replace(seen, force=force), name="gap"), 500)
+    assert np.sum(~np.isfinite(small.force[:, 0])) == 10
+    assert learnable_frames(small).sum() == len(small.time) - 10
