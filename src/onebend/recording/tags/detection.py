@@ -22,7 +22,8 @@ from onebend.recording.video import FilmFrame, Keep, Picture, frame_count, pictu
 from onebend.records import BoolArray, Detections, Remark
 from onebend.workers import available_cores
 
-BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
+BLOCK = 16  # frames that are followed together; bounds the memory: three blocks are held at a time
+LOOK_BLOCKS = 16  # the first picture of every so manyth block is searched whole, whatever is missing
 MOST_THREADS = 8
 FREQUENT = 0.1  # of the searched pictures: an unexpected tag gets a remark if it is seen more often
 OFTEN_HIDDEN = 0.05  # of the frames: a tag that is missing more often gets a remark
@@ -42,7 +43,7 @@ def detect_tags(
 ) -> Detections:
     """Find every tag of `tags` in every frame of `video`.
 
-    The video is cut into blocks of frames that are searched independently, so the result does not depend on the
+    A block of frames is followed, each tag by itself, while the next one is read, so the result does not depend on the
     number of `threads` (default: one per core) nor on their timing. `keep`: see `read_frames`.
 
     Raises:
@@ -51,24 +52,33 @@ def detect_tags(
     """
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
-    finders: SimpleQueue[Finder] = SimpleQueue()
-    for _ in range(threads):
-        finders.put(Finder(tags.family))
+    first, finders = Finder(tags.family), SimpleQueue[Finder]()
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id)) - 1))):
+        finders.put(finder)
 
-    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
-        finder = finders.get()
-        try:
-            return track_block(frames, tag_id, finder)
-        finally:
-            finders.put(finder)
+    def each(work: Callable[[Finder, int], None], count: int) -> None:
+        def one(i: int) -> None:
+            finder = finders.get()
+            try:
+                work(finder, i)
+            finally:
+                finders.put(finder)
+
+        list(pool.map(one, range(count)))
 
     blocks: list[BlockTracks] = []
     changes: list[float] = []
-    with ThreadPoolExecutor(threads) as pool:
+
+    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
+        look, before = len(blocks) % LOOK_BLOCKS == 0, blocks[-1].corners if blocks else None
+        blocks.append(track_block(frames, tag_id, first, before=before, look=look, each=each))
+        return blocks[-1]
+
+    with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
         frames = noting_changes(read_frames(video, keep), changes)
-        tracked = in_order(pool, follow_tags, in_blocks(frames, BLOCK), ahead=threads)
-        for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
-            blocks += [block] if block else []
+        tracked = in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1)
+        for _ in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
+            pass
     return summary(video, tags, tag_id, blocks, repeated(changes))
 
 

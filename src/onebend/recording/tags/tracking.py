@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from onebend.records import Array
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
 WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
+EachTag = Callable[[Callable[[Finder, int], None], int], object]  # does `work(finder, i)` for every i below a count
 
 
 @dataclass(frozen=True)
@@ -28,27 +29,53 @@ class BlockTracks:
     doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was read without error at two places
 
 
-def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
+def track_block(
+    frames: Sequence[FilmFrame],
+    tag_id: Sequence[int],
+    finder: Finder,
+    *,
+    before: Array | None = None,
+    look: bool = True,
+    each: EachTag | None = None,
+) -> BlockTracks:
     """Follow the tags `tag_id` through consecutive frames.
 
-    The whole first picture is searched. Then each tag is searched near the place that its last two sightings predict.
-    If a tag is missing, the whole picture is searched again every `LOOK_EVERY` frames and in the last one. A second
-    pass, backward in time, finds tags that became visible between two such searches.
+    Each tag is searched near the place that its last two sightings predict. If a tag is missing, the whole picture is
+    searched in the first frame, every `LOOK_EVERY` frames and in the last one. A second pass, backward in time, finds
+    tags that became visible between two such searches.
+
+    Args:
+        before: (B, m, 4, 2) px, where the tags were in the frames right before; they are followed from there.
+        look: whether the whole first picture is searched even if no tag is missing, for strangers and doubles.
+        each: works on all tags, with detectors of its own; default: one tag after the other.
     """
-    tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
-    evenly = np.arange(len(frames), dtype=float)
-    looks, strangers, doubles = 0, [], []
-    for t, frame in enumerate(frames):
-        follow(tracks, evenly, t, -1, frame.luma, tag_id, finder)
-        if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
-            sightings = finder.look(frame.luma, tag_id)
+    known = 0 if before is None else min(len(before), LOOK_EVERY)
+    tracks = np.full((known + len(frames), len(tag_id), 4, 2), np.nan)
+    if before is not None:
+        tracks[:known] = before[-known:]
+    evenly = np.arange(len(tracks), dtype=float)
+    each = each or (lambda work, count: [work(finder, i) for i in range(count)])
+
+    def followed(rows: range, step: int) -> None:
+        def one(searching: Finder, i: int) -> None:
+            own = slice(i, i + 1)
+            for t in rows:
+                follow(tracks[:, own], evenly, known + t, step, frames[t].luma, tag_id[own], searching)
+
+        each(one, len(tag_id))
+
+    looks, strangers, doubles, begin = 0, [], [], 0
+    for t in sorted({*range(0, len(frames), LOOK_EVERY), len(frames) - 1}):
+        followed(range(begin, t + 1), -1)
+        begin = t + 1
+        if np.isnan(tracks[known + t]).any() or (look and t == 0):
+            sightings = finder.look(frames[t].luma, tag_id)
             looks += 1
             strangers += [tag.tag_id for tag in sightings if tag.tag_id not in tag_id]
-            doubles += [(frame.index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
-            take(tracks[t], sightings, tag_id)
-    for t in reversed(range(len(frames))):
-        follow(tracks, evenly, t, 1, frames[t].luma, tag_id, finder)
-    tracks = correct_still(frames, tracks, finder.cells)
+            doubles += [(frames[t].index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
+            take(tracks[known + t], sightings, tag_id)
+    followed(range(len(frames))[::-1], 1)
+    tracks = correct_still(frames, tracks[known:], finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
     return BlockTracks(times, tracks, (height, width), looks, tuple(strangers), tuple(doubles))
