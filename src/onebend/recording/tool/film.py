@@ -34,7 +34,7 @@ class SmallPictures:
 
 def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
     """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
-    `base_angle` (T,) is of every frame.
+    `base_angle` (T,) [rad] is of the same frames.
 
     Raises:
         RecordingError: the film cannot be read.
@@ -42,7 +42,7 @@ def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: Fi
     if rec.push is None or not isfinite(rec.push.at):
         return seen
     markers = Markers(
-        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
+        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle,
         seen.source.view,
     )  # fmt: skip
     tool = find(markers, seen.loaded, seen.frame)
