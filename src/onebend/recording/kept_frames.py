@@ -67,9 +67,11 @@ class KeptFrames:
             RecordingError: the film cannot be read.
         """
         kept = self._frames if video.file == self._file and not video.topic else {}
-        sought = dict(pictures_at(video, set(indices) - kept.keys(), colour=colour))
+        sought = pictures_at(video, set(indices) - kept.keys(), colour=colour)
+        found = next(sought, None)
         for index in sorted(set(indices)):
             if index in kept:
                 yield index, picture_in(video, index, kept[index], colour=colour)
-            elif index in sought:
-                yield index, sought[index]
+            elif found is not None and found[0] == index:
+                yield found
+                found = next(sought, None)

@@ -157,7 +157,7 @@ def test_a_stranger_or_an_unseen_tag_alone_is_remarked(tmp_path: Path) -> None:
 
 def test_other_family_is_found_when_asked(tmp_path: Path) -> None:
     video = still(tmp_path, [0, 1, 2, 3], family="tag25h9")
-    found = detect_tags(video, replace(TAGS, family="tag25h9"))
+    found, _ = detect_tags(video, replace(TAGS, family="tag25h9")).of_searched()
     assert np.abs(found.corners - corners_of(poses(3)[0], view())).max() < 0.3
 
 

@@ -22,7 +22,8 @@ from onebend.recording.video import FilmFrame, Keep, Picture, frame_count, pictu
 from onebend.records import Array, BoolArray, Detections, Remark
 from onebend.workers import available_cores
 
-BLOCK = 16  # frames that are followed together; bounds the memory: three blocks are held at a time
+BLOCK = 16  # frames that are followed together; bounds the memory: two blocks are held at a time
+WORTH_FINDER = 4  # tags: for fewer, one more detector is not worth its memory (20 MB) and its start
 LOOK_BLOCKS = 16  # the first picture of every so manyth block is searched whole, whatever is missing
 MOST_THREADS = 8
 LEAST_RATE = 14.0  # searched frames a second at least; where tags move unevenly all are
@@ -54,7 +55,7 @@ def detect_tags(
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
     first, finders = Finder(tags.family), SimpleQueue[Finder]()
-    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id)) - 1))):
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // WORTH_FINDER) - 1))):
         finders.put(finder)
 
     def each(work: Callable[[Finder, int], None], count: int) -> None:
@@ -97,6 +98,7 @@ def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
     items = iter(items)
     while block := tuple(islice(items, size)):
         yield block
+        del block  # not to be held while the next one is read
 
 
 def in_order(
@@ -106,6 +108,7 @@ def in_order(
     waiting: deque[Future[Result]] = deque()
     for item in items:
         waiting.append(pool.submit(work, item))
+        del item  # as in `in_blocks`
         if len(waiting) > ahead:
             yield waiting.popleft().result()
     while waiting:
