@@ -16,8 +16,8 @@ from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import Picture, picture_in, pictures_at
 from onebend.records import IntArray
 
-MOST_PIXELS = 75_000_000  # of all frames that are kept; a pixel takes 1.5 bytes as a rule
-FEWEST = 36  # frames: where fewer would fit, none is kept
+MOST_PIXELS = 50_000_000  # of all frames that are kept; a pixel takes 1.5 bytes as a rule
+FEWEST = 24  # frames: where fewer would fit, none is kept
 
 
 def spacing_of(count: int, pixels: int) -> int:

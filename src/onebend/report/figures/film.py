@@ -21,7 +21,7 @@ from onebend.recording.kept_frames import KeptFrames, roundest
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, IntArray, Observations, View
 
-MOST_FRAMES = 36
+MOST_FRAMES = 24  # fewer than are kept of most films
 WIDEST = 560  # px
 LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
 QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
