@@ -61,7 +61,6 @@ def track_block(
         tracks[:known] = before[-known:]
     evenly = np.arange(len(tracks), dtype=float)
     number = np.arange(len(tracks)) - known + frames[0].index
-    each = each or (lambda work, count: [work(finder, i) for i in range(count)])
 
     def followed(rows: Sequence[int], side: int) -> None:
         def one(searching: Finder, i: int) -> None:
@@ -69,7 +68,11 @@ def track_block(
             for t in rows:
                 follow(tracks[:, own], evenly, t, side, frames[t - known].luma, tag_id[own], searching)
 
-        each(one, len(tag_id))
+        if each is not None:
+            each(one, len(tag_id))
+        else:
+            for i in range(len(tag_id)):
+                one(finder, i)
 
     wanted = [t for t in range(known, len(tracks)) if number[t] % step == 0]
     looks, strangers, doubles, begin = 0, [], [], 0
@@ -96,7 +99,7 @@ def track_block(
     return BlockTracks(times, tracks, searched[known:], (height, width), looks, tuple(strangers), tuple(doubles))
 
 
-def uneven(tracks: Array, searched: BoolArray, phase: Array, step: int) -> IntArray:
+def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> IntArray:
     """Rows of `tracks` (T, m, 4, 2) in the middle between rows `step` apart, of which `phase` (T,) is 0, that the tags
     do not pass evenly. Rows beside what was not `searched` (T,) are passed evenly."""
     half, centre = step // 2, tracks.mean(axis=2)
