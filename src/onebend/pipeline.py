@@ -23,7 +23,7 @@ from onebend.learning.model.mass import mass_remarks
 from onebend.learning.modulus import modulus_along, modulus_remarks, stated_section
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import RegressionSettings
+from onebend.learning.paper.selection import MOST_FRAMES, RegressionSettings
 from onebend.learning.paper.selection import pairs as trials
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
@@ -38,6 +38,8 @@ from onebend.recording.toml.entries import Recording
 from onebend.recording.toml.same_beam import check_same_length, check_together
 from onebend.records import Array, Observations, Remark
 from onebend.results.model import read_model
+
+TO_BEGIN = 120  # frames that the regression learns from where the fit, which begins there, is the result
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,7 @@ def _regression(
     if seen.static and not needed:
         return None, (Remark("note", "the paper's regression needs a filmed push; bench poses are learned by the fit"),)
     try:
-        learned = regress(seen, settings, progress=progress)
+        learned = regress(seen, settings, most_frames=MOST_FRAMES if needed else TO_BEGIN, progress=progress)
     except LearningError as error:
         if needed:
             raise

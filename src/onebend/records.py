@@ -7,7 +7,7 @@ The frame ("beam's frame") has its origin at the base tag's centre, x along the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -64,7 +64,7 @@ class Detections:
 
     `corners[t, i]` runs counter-clockwise as printed on the tag, seen from the front, starting at the tag's
     bottom-left: bottom-left, bottom-right, top-right, top-left. Pixel centres are at whole numbers (OpenCV's
-    convention). NaN where the tag was not seen.
+    convention). NaN where the tag was not seen, and in frames that were not searched.
     """
 
     time: Array  # (T,) s, the video's own clock, first frame at 0
@@ -73,6 +73,14 @@ class Detections:
     width: int  # px
     height: int  # px
     remarks: tuple[Remark, ...] = ()
+    searched: BoolArray | None = None  # (T,) frames; None: all
+
+    def of_searched(self) -> tuple[Detections, IntArray]:
+        """The frames that were searched, and their numbers in the film."""
+        if self.searched is None:
+            return self, np.arange(len(self.time))
+        kept = self.searched
+        return replace(self, time=self.time[kept], corners=self.corners[kept], searched=None), np.flatnonzero(kept)
 
 
 @dataclass(frozen=True)

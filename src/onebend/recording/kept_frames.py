@@ -16,8 +16,8 @@ from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import Picture, picture_in, pictures_at
 from onebend.records import IntArray
 
-MOST_PIXELS = 150_000_000  # of all frames that are kept; a pixel takes 1.5 bytes as a rule
-FEWEST = 48  # frames: where fewer would fit, none is kept
+MOST_PIXELS = 50_000_000  # of all frames that are kept; a pixel takes 1.5 bytes as a rule
+FEWEST = 24  # frames: where fewer would fit, none is kept
 
 
 def spacing_of(count: int, pixels: int) -> int:
@@ -67,9 +67,11 @@ class KeptFrames:
             RecordingError: the film cannot be read.
         """
         kept = self._frames if video.file == self._file and not video.topic else {}
-        sought = dict(pictures_at(video, set(indices) - kept.keys(), colour=colour))
+        sought = pictures_at(video, set(indices) - kept.keys(), colour=colour)
+        found = next(sought, None)
         for index in sorted(set(indices)):
             if index in kept:
                 yield index, picture_in(video, index, kept[index], colour=colour)
-            elif index in sought:
-                yield index, sought[index]
+            elif found is not None and found[0] == index:
+                yield found
+                found = next(sought, None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, Protocol
@@ -131,12 +131,15 @@ def _shown(
         raise ObservationError(f"{rec.folder}: recording.toml names no [video]. Add one.")
     if detections is None:
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
-    markers = markers_of(rec, detections)
+    searched, number = detections.of_searched()
+    markers = markers_of(rec, searched)
     seen = assemble(rec, markers, log, base, settings)
+    base_angle = markers.base_angle[seen.frame]
+    seen = replace(seen, frame=number[seen.frame])
     if not rec.video.file.exists():
         return seen
     every = spacing_of(len(detections.time), detections.width * detections.height)
-    return tool_checked(rec, seen, markers.base_angle, partial(tool_in_film, rec, every=every, kept=frames))
+    return tool_checked(rec, seen, base_angle, partial(tool_in_film, rec, every=every, kept=frames))
 
 
 def markers_of(rec: Recording, detections: Detections) -> Markers:
@@ -180,7 +183,7 @@ def swing_signals(
     if rec.video is None:
         raise RecordingError(f"{rec.folder}: nothing in it moves. Give a film or tracks of a free swing, or a table")
     detections = detect(rec.video, rec.tags, threads=threads, progress=progress)
-    return signals_of_markers(measure_markers(detections, rec), rec.name)
+    return signals_of_markers(measure_markers(detections.of_searched()[0], rec), rec.name)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from onebend.recording.video import Keep
 from onebend.records import Detections, Remark
 from onebend.results.provenance import checksum_of, inputs_of
 
-FORMAT = 1  # of the entries
+FORMAT = 2  # of the entries
 LIBRARIES = ("av", "pyapriltags")  # that read the film and find the tags
 
 
@@ -111,6 +111,7 @@ def packed(detections: Detections) -> bytes:
         time=detections.time,
         tag_id=detections.tag_id,
         corners=detections.corners,
+        searched=np.ones(len(detections.time), bool) if detections.searched is None else detections.searched,
         size=np.array([detections.width, detections.height]),
         remarks=np.array(json.dumps([asdict(remark) for remark in detections.remarks])),
     )
@@ -125,8 +126,10 @@ def unpacked(content: bytes | None, wanted: Sequence[int]) -> Detections | None:
         with np.load(io.BytesIO(content), allow_pickle=False) as data:
             remarks = tuple(Remark(**said) for said in json.loads(str(data["remarks"])))
             width, height = (int(n) for n in data["size"])
-            found = Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks)
+            searched = None if data["searched"].all() else data["searched"]
+            found = Detections(data["time"], data["tag_id"], data["corners"], width, height, remarks, searched)
     except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
         return None
     shape: tuple[Any, ...] = (len(found.time), len(wanted), 4, 2)
-    return found if found.tag_id.tolist() == list(wanted) and found.corners.shape == shape else None
+    fits = found.corners.shape == shape and (found.searched is None or found.searched.shape == shape[:1])
+    return found if found.tag_id.tolist() == list(wanted) and fits else None

@@ -69,6 +69,7 @@ class FrameHistory:
         tracks = BlockTracks(
             time=np.array([one.time for one in frames]),
             corners=self._corrected(),
+            searched=np.ones(len(frames), dtype=bool),
             shape=frames[0].shape,
             looks=self._looks,
             strangers=tuple(self._strangers),

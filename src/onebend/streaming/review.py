@@ -92,7 +92,7 @@ def observed_in(seen: Seen, settings: ObserveSettings = ObserveSettings()) -> Ob
     def find(tags: Markers, loaded: BoolArray, frame: IntArray) -> ToolPlace:
         return tool_in_small(small, rec, tags, loaded, markers.time[frame])
 
-    return tool_checked(rec, observed, markers.base_angle, find)
+    return tool_checked(rec, observed, markers.base_angle[observed.frame], find)
 
 
 def _markers_in(seen: Seen) -> Markers:

@@ -16,11 +16,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import IO, Any, Protocol
 
-import numpy as np
-
 from onebend.learning.live.settings import OnlineSettings
 from onebend.recording.observe import ObserveSettings
-from onebend.recording.signals import low_pass
 from onebend.streaming.review import ENDED, Later, Reviewed, Seen, go_on, review
 from onebend.workers import interrupts_held, leave_interrupts_to_parent
 
@@ -181,7 +178,6 @@ def serve() -> None:
     inward, outward = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what is printed by mistake is no answer
     made: Reviewed | None = None
-    low_pass(np.arange(20.0), np.zeros((20, 1)), 0.2, longest_gap=1.0)  # loads what the first review would wait for
     with suppress(EOFError, OSError):
         settings: Any = pickle.load(inward)
         while True:

@@ -15,7 +15,7 @@ from onebend.errors import ObservationError
 from onebend.recording.tags.detection import detect_tags, in_order
 from onebend.recording.tags.finder import Finder
 from onebend.recording.tags.pattern import CELLS, correct_still
-from onebend.recording.tags.tracking import track_block
+from onebend.recording.tags.tracking import track_block, uneven
 from onebend.recording.toml.entries import TagEntry, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import FilmFrame
@@ -157,7 +157,7 @@ def test_a_stranger_or_an_unseen_tag_alone_is_remarked(tmp_path: Path) -> None:
 
 def test_other_family_is_found_when_asked(tmp_path: Path) -> None:
     video = still(tmp_path, [0, 1, 2, 3], family="tag25h9")
-    found = detect_tags(video, replace(TAGS, family="tag25h9"))
+    found, _ = detect_tags(video, replace(TAGS, family="tag25h9")).of_searched()
     assert np.abs(found.corners - corners_of(poses(3)[0], view())).max() < 0.3
 
 
@@ -174,3 +174,24 @@ def test_work_in_order_takes_no_more_than_it_may() -> None:
             assert result == done * done
             assert len(taken) <= done + 4
     assert taken == list(range(20))
+
+
+def test_frames_between_are_searched_where_tags_do_not_pass_evenly() -> None:
+    x = np.where(np.arange(33) < 16, 2.0 * np.arange(33), 32.0)  # px: on evenly, then at rest
+    tracks = np.zeros((33, 1, 4, 2))
+    tracks[..., 0] = x[:, None, None]
+    even = np.arange(33) % 2 == 0
+    tracks[~even] = np.nan
+    assert uneven(tracks, even, np.arange(33) % 2, 2).tolist() == [13, 15, 17, 19]
+    tracks[24] = np.nan  # hidden in one frame that was searched
+    assert {23, 25} <= set(uneven(tracks, even, np.arange(33) % 2, 2).tolist())
+
+
+def test_a_tag_at_rest_is_searched_in_every_other_frame_and_the_others_are_said_not_to_be(tmp_path: Path) -> None:
+    found = detect_tags(still(tmp_path, [0, 1, 2, 3]), TAGS)
+    assert found.searched is not None
+    assert found.searched.tolist() == [True, False, True]
+    assert np.isnan(found.corners[1]).all()
+    some, number = found.of_searched()
+    assert number.tolist() == [0, 2]
+    assert np.isfinite(some.corners).all()

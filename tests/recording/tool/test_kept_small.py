@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.recording.toml.entries import PushEntry
-from onebend.recording.tool.film import tool_in_small
+from onebend.recording.tool.film import AT_REST, LOADED, tool_in_small
 from onebend.recording.tool.kept_small import MOST, KeptSmall
 from onebend.records import Array
 from tests.recording.filmed import LENGTH, SIZE, corners_of, recording, view
@@ -48,9 +48,9 @@ def test_rest_and_push_are_kept_of_a_long_stream() -> None:
     assert small is not None
     assert (np.diff(small.time) > 0.0).all()
     resting, pushed = small.time[small.time <= push[3]], small.time[small.time > push[3]]
-    assert len(resting) >= 12  # as many as are looked at
+    assert len(resting) >= AT_REST  # as many as are looked at
     assert resting[-1] > 0.8 * rest[-1]  # of all the rest
-    assert len(pushed) >= 40
+    assert len(pushed) >= LOADED
     assert all(time in kept for time in small.time.tolist())
     assert push[0] + 0.05 not in kept
 

@@ -7,22 +7,26 @@ import numpy as np
 from onebend.blas import one_blas_thread
 from onebend.learning.model.rest import AtRest, at_rest
 from onebend.learning.outcome import Learned
-from onebend.learning.paper.selection import RegressionSettings, standing, table
+from onebend.learning.paper.selection import MOST_FRAMES, RegressionSettings, standing, table
 from onebend.progress import Progress, Silent
 from onebend.records import Observations, Remark
 
 
 @one_blas_thread
 def regress(
-    observations: Observations, settings: RegressionSettings = RegressionSettings(), *, progress: Progress = Silent()
+    observations: Observations,
+    settings: RegressionSettings = RegressionSettings(),
+    *,
+    most_frames: int = MOST_FRAMES,
+    progress: Progress = Silent(),
 ) -> Learned:
-    """The stiffness distribution of the observed beam.
+    """The stiffness distribution of the observed beam, from at most so many frames.
 
     Raises:
         LearningError: too few loaded frames, or no (n, m) gives a beam that can be simulated.
     """
     rest = at_rest(observations)
-    candidates = table(observations, rest, settings, progress)
+    candidates = table(observations, rest, settings, progress, most_frames)
     chosen, training = standing(candidates, observations, rest)
     beam = candidates[chosen].beam
     assert beam is not None  # its BIC is finite

@@ -33,8 +33,8 @@ Method = Literal["regression", "paper"]
 Bic = Literal["textbook", "paper"]
 _SNAPS = "the learned beam snaps through under the measured forces"
 _FINE = np.linspace(0.0, 1.0, 401)
-_MOST_FRAMES = 1000  # that a trial is learned from, evenly spread
-_SIMULATED = 100  # frames that it is compared in: the markers' RMS of a push is the same in a hundred of it as in all
+MOST_FRAMES = 1000  # that a trial is learned from, evenly spread
+_SIMULATED = 50  # frames that it is compared in: the markers' RMS of a push is the same in fifty of it as in all
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,18 @@ def information_criterion(rms: Array, observed: int, parameters: int, kind: Bic)
 
 
 def table(
-    observations: Observations, rest: AtRest, settings: RegressionSettings, progress: Progress
+    observations: Observations,
+    rest: AtRest,
+    settings: RegressionSettings,
+    progress: Progress,
+    most_frames: int = MOST_FRAMES,
 ) -> list[Candidate]:
-    """Every (n, m): learned from at most 1000 frames, simulated and compared in at most 101 of them.
+    """Every (n, m): learned from at most `most_frames`, simulated and compared in at most 51 of them.
 
     Raises:
         LearningError: the frames are too few for any.
     """
-    observations = _fewer(observations)
+    observations = _fewer(observations, most_frames)
     frames = usable_frames(observations)
     wanted = pairs(settings, len(observations.marker_s))
     needed = max(n + m for n, m in wanted)
@@ -129,16 +133,16 @@ def table(
     return out
 
 
-def _fewer(observations: Observations) -> Observations:
-    """At most `_MOST_FRAMES` of the usable frames of a film."""
+def _fewer(observations: Observations, most: int) -> Observations:
+    """At most so many of the usable frames of a film."""
     frames = np.flatnonzero(usable_frames(observations)).astype(np.int64)
-    if observations.static or len(frames) <= _MOST_FRAMES:
+    if observations.static or len(frames) <= most:
         return observations
-    return at_frames(observations, evenly_spread(frames, _MOST_FRAMES, len(observations.time)))
+    return at_frames(observations, evenly_spread(frames, most, len(observations.time)))
 
 
 def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
-    """(T,) some hundred of the frames, and that of the largest force: there a beam snaps through first."""
+    """(T,) some fifty of the frames, and that of the largest force: there a beam snaps through first."""
     if observations.static:
         return frames
     rows = np.flatnonzero(frames).astype(np.int64)

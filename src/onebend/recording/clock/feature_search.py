@@ -10,7 +10,7 @@ import numpy as np
 from onebend.recording.clock.binned_log import BinnedLog, thinned
 from onebend.recording.clock.moment_posterior import Prior, moments_of
 from onebend.recording.clock.polynomial_features import Track
-from onebend.recording.force.noise import LinearModel, first_guess, fit_noise, linear_model, log_evidence
+from onebend.recording.force.noise import LinearModel, first_guess, fit_noise, layout_of, linear_model, log_evidence
 from onebend.recording.force.noise_factor import NoiseFactor, noise_factor
 from onebend.records import Array, ForceNoise, IntArray
 
@@ -107,13 +107,13 @@ def laid_over(track: Track, rows: BinnedLog, offset: Array) -> list[LaidOver | N
     """The film over the log at every offset; None where they have too little in common."""
     least = max(10.0, 0.25 * min(len(rows.time), track.duration / rows.width))
     reach = (track.time[0] - track.before - rows.width, track.time[-1] + track.after + rows.width)
-    out: list[LaidOver | None] = []
+    layout, out = layout_of(track.integral.derivative()(track.time)), list[LaidOver | None]()
     for shift in offset:
         covered = np.arange(*np.searchsorted(rows.time, (reach[0] + shift, reach[1] + shift)))
         design = rows.largest * track.mean(rows.time[covered] - shift, rows.width)
         known = np.isfinite(design).all(axis=(1, 2))
         use = covered[known]
-        out.append(LaidOver(use, linear_model(design[known], rows.force[use])) if len(use) >= least else None)
+        out.append(LaidOver(use, linear_model(design[known], rows.force[use], layout)) if len(use) >= least else None)
     return out
 
 
@@ -183,5 +183,5 @@ def evidence_over_same_rows(search: OffsetScan, rows: BinnedLog, offset: Array) 
     use = np.all([np.isfinite(design).all(axis=(1, 2)) for design in designs], axis=0)
     if use.sum() < 10:
         return None
-    factor = noise_factor(search.noise, rows.time[use])
-    return np.array([log_evidence(factor, linear_model(design[use], rows.force[use])) for design in designs])
+    factor, layout = noise_factor(search.noise, rows.time[use]), layout_of(designs[0][use])
+    return np.array([log_evidence(factor, linear_model(design[use], rows.force[use], layout)) for design in designs])

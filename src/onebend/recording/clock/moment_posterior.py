@@ -27,6 +27,7 @@ TYPICAL, LARGE = 0.01, 0.1  # of the largest force: jumps of the log's error whe
 STEP, MOST_OFFSETS = 0.02, 31  # of the first grid: s between offsets at least, and their largest number
 FINE = 15  # offsets that each refinement of the grid adds
 REACH = 4.0  # sd: half-width of a refinement
+RESOLVED = 0.6  # sd: a grid as fine as that around the mean needs no refinement
 TURNS = 2  # rounds of parameters, noise and jumps at one offset
 MOST_TURNS, SETTLED = 4, 2e-3  # rounds of these and the offset; s, a change of the offset that ends them
 FEWEST = 10  # rows
@@ -126,6 +127,9 @@ def scan_closer(
     log_density = log_posterior(shared, offsets, errors, prior)
     for _ in range(REFINEMENTS):
         mean, sd = moments_of(offsets, log_density)
+        spacing = np.diff(offsets)[np.abs(offsets[1:] - mean) <= REACH * sd]
+        if len(spacing) >= REACH and spacing.max() < RESOLVED * sd:
+            break
         reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= NEXT])))
         new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), FINE), offsets)
         offsets, log_density = (

@@ -28,22 +28,38 @@ class LinearModel:
     of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q + 1,) of each axis: its coefficients, and p; its columns
 
 
-def linear_model(design: Array, values: Array) -> LinearModel:
-    """Of `design` (N, a, p) and `values` (N, a)."""
+@dataclass(frozen=True)
+class ColumnLayout:
+    """Which columns of a design (N, a, p) are not zero, and which of them differ."""
+
+    axis: IntArray  # (d,) of those that differ
+    coefficient: IntArray  # (d,)
+    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q,) of each axis: its coefficients; which of the d they are
+
+
+def layout_of(design: Array) -> ColumnLayout:
+    """Of `design` (N, a, p)."""
     number: dict[bytes, int] = {}
-    columns: list[Array] = []
+    first: list[tuple[int, int]] = []
     of_axis = []
     for a in range(design.shape[1]):
         used = np.flatnonzero(np.any(design[:, a], axis=0))
-        at: list[int] = []
-        for column in (*design[:, a, used].T, values[:, a]):
-            key = column.tobytes()
-            if key not in number:
-                number[key] = len(columns)
-                columns.append(column)
-            at.append(number[key])
-        of_axis.append((np.append(used, design.shape[2]), np.array(at)))
-    return LinearModel(np.stack(columns, axis=1), design.shape[2], tuple(of_axis))
+        for i in used.tolist():
+            if number.setdefault(design[:, a, i].tobytes(), len(first)) == len(first):
+                first.append((a, i))
+        of_axis.append((used, np.array([number[design[:, a, i].tobytes()] for i in used], dtype=np.int64)))
+    axis, coefficient = np.array(first, dtype=np.int64).reshape(-1, 2).T
+    return ColumnLayout(axis, coefficient, tuple(of_axis))
+
+
+def linear_model(design: Array, values: Array, layout: ColumnLayout | None = None) -> LinearModel:
+    """Of `design` (N, a, p) and `values` (N, a); `layout`: of designs of which this one is a part."""
+    layout = layout or layout_of(design)
+    differing, p = len(layout.axis), design.shape[2]
+    of_axis = tuple(
+        (np.append(used, p), np.append(at, differing + axis)) for axis, (used, at) in enumerate(layout.of_axis)
+    )
+    return LinearModel(np.concatenate([design[:, layout.axis, layout.coefficient], values], axis=1), p, of_axis)
 
 
 def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:

@@ -15,15 +15,18 @@ from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, track
 from onebend.recording.tags.finder import Finder
 from onebend.recording.tags.frozen import frozen, frozen_remarks, noting_changes, repeated
-from onebend.recording.tags.tracking import BlockTracks, track_block
+from onebend.recording.tags.tracking import MOST_STEP, BlockTracks, track_block
 from onebend.recording.toml.entries import FAMILIES, TagsEntry
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.recording.video import FilmFrame, Keep, Picture, frame_count, pictures_at, rate_remarks, read_frames
-from onebend.records import BoolArray, Detections, Remark
+from onebend.records import Array, BoolArray, Detections, Remark
 from onebend.workers import available_cores
 
-BLOCK = 32  # frames that one thread follows on its own; bounds the memory: (threads + 1) blocks are held at a time
+BLOCK = 16  # frames that are followed together; bounds the memory: two blocks are held at a time
+WORTH_FINDER = 4  # tags: for fewer, one more detector is not worth its memory (20 MB) and its start
+LOOK_BLOCKS = 16  # the first picture of every so manyth block is searched whole, whatever is missing
 MOST_THREADS = 8
+LEAST_RATE = 14.0  # searched frames a second at least; where tags move unevenly all are
 FREQUENT = 0.1  # of the searched pictures: an unexpected tag gets a remark if it is seen more often
 OFTEN_HIDDEN = 0.05  # of the frames: a tag that is missing more often gets a remark
 FAMILY_FRAMES = 5  # frames searched for tags of other families when none was found
@@ -40,9 +43,9 @@ def detect_tags(
     progress: Progress = Silent(),
     keep: Keep | None = None,
 ) -> Detections:
-    """Find every tag of `tags` in every frame of `video`.
+    """Find every tag of `tags` in the frames of `video`: in as many as follow their motion, `LEAST_RATE` at least.
 
-    The video is cut into blocks of frames that are searched independently, so the result does not depend on the
+    A block of frames is followed, each tag by itself, while the next one is read, so the result does not depend on the
     number of `threads` (default: one per core) nor on their timing. `keep`: see `read_frames`.
 
     Raises:
@@ -51,25 +54,43 @@ def detect_tags(
     """
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
-    finders: SimpleQueue[Finder] = SimpleQueue()
-    for _ in range(threads):
-        finders.put(Finder(tags.family))
+    first, finders = Finder(tags.family), SimpleQueue[Finder]()
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // WORTH_FINDER) - 1))):
+        finders.put(finder)
 
-    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
-        finder = finders.get()
-        try:
-            return track_block(frames, tag_id, finder)
-        finally:
-            finders.put(finder)
+    def each(work: Callable[[Finder, int], None], count: int) -> None:
+        def one(i: int) -> None:
+            finder = finders.get()
+            try:
+                work(finder, i)
+            finally:
+                finders.put(finder)
+
+        list(pool.map(one, range(count)))
 
     blocks: list[BlockTracks] = []
     changes: list[float] = []
-    with ThreadPoolExecutor(threads) as pool:
+
+    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
+        look, before = len(blocks) % LOOK_BLOCKS == 0, blocks[-1].corners if blocks else None
+        step = step_of(blocks[0].time if blocks else np.array([frame.time for frame in frames]))
+        blocks.append(track_block(frames, tag_id, first, before=before, look=look, step=step, each=each))
+        return blocks[-1]
+
+    with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
         frames = noting_changes(read_frames(video, keep), changes)
-        tracked = in_order(pool, follow_tags, in_blocks(frames, BLOCK), ahead=threads)
-        for block in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
-            blocks += [block] if block else []
+        tracked = in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1)
+        for _ in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
+            pass
     return summary(video, tags, tag_id, blocks, repeated(changes))
+
+
+def step_of(time: Array) -> int:
+    """Every so manyth frame is searched in any case, of a film with frames at `time` (B,) [s]: a power of two."""
+    step = 1
+    while step < MOST_STEP and len(time) > 1 and 2 * step * float(np.median(np.diff(time))) <= 1 / LEAST_RATE:
+        step *= 2
+    return step
 
 
 def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
@@ -77,6 +98,7 @@ def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
     items = iter(items)
     while block := tuple(islice(items, size)):
         yield block
+        del block  # not to be held while the next one is read
 
 
 def in_order(
@@ -86,6 +108,7 @@ def in_order(
     waiting: deque[Future[Result]] = deque()
     for item in items:
         waiting.append(pool.submit(work, item))
+        del item  # as in `in_blocks`
         if len(waiting) > ahead:
             yield waiting.popleft().result()
     while waiting:
@@ -108,7 +131,8 @@ def summary(
     corners = np.concatenate([block.corners for block in blocks])
     strangers = Counter(tag for block in blocks for tag in block.strangers)
     doubles = [double for block in blocks for double in block.doubles]
-    share = np.isfinite(corners).all(axis=(2, 3)).mean(axis=0)
+    searched = np.concatenate([block.searched for block in blocks])
+    share, count = np.isfinite(corners[searched]).all(axis=(2, 3)).mean(axis=0), int(searched.sum())
     height, width = blocks[0].shape
     hung = frozen(corners, repeats)
     corners[hung] = np.nan
@@ -126,9 +150,10 @@ def summary(
             *rate_remarks(video, time),
             *frozen_remarks(hung, time),
             *unseen_remarks(tag_id, share, len(time)),
-            *hidden_remarks(tag_id, share, len(time)),
+            *hidden_remarks(tag_id, share, count),
             *stranger_remarks(strangers, looks),
         ),
+        searched=None if searched.all() else searched,
     )
 
 

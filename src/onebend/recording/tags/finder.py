@@ -29,7 +29,7 @@ LEAST_PART = 8  # px: smaller parts of a picture are not searched
 CHANCE = 1e-4  # that what is no tag reads as one: small tags of a whole picture are read with as many errors
 MOST_ERRORS = 2  # that the detector corrects
 RATIO = 2.0  # of the sides of what is found and what was expected: more is another thing
-NEAR = 0.4  # margin around an expected tag, in tag sizes
+NEAR = 0.25  # margin around an expected tag, in tag sizes
 LEAST_MARGIN = 8  # px
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from onebend.recording.signals import runs
+from onebend.recording.signals import bridged, runs
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array, BoolArray, Remark
 
@@ -53,7 +53,8 @@ def repeated(changes: Sequence[float]) -> BoolArray:
 
 def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
     """(T,) frames that repeat (T,) the one before, in runs after which the tags (T, m, 4, 2) [px] stand elsewhere."""
-    centre = corners.mean(axis=2)
+    centre = bridged(np.arange(len(corners), dtype=float), corners.mean(axis=2).reshape(len(corners), -1))
+    centre = centre.reshape(len(corners), -1, 2)
     step = np.linalg.norm(np.diff(centre, axis=0), axis=-1)  # (T - 1, m)
     hung = np.zeros(len(corners), dtype=bool)
     for begin, end in runs(repeats).tolist():

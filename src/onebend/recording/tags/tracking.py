@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +10,13 @@ import numpy as np
 from onebend.recording.tags.finder import NEAR, Finder, Sighting, margin_of
 from onebend.recording.tags.pattern import correct_still
 from onebend.recording.video import FilmFrame, Picture
-from onebend.records import Array
+from onebend.records import Array, BoolArray, IntArray
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
+MOST_STEP = LOOK_EVERY // 2  # frames between searched ones: at two of them a tag must be seen to be predicted
+BENT = 0.5  # px by which a tag's way may bend between searched frames; an eighth of it is off halfway
 WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
+EachTag = Callable[[Callable[[Finder, int], None], int], object]  # does `work(finder, i)` for every i below a count
 
 
 @dataclass(frozen=True)
@@ -22,36 +25,100 @@ class BlockTracks:
 
     time: Array  # (B,) s
     corners: Array  # (B, m, 4, 2) px, NaN where not seen
+    searched: BoolArray  # (B,)
     shape: tuple[int, int]  # height, width, px
     looks: int  # how often the whole picture was searched
     strangers: tuple[int, ...]  # unexpected ids in those searches, one entry per sighting
     doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was read without error at two places
 
 
-def track_block(frames: Sequence[FilmFrame], tag_id: Sequence[int], finder: Finder) -> BlockTracks:
+def track_block(
+    frames: Sequence[FilmFrame],
+    tag_id: Sequence[int],
+    finder: Finder,
+    *,
+    before: Array | None = None,
+    look: bool = True,
+    step: int = 1,
+    each: EachTag | None = None,
+) -> BlockTracks:
     """Follow the tags `tag_id` through consecutive frames.
 
-    The whole first picture is searched. Then each tag is searched near the place that its last two sightings predict.
-    If a tag is missing, the whole picture is searched again every `LOOK_EVERY` frames and in the last one. A second
-    pass, backward in time, finds tags that became visible between two such searches.
+    Each tag is searched near the place that its last two sightings predict. If a tag is missing, the whole picture is
+    searched in the first frame, every `LOOK_EVERY` frames and in the last one. A second pass, backward in time, finds
+    tags that became visible between two such searches. Where only every so manyth frame is searched, those between are
+    searched as well where tags do not move on evenly, or come or go.
+
+    Args:
+        before: (B, m, 4, 2) px, where the tags were in the frames right before; they are followed from there.
+        look: whether the whole first picture is searched even if no tag is missing, for strangers and doubles.
+        step: of the frames' numbers: every so manyth is searched in any case; a power of two, `MOST_STEP` at most.
+        each: works on all tags, with detectors of its own; default: one tag after the other.
     """
-    tracks = np.full((len(frames), len(tag_id), 4, 2), np.nan)
-    evenly = np.arange(len(frames), dtype=float)
-    looks, strangers, doubles = 0, [], []
-    for t, frame in enumerate(frames):
-        follow(tracks, evenly, t, -1, frame.luma, tag_id, finder)
-        if (t % LOOK_EVERY == 0 or t == len(frames) - 1) and np.isnan(tracks[t]).any():
-            sightings = finder.look(frame.luma, tag_id)
+    known = 0 if before is None else min(len(before), LOOK_EVERY)
+    tracks = np.full((known + len(frames), len(tag_id), 4, 2), np.nan)
+    if before is not None:
+        tracks[:known] = before[-known:]
+    evenly = np.arange(len(tracks), dtype=float)
+    number = np.arange(len(tracks)) - known + frames[0].index
+
+    def followed(rows: Sequence[int], side: int) -> None:
+        def one(searching: Finder, i: int) -> None:
+            own = slice(i, i + 1)
+            for t in rows:
+                follow(tracks[:, own], evenly, t, side, frames[t - known].luma, tag_id[own], searching)
+
+        if each is not None:
+            each(one, len(tag_id))
+        else:
+            for i in range(len(tag_id)):
+                one(finder, i)
+
+    wanted = [t for t in range(known, len(tracks)) if number[t] % step == 0]
+    looks, strangers, doubles, begin = 0, [], [], 0
+    for end in sorted({*range(0, len(wanted), max(LOOK_EVERY // step, 1)), len(wanted) - 1} - {-1}):
+        followed(wanted[begin : end + 1], -1)
+        begin, t = end + 1, wanted[end]
+        if np.isnan(tracks[t]).any() or (look and end == 0):
+            sightings = finder.look(frames[t - known].luma, tag_id)
             looks += 1
             strangers += [tag.tag_id for tag in sightings if tag.tag_id not in tag_id]
-            doubles += [(frame.index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
+            doubles += [(frames[t - known].index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
             take(tracks[t], sightings, tag_id)
-    for t in reversed(range(len(frames))):
-        follow(tracks, evenly, t, 1, frames[t].luma, tag_id, finder)
-    tracks = correct_still(frames, tracks, finder.cells)
+    followed(wanted[::-1], 1)
+    searched = np.isfinite(tracks).all(axis=(2, 3)).any(axis=1) | (number % step == 0)
+    while step > 1:
+        more = [t for t in uneven(tracks, searched, number % step, step).tolist() if t >= known]
+        followed(more, -1)
+        followed(more, 1)
+        searched[more] = True
+        step //= 2
+    tracks = correct_still(frames, tracks[known:], finder.cells)
     height, width = frames[0].luma.shape
     times = np.array([frame.time for frame in frames])
-    return BlockTracks(times, tracks, (height, width), looks, tuple(strangers), tuple(doubles))
+    return BlockTracks(times, tracks, searched[known:], (height, width), looks, tuple(strangers), tuple(doubles))
+
+
+def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> IntArray:
+    """Rows of `tracks` (T, m, 4, 2) in the middle between rows `step` apart, of which `phase` (T,) is 0, that the tags
+    do not pass evenly. Rows beside what was not `searched` (T,) are passed evenly."""
+    half, centre = step // 2, tracks.mean(axis=2)
+    bent = np.zeros(len(tracks))
+    for t in np.flatnonzero(searched & (phase == 0)).tolist():
+        sides = [u for u in (t - step, t + step) if 0 <= u < len(tracks)]
+        if len(sides) < 2 or not searched[sides].all():
+            continue
+        change = np.linalg.norm(centre[t - step] - 2.0 * centre[t] + centre[t + step], axis=-1)
+        shown = np.isfinite(centre[[t - step, t, t + step]]).all(axis=-1)
+        comes_or_goes = shown.any(axis=0) != shown.all(axis=0)
+        bent[t] = np.inf if comes_or_goes.any() else np.nan_to_num(change).max()
+    out = []
+    for t in np.flatnonzero(phase == half).tolist():
+        sides = [u for u in (t - half, t + half) if 0 <= u < len(tracks)]
+        around = [u for u in (t - half - step, *sides, t + half + step) if 0 <= u < len(tracks)]
+        if searched[sides].all() and bent[around].max() > BENT:
+            out.append(t)
+    return np.array(out, dtype=np.int64)
 
 
 def follow(

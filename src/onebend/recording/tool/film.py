@@ -16,7 +16,7 @@ from onebend.recording.tool.place import ToolPlace, not_seen, tool_place
 from onebend.recording.video import Picture, pictures_at
 from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark
 
-LOADED, AT_REST = 40, 12  # frames of each that are looked at
+LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
 SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
 ACCUSES = 0.5  # of the loaded frames: what fewer show at another place is no reason to doubt the stated one
 
@@ -34,7 +34,7 @@ class SmallPictures:
 
 def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
     """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
-    `base_angle` (T,) is of every frame.
+    `base_angle` (T,) [rad] is of the same frames.
 
     Raises:
         RecordingError: the film cannot be read.
@@ -42,7 +42,7 @@ def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: Fi
     if rec.push is None or not isfinite(rec.push.at):
         return seen
     markers = Markers(
-        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle[seen.frame],
+        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle,
         seen.source.view,
     )  # fmt: skip
     tool = find(markers, seen.loaded, seen.frame)
@@ -110,7 +110,7 @@ def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = Non
     steps = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[:1]), axis=-1)).sum(axis=1)
     chosen = []
     for mask, most in ((loaded, LOADED), (~loaded, AT_REST)):
-        rows = np.flatnonzero(mask if rather is None or np.sum(mask & rather) < most else mask & rather)
+        rows = np.flatnonzero(mask if rather is None or np.sum(mask & rather) < most // 2 else mask & rather)
         if len(rows):
             gone = np.cumsum(np.where(mask, steps, 0.0))
             way = gone[rows] / max(float(gone[-1]), 1e-12) + np.linspace(0.0, 1.0, len(rows))

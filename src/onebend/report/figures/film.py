@@ -21,7 +21,7 @@ from onebend.recording.kept_frames import KeptFrames, roundest
 from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import Array, IntArray, Observations, View
 
-MOST_FRAMES = 36
+MOST_FRAMES = 24  # fewer than are kept of most films
 WIDEST = 560  # px
 LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
 QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
@@ -78,25 +78,24 @@ def film_strip(
     if source.view is None or source.video is None:
         return None
     chosen = spread_frames(shown.frame)
+    arrows = _arrows(source.view, observations.length, fitted, chosen)
+    beams, tags = project(source.view, fitted.line[chosen, ::_STEP]), project(source.view, shown.measured[chosen])
+    points = np.concatenate([part.reshape(-1, 2) for part in (beams, tags, arrows)])
     try:
-        wanted = shown.frame[chosen].tolist()
-        found = dict((kept or KeptFrames()).pictures(film_of(source.video, observations), wanted, colour=True))
+        pictures = (kept or KeptFrames()).pictures(
+            film_of(source.video, observations), shown.frame[chosen].tolist(), colour=True
+        )
+        images = {index: _part(picture, points) for index, picture in pictures}
     except OnebendError:
         return None
-    chosen = np.array([t for t, frame in zip(chosen, wanted, strict=True) if frame in found], dtype=int)
-    if not len(chosen):
+    if not images:
         return None
-    arrows = _arrows(source.view, observations.length, fitted, chosen)
     aside = shape_band(beam, uncertain, observations, fitted, chosen)
-    beams, tags = project(source.view, fitted.line[chosen, ::_STEP]), project(source.view, shown.measured[chosen])
-    first = next(iter(found.values()))
-    low, high = _window(np.concatenate([part.reshape(-1, 2) for part in (beams, tags, arrows)]), first.shape)
-    scale = min(WIDEST / float(high[0] - low[0]), 1.0)
-    size = tuple(round(scale * float(extent)) for extent in high - low)
-    jpegs = _small([found[int(shown.frame[t])][low[1] : high[1], low[0] : high[0]] for t in chosen], size)
+    low, scale = next(iter(images.values()))[1:]
+    jpegs = dict(zip(images, _jpegs([image for image, _, _ in images.values()]), strict=True))
     frames = tuple(
         StripFrame(
-            jpeg=jpegs[i],
+            jpeg=jpegs[int(shown.frame[t])],
             frame=int(shown.frame[t]),
             time=float(shown.time[t] - shown.time[chosen[0]]),
             beam=scale * (beams[i] - low),
@@ -106,8 +105,9 @@ def film_strip(
             force=shown.force[t],
         )
         for i, t in enumerate(chosen)
+        if int(shown.frame[t]) in jpegs
     )
-    return FilmStrip(size[0], size[1], frames)
+    return FilmStrip(*next(iter(images.values()))[0].size, frames)
 
 
 def shape_band(
@@ -161,9 +161,17 @@ def _window(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int_], ND
     return first, np.clip(np.ceil(high + room).astype(int), first + 2, limits)
 
 
-def _small(pictures: list[NDArray[np.uint8]], size: tuple[int, ...]) -> list[bytes]:
-    """JPEGs of this size, of the best quality with which they stay below `LARGEST` together."""
-    images = [Image.fromarray(one).resize((size[0], size[1]), Image.Resampling.HAMMING) for one in pictures]
+def _part(picture: NDArray[np.uint8], points: Array) -> tuple[Image.Image, NDArray[np.int_], float]:
+    """The part of a frame that holds all `points`, as small as it is shown; its corner [px], and how much smaller."""
+    low, high = _window(points, picture.shape)
+    scale = min(WIDEST / float(high[0] - low[0]), 1.0)
+    part = Image.fromarray(picture[low[1] : high[1], low[0] : high[0]])
+    width, height = (round(scale * float(extent)) for extent in high - low)
+    return part.resize((width, height), Image.Resampling.HAMMING), low, scale
+
+
+def _jpegs(images: list[Image.Image]) -> list[bytes]:
+    """JPEGs of the best quality with which they stay below `LARGEST` together."""
     jpegs: list[bytes] = []
     for quality in QUALITIES:
         jpegs = [_jpeg(image, quality) for image in images]
