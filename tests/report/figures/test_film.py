@@ -33,7 +33,7 @@ FIT = explained(made_up.posterior())[0]
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> Observations:
     """Noise, as no JPEG packs well, and a bright square where the last tag was seen in the frame."""
-    seen = made_up.posterior().recordings[0].observations
+    seen = made_up.observations()
     assert seen.source.view is not None
     rng = np.random.default_rng(0)
     lumas = [rng.integers(0, 120, (480, 640), dtype=np.uint8) for _ in seen.frame]
@@ -87,7 +87,7 @@ def test_what_is_drawn_stands_where_the_small_picture_shows_it(filmed: Observati
             continue
         np.testing.assert_allclose(one.beam[-1], one.tags[-1], atol=3.0)
         bright = np.argwhere(np.asarray(image.convert("L")) > 200)[:, ::-1]
-        np.testing.assert_allclose(np.median(bright, axis=0), one.tags[-1], atol=1.5)
+        np.testing.assert_allclose(np.median(bright, axis=0), one.tags[-1], atol=2.5)  # means of three frames
     sizes = [np.linalg.norm(one.force) for one in strip.frames]
     lengths = [np.linalg.norm(one.arrow[1] - one.arrow[0]) for one in strip.frames]
     assert np.argmax(sizes) == np.argmax(lengths)

@@ -50,7 +50,7 @@ def condensed(o: Observations, most: int) -> Observations:
 
 def windows_of(o: Observations, learnable: BoolArray, most: int) -> list[IntArray]:
     """The frames of each window, in order; `learnable` (T,)."""
-    parts = [_Part(o, frames) for frames in _parts(o, learnable)]
+    parts = [_Way(o, frames) for frames in _parts(o, learnable)]
     coarser = 1.0
     while True:
         cut = [part.windows(coarser) for part in parts]
@@ -74,7 +74,7 @@ def _parts(o: Observations, learnable: BoolArray) -> list[IntArray]:
     return out
 
 
-class _Part:
+class _Way:
     """A run of frames without a kink, and how far each is along it in units of what a window may span."""
 
     def __init__(self, o: Observations, frames: IntArray) -> None:
