@@ -113,9 +113,11 @@ def test_pattern_fit_leaves_moving_and_half_hidden_tags_alone() -> None:
     assert np.array_equal(correct_still(frames, edge, None), edge)
 
 
-def still(tmp_path: Path, tag_id: Sequence[int], *, family: str = "tag36h11", count: int = 3) -> VideoEntry:
+def still(
+    tmp_path: Path, tag_id: Sequence[int], *, family: str = "tag36h11", count: int = 3, rate: float = 30.0
+) -> VideoEntry:
     luma = np.rint(picture(poses(3)[0, : len(tag_id)], tag_id, view(), family=family)).astype(np.uint8)
-    return save(tmp_path / "video.mkv", [FilmFrame(i, i / 30, luma) for i in range(count)])
+    return save(tmp_path / "video.mkv", [FilmFrame(i, i / rate, luma) for i in range(count)])
 
 
 def test_no_tag_at_all(tmp_path: Path) -> None:
@@ -188,7 +190,7 @@ def test_frames_between_are_searched_where_tags_do_not_pass_evenly() -> None:
 
 
 def test_a_tag_at_rest_is_searched_in_every_other_frame_and_the_others_are_said_not_to_be(tmp_path: Path) -> None:
-    found = detect_tags(still(tmp_path, [0, 1, 2, 3]), TAGS)
+    found = detect_tags(still(tmp_path, [0, 1, 2, 3], rate=60.0), TAGS)
     assert found.searched is not None
     assert found.searched.tolist() == [True, False, True]
     assert np.isnan(found.corners[1]).all()
