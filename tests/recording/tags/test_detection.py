@@ -25,11 +25,11 @@ from tests.recording.filmed import HEIGHT, SIZE, WIDTH, corners_of, film, pictur
 TAGS = TagsEntry(size=SIZE, on_base=(TagEntry(0, 0.0),), on_beam=tuple(TagEntry(i, i / 3) for i in (1, 2, 3)))
 
 
-def save(path: Path, frames: Sequence[FilmFrame]) -> VideoEntry:
+def save(path: Path, frames: Sequence[FilmFrame], rate: int = 30) -> VideoEntry:
     """The frames as a lossless file."""
     height, width = frames[0].luma.shape
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=30)
+        stream = container.add_stream("ffv1", rate=rate)
         stream.width, stream.height, stream.pix_fmt = width, height, "gray"
         for i, frame in enumerate(frames):
             out = av.VideoFrame.from_ndarray(frame.luma, format="gray")
@@ -114,10 +114,10 @@ def test_pattern_fit_leaves_moving_and_half_hidden_tags_alone() -> None:
 
 
 def still(
-    tmp_path: Path, tag_id: Sequence[int], *, family: str = "tag36h11", count: int = 3, rate: float = 30.0
+    tmp_path: Path, tag_id: Sequence[int], *, family: str = "tag36h11", count: int = 3, rate: int = 30
 ) -> VideoEntry:
     luma = np.rint(picture(poses(3)[0, : len(tag_id)], tag_id, view(), family=family)).astype(np.uint8)
-    return save(tmp_path / "video.mkv", [FilmFrame(i, i / rate, luma) for i in range(count)])
+    return save(tmp_path / "video.mkv", [FilmFrame(i, i / rate, luma) for i in range(count)], rate)
 
 
 def test_no_tag_at_all(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_frames_between_are_searched_where_tags_do_not_pass_evenly() -> None:
 
 
 def test_a_tag_at_rest_is_searched_in_every_other_frame_and_the_others_are_said_not_to_be(tmp_path: Path) -> None:
-    found = detect_tags(still(tmp_path, [0, 1, 2, 3], rate=60.0), TAGS)
+    found = detect_tags(still(tmp_path, [0, 1, 2, 3], rate=60), TAGS)
     assert found.searched is not None
     assert found.searched.tolist() == [True, False, True]
     assert np.isnan(found.corners[1]).all()
