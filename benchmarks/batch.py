@@ -13,16 +13,10 @@ from typing import Any, TypeVar
 import numpy as np
 import psutil
 
-from onebend.batch.engine import cluster, results_of
-from onebend.batch.listing import Item
-from onebend.batch.outcome import BatchOutcome
-from onebend.batch.outliers import scores
-from onebend.batch.record import EVERY
-from onebend.batch.run import run_batch
-from onebend.batch.task import ItemResult, TaskSettings
-from onebend.batch.writing import summary_of, write_batch
+from onebend.many.batch import BatchOutcome, run_batch, scores, summary_of, write_batch
+from onebend.many.tasks import EVERY, Item, ItemResult, TaskSettings, cluster, results_of
 from onebend.pipeline import learn
-from tests.batch.stems import stem
+from tests.many.stems import stem
 
 COUNT = 60  # recordings that are learned
 QUEUES = (1_000, 10_000)

@@ -13,16 +13,21 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.studies import KINDS, MOUNTING, S, bench_of, fit_from_nothing
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
-from onebend.beam.profiles.stiffness import Powers, Uniform
-from onebend.beam.profiles.uncertain import half_width
-from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.stiffness import Powers, Uniform, half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.direct_observation import observe_from_truth
-from onebend.lab.random_beams import RESOLUTION
-from onebend.lab.virtual import VirtualBench, VirtualRecording, from_base, observe_virtual, tag_poses, virtual_recording
-from onebend.learning.posterior import Posterior
-from onebend.learning.stiffness_band import stiffness_of
+from onebend.lab.designs import RESOLUTION
+from onebend.lab.virtual import (
+    VirtualBench,
+    VirtualRecording,
+    from_base,
+    observe_from_truth,
+    observe_virtual,
+    tag_poses,
+    virtual_recording,
+)
+from onebend.learning.posterior import Posterior, stiffness_of
 from onebend.records import Array, ForceNoise, Observations
 
 CLEAN = ("correlated", "bias", "clock", "tags", "everything")  # kinds of errors that the fit allows for

@@ -18,16 +18,23 @@ import numpy as np
 from benchmarks.studies import bench_of
 from benchmarks.truth import RECORDINGS, Truth, read_truth
 from onebend.lab.virtual import virtual_recording
-from onebend.recording.camera.projection import measure_markers
-from onebend.recording.clock.offset import ClockSettings
+from onebend.recording.camera import measure_markers
+from onebend.recording.clock import ClockSettings
+from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
-from onebend.recording.force.cleaning import ForceSettings, force_at, to_beam
-from onebend.recording.force.contact import Contact, find_contact
-from onebend.recording.force.noise import first_guess, fit_noise, linear_model
+from onebend.recording.force import (
+    Contact,
+    ForceSettings,
+    find_contact,
+    first_guess,
+    fit_noise,
+    force_at,
+    linear_model,
+    to_beam,
+)
 from onebend.recording.pairing import cleaned, match_clocks, read_log
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import Recording
-from onebend.recording.tracks.chords import with_angles
+from onebend.recording.tags import detect_tags
+from onebend.recording.tracks import with_angles
 from onebend.records import Array, ForceLog, Markers
 
 VIRTUAL = tuple(

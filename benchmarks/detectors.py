@@ -22,12 +22,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, parser_of, read_truth
-from onebend.recording.camera.lens import project
-from onebend.recording.camera.plane import square
+from onebend.recording.camera import project, square
+from onebend.recording.entries import TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tags import detect_tags
 from onebend.recording.video import FilmFrame, Picture, read_frames
 from onebend.records import Array, View
 

@@ -14,19 +14,16 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from onebend.beam.continuation import equilibrium
+from onebend.beam.dynamics import Actions, AppliedForce, Body, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import IntegrationSettings, Method, Motion, simulate
 from onebend.beam.loads import push
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce
-from onebend.beam.motion.collocation import Method
-from onebend.beam.motion.dynamics import Body, body
-from onebend.beam.motion.integration import IntegrationSettings, Motion, simulate
-from onebend.beam.motion.vibration import settle, vibration, vibration_of
-from onebend.beam.profiles.piecewise import taper
-from onebend.beam.profiles.section import Material, Rectangle, SectionPart, along
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.section import Material, Rectangle, SectionPart, along
+from onebend.beam.stiffness import Uniform, taper
+from onebend.beam.vibration import settle, vibration, vibration_of
 from onebend.records import Array
 
 Row = tuple[str, float, str, str]  # name, value, unit, target

@@ -26,22 +26,19 @@ import numpy as np
 from benchmarks.film_tags import twins_table
 from benchmarks.markers import errors
 from benchmarks.truth import Truth, parser_of, read_truth
-from onebend.beam.profiles.uncertain import half_width
+from onebend.beam.stiffness import half_width
 from onebend.errors import OnebendError
-from onebend.lab.filming.film import film
-from onebend.lab.filming.film_setup import Filming
-from onebend.lab.random_bench import BenchRanges, random_bench
-from onebend.lab.random_effects import LABORATORY
-from onebend.learning.inference.stages import FitSettings
+from onebend.lab.filming import Filming, film
+from onebend.lab.random_bench import LABORATORY, BenchRanges, random_bench
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior
 from onebend.pipeline import learn
 from onebend.progress import Progress, Silent
-from onebend.recording.camera.projection import measure_markers
+from onebend.recording.camera import measure_markers
+from onebend.recording.entries import TagsEntry, VideoEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tags import detect_tags
 from onebend.records import Detections
 
 SMOOTH = 12.0  # of the slope of log k over s: steeper are steps and joints, which a smooth prior rounds off

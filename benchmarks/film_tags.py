@@ -19,13 +19,11 @@ import numpy as np
 from benchmarks.markers import MEDIAN_CHI2, relative
 from benchmarks.truth import read_truth
 from onebend.lab.designs import DESIGNS
-from onebend.lab.film_request import FilmRequest, PushName, filming_of
-from onebend.lab.filming.film import film
-from onebend.lab.filming.film_setup import Filming
-from onebend.lab.random_bench import BenchRanges, random_camera
-from onebend.recording.camera.projection import measure_markers
+from onebend.lab.filming import Filming, film
+from onebend.lab.random_bench import BenchRanges, FilmRequest, PushName, filming_of, random_camera
+from onebend.recording.camera import measure_markers
 from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
+from onebend.recording.tags import detect_tags
 from onebend.records import Array
 
 CAMERAS, FPS, SECONDS = 4, 10.0, 3.0  # a design; of its films, and of contact

@@ -19,14 +19,12 @@ import mujoco
 import numpy as np
 
 from benchmarks.dynamics import BEAM, chain_model
-from onebend.beam.modal import Modes
-from onebend.beam.motion.actions import Actions, AppliedForce
-from onebend.beam.motion.collocation import Method
-from onebend.beam.motion.dynamics import body
-from onebend.beam.motion.integration import IntegrationSettings, simulate
-from onebend.beam.motion.vibration import settle
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.dynamics import Actions, AppliedForce, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import IntegrationSettings, Method, simulate
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Uniform
+from onebend.beam.vibration import settle
 from onebend.records import Array
 
 FRAMES = 1000  # a second, at which MuJoCo's tip is read

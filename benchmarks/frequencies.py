@@ -17,8 +17,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from onebend.beam.model import Beam
-from onebend.beam.motion.frequencies import natural_frequencies
-from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Uniform
+from onebend.beam.stiffness import Powers, Profile, Scaled, Uniform
+from onebend.beam.vibration import natural_frequencies
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe

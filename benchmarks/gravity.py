@@ -20,9 +20,9 @@ import numpy as np
 
 from onebend.errors import OnebendError
 from onebend.lab.designs import DESIGNS
-from onebend.lab.film_request import FilmRequest, filming_of
-from onebend.lab.filming.film import film
-from onebend.learning.stiffness_band import stiffness_of
+from onebend.lab.filming import film
+from onebend.lab.random_bench import FilmRequest, filming_of
+from onebend.learning.posterior import stiffness_of
 from onebend.pipeline import learn
 
 S = np.linspace(0.02, 0.98, 49)

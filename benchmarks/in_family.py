@@ -13,21 +13,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline
-from onebend.lab.direct_observation import observe_from_truth
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_beams import force_that_bends
-from onebend.lab.sensors import ForceSensor
-from onebend.lab.virtual import VirtualBench, virtual_recording
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
-from onebend.learning.inference.hyperparameters import Evidence
-from onebend.learning.inference.linear_gaussian import data_information, rest_information, unweighted_rows
-from onebend.learning.inference.stiffness_prior import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
-from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.beam.stiffness import LogSpline
+from onebend.lab.bench import ForceSensor, PushProfile
+from onebend.lab.designs import force_that_bends
+from onebend.lab.virtual import VirtualBench, observe_from_truth, virtual_recording
+from onebend.learning.allowances import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.fit_data import FitData, fit_data
+from onebend.learning.hyperparameters import Evidence
+from onebend.learning.linear import (
+    FitProblem,
+    Hyperparameters,
+    RecordingNoise,
+    data_information,
+    log_k_map,
+    rest_information,
+    unweighted_rows,
+)
+from onebend.learning.normal import JUMP, RHO, SPREAD, TAU, Draws, stiffness_mixture
+from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.prediction import predict
 from onebend.records import Array, ForceNoise, Observations
 
 COLOURED, MEMORY, WALK, WHITE = 0.02, 0.3, 0.004, 0.004  # parts of the largest force; s

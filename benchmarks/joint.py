@@ -17,11 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.lab.direct_observation import observe_from_truth
 from onebend.lab.random_bench import BenchRanges, random_bench, random_push
-from onebend.lab.virtual import virtual_recording
+from onebend.lab.virtual import observe_from_truth, virtual_recording
 from onebend.learning.posterior import fit
-from onebend.workers import available_cores
+from onebend.progress import available_cores
 
 COUNTS = (1, 3, 10, 30, 100)
 S = np.linspace(0.02, 0.98, 49)

@@ -12,8 +12,7 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, perfect, read_truth, recordings_asked, stiffness_error
 from onebend.errors import LearningError
-from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import Method, RegressionSettings
+from onebend.learning.paper import Method, RegressionSettings, regress
 from onebend.learning.validation import validate
 from onebend.recording.observe import observe
 from onebend.records import Observations

@@ -14,11 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
-from onebend.control.loop.controller import Controller, controller
-from onebend.control.loop.margins import SampledLoop, margins
-from onebend.control.loop.plant import plant_at
-from onebend.control.loop.simulation import LoopCamera, LoopSimulation, TrueSystem, simulate_loop
+from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
+from onebend.control.loop import Controller, SampledLoop, controller, margins, plant_at
+from onebend.control.loop_simulation import LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.records import Array
 
 BEAMS = {

@@ -20,12 +20,11 @@ import numpy as np
 
 from benchmarks.sensing import bench_of, is_learned, kept, learned
 from onebend.beam.model import Beam
-from onebend.control.loop.controller import Controller, controller
-from onebend.control.loop.felt import ForceSense, LoggedForce
-from onebend.control.loop.simulation import Actuator, LoopCamera, TrueSystem, simulate_loop
+from onebend.control.loop import Controller, ForceSense, LoggedForce, controller
+from onebend.control.loop_simulation import Actuator, LoopCamera, TrueSystem, simulate_loop
 from onebend.errors import ControlError, MechanicsError
-from onebend.forecast.sensed_force import SensedForce, drawn_tags
-from onebend.lab.random_beams import force_that_bends
+from onebend.lab.designs import force_that_bends
+from onebend.lab.sensed_force import SensedForce, drawn_tags
 from onebend.records import Array
 
 OFF = 0.2  # N

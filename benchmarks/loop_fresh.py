@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline, Powers, Profile, Steps, Table, Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.control.loop.controller import Controller, ControllerSettings, controller
-from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
-from onebend.control.reach.reach import Reach, ReachSettings, reach
+from onebend.beam.stiffness import LogSpline, Powers, Profile, Steps, Table, Uniform
+from onebend.control.loop import Controller, ControllerSettings, controller
+from onebend.control.loop_simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
+from onebend.control.reach import Reach, ReachSettings, reach
 from onebend.errors import ControlError, MechanicsError
 from onebend.records import Array
 

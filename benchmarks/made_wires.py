@@ -8,14 +8,14 @@ import numpy as np
 from scipy.linalg import cholesky
 
 from benchmarks.wires import ERROR_LENGTH, LENGTH, LINES, PUBLISHED, SD, bending, learned
-from onebend.beam.clamped_ends.near_shape import hold_near
+from onebend.beam.clamped_ends import hold_near
 from onebend.beam.loads import weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import Uniform
 from onebend.errors import OnebendError
-from onebend.learning.model.held_ends import HELD_RESOLUTION
 from onebend.learning.posterior import Posterior
+from onebend.learning.static_poses import HELD_RESOLUTION
 from onebend.records import Array
 
 NODES = 50

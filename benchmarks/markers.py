@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
-from onebend.recording.camera.projection import measure_markers
+from onebend.recording.camera import measure_markers
+from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.tags.finder import Finder
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tag_finder import Finder
+from onebend.recording.tags import detect_tags
 from onebend.recording.video import Picture, read_frames
 from onebend.records import Array, Detections, Markers
 

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from benchmarks.truth import RECORDINGS
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe

@@ -10,21 +10,13 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.linalg import solveh_banded
 
+from onebend.beam.continuation import equilibrium, follow, refine
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import (
-    Gaussians,
-    LogSpline,
-    Table,
-    Uniform,
-    equidistant,
-    gaussian_basis,
-    power_basis,
-)
-from onebend.beam.statics.continuation import equilibrium, follow, refine
-from onebend.beam.statics.equilibrium import Equilibrium, tangent
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.sensitivity import of_clamp_angle, of_force, of_mass, of_rest_curvature, of_stiffness, respond
+from onebend.beam.statics import Equilibrium, tangent
+from onebend.beam.stiffness import Gaussians, LogSpline, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.records import Array
 from tests.beam.exact import elastica_tip
 

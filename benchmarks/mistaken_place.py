@@ -24,13 +24,11 @@ import numpy as np
 from scipy.special import betaincinv
 
 from onebend.errors import OnebendError
-from onebend.lab.filming.force_log_file import write_log
-from onebend.lab.filming.recording_toml import recording_toml
-from onebend.lab.random_bench import BenchRanges, random_bench
-from onebend.lab.random_effects import LABORATORY
+from onebend.lab.filming import recording_toml, write_log
+from onebend.lab.random_bench import LABORATORY, BenchRanges, random_bench
 from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualRecording, true_stiffness, virtual_recording
-from onebend.learning.inference.misfit import DOUBTS
-from onebend.learning.stiffness_band import stiffness_of
+from onebend.learning.optimizer import DOUBTS
+from onebend.learning.posterior import stiffness_of
 from onebend.pipeline import Run, learn
 from onebend.records import GAIN_SD, Array
 

@@ -14,14 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, read_truth
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.motion.vibration import vibration
-from onebend.beam.profiles.stiffness import Table, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import equilibrium
-from onebend.learning.swing.damping import DampingSettings, SwingFit, learn_damping
-from onebend.learning.swing.free_swing import FilmPart
+from onebend.beam.stiffness import Table, UncertainStiffness, Uniform
+from onebend.beam.vibration import vibration
+from onebend.learning.swing import DampingSettings, FilmPart, SwingFit, learn_damping
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe

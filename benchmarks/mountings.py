@@ -12,17 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from onebend.beam.modal import Modes
-from onebend.beam.profiles.stiffness import Table
-from onebend.blas import one_blas_thread
-from onebend.lab.direct_observation import observe_from_truth
+from onebend.beam.grid import Modes
+from onebend.beam.stiffness import Table
 from onebend.lab.random_bench import PLACES, BenchRanges, random_bench, random_push
-from onebend.lab.virtual import virtual_recording
-from onebend.learning.allowances.mounting import BETWEEN_SD
-from onebend.learning.inference.stages import FitSettings
+from onebend.lab.virtual import observe_from_truth, virtual_recording
+from onebend.learning.allowances import BETWEEN_SD
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
+from onebend.progress import available_cores, leave_interrupts_to_parent, one_blas_thread
 from onebend.records import Array, BoolArray
-from onebend.workers import available_cores, leave_interrupts_to_parent
 
 _SHAPES: Array = Modes(len(BETWEEN_SD)).curvature(PLACES)
 S = np.linspace(0.02, 0.98, 49)

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS
 from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
+from onebend.recording.tags import detect_tags
 
 NAME = "linear_train"  # 18 s at 30 frames a second
 LIBRARIES = "numpy, scipy.linalg, scipy.interpolate, scipy.optimize, scipy.ndimage, av, pyapriltags, pyarrow.parquet"

@@ -10,13 +10,13 @@ import numpy as np
 
 from benchmarks.studies import LEVELS, S, bench_of, fit_from_nothing
 from benchmarks.truth import Truth, parser_of, read_truth, stiffness_error
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ObservationError
 from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.live.online_learner import OnlineLearner
-from onebend.learning.paper.learn import regress
+from onebend.learning.paper import regress
 from onebend.learning.posterior import fit
-from onebend.learning.replay import live_frames, replay, settings_for
+from onebend.live.learner import OnlineLearner
+from onebend.live.replayed import live_frames, replay, settings_for
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 

@@ -19,11 +19,9 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
 from onebend.cli import COMMANDS, Command
-from onebend.recording.toml.beam_entry import MassEntry
-from onebend.recording.toml.description import RECORDS
-from onebend.recording.toml.entries import TagEntry
-from onebend.recording.toml.schema import Key
-from onebend.recording.toml.source_entries import CameraInfoEntry
+from onebend.recording.description import RECORDS
+from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
+from onebend.recording.schema import Key
 
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {

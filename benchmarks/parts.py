@@ -13,11 +13,8 @@ from manifold3d import Manifold, Mesh64
 from pyapriltags import Detector
 
 from onebend.lab.designs import DESIGNS, Design
-from onebend.lab.fabrication.clamp import carriers, clamp
-from onebend.lab.fabrication.mould import MouldSettings, mould
-from onebend.lab.fabrication.page import PAGES, Fill, write_pages
-from onebend.lab.fabrication.sheet import Sheet, tag_pages
-from onebend.lab.fabrication.solids import write_mesh
+from onebend.lab.fabrication import MouldSettings, carriers, clamp, mould, write_mesh
+from onebend.lab.sheet import PAGES, Fill, Sheet, tag_pages, write_pages
 from onebend.records import Array
 
 DPI = 600

@@ -7,18 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.studies import KINDS as BEAM_KINDS
-from benchmarks.studies import PLACEMENT, PUSHED, PUSHED_SD, bench_of, fit_from_nothing
+from benchmarks.studies import KINDS as BEAM_KINDS, PLACEMENT, PUSHED, PUSHED_SD, bench_of, fit_from_nothing
 from benchmarks.truth import RECORDINGS, parser_of
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness, half_width
+from onebend.beam.stiffness import UncertainStiffness, half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.pushes import PushProfile
+from onebend.lab.bench import PushProfile
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
-from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
-from onebend.learning.design.planning import PlanSettings, after_push, plan
-from onebend.learning.design.proposals import PLACES, Proposal
-from onebend.learning.paper.learn import regress
+from onebend.learning.design import PLACES, PlanSettings, Proposal, after_push, plan
+from onebend.learning.instruments import Instruments, PlannedPush, instruments_of, push_of
+from onebend.learning.paper import regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.observe import observe

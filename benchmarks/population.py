@@ -10,21 +10,29 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.batch.run import run_batch
-from onebend.batch.writing import summary_of, write_batch
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
-from onebend.lab.marker_folder import marker_recording
-from onebend.population.curves import Curves, banded, differences, group_means, shrunken
-from onebend.population.fit import Fit, fit
-from onebend.population.needed import foretold, half_band
-from onebend.population.outliers import outliers
-from onebend.population.reading import read_batch
-from onebend.population.shares import shares
-from onebend.population.tolerance import Tolerance, inside_of
+from onebend.beam.stiffness import Table
+from onebend.lab.filming import marker_recording
+from onebend.many.batch import run_batch, summary_of, write_batch
+from onebend.many.population import (
+    Curves,
+    Fit,
+    Tolerance,
+    banded,
+    differences,
+    fit,
+    foretold,
+    group_means,
+    half_band,
+    inside_of,
+    outliers,
+    read_batch,
+    shares,
+    shrunken,
+)
 from onebend.records import Array
-from tests.batch.stems import bench
-from tests.population.made_trials import Made, Truth, made
+from tests.many.made_trials import Made, Truth, made
+from tests.many.stems import bench
 
 TRIALS, PLACES = 500, 11
 LEARNED, SIZE = 4, 4  # trials that are learned from marker tracks, and objects of each of their two groups

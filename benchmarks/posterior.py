@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.truth import RECORDINGS, read_truth, recordings_asked, stiffness_error
-from onebend.learning.paper.learn import regress
+from onebend.learning.paper import regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.observe import observe
 from onebend.records import Observations

@@ -16,12 +16,11 @@ import numpy as np
 from benchmarks import reach_true
 from benchmarks.reach_goals import Goals, goals, places_under
 from benchmarks.truth import parser_of
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.control.reach.paper_iteration import paper_force
-from onebend.control.reach.reach import ReachSettings, reach
-from onebend.control.reach.tracking import WarmReach
+from onebend.beam.problem import Resolution, make_problem
+from onebend.control.loaded_beam import paper_force
+from onebend.control.reach import ReachSettings, WarmReach, reach
 from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline, Powers, Profile, Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.stiffness import LogSpline, Powers, Profile, Uniform
 from onebend.records import Array, BoolArray
 
 RESOLUTION = Resolution(16)

@@ -11,14 +11,13 @@ from scipy.integrate import solve_bvp
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks.truth import RECORDINGS
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problems
-from onebend.control.reach.reach import Reach, reach
-from onebend.control.reach.uncertainty import PredictedError, predicted_error
-from onebend.lab.random_beams import force_that_bends
+from onebend.beam.problem import Resolution, make_problems
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.control.reach import PredictedError, Reach, predicted_error, reach
+from onebend.lab.designs import force_that_bends
 from onebend.pipeline import learn
 from onebend.records import Array
 

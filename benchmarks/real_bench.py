@@ -1,7 +1,7 @@
 """k(s) from pushes of real benches: virtual recordings with effects drawn at random, learned by the fit.
 
-Beams, tags, pushes and clocks are those of `onebend.lab.random_bench`, effects those of `onebend.lab.random_effects`
-that poses and force show; the rod that is pushed is `onebend.lab.effects.rod_march`, which shares nothing with the
+Beams, tags, pushes and clocks are those of `onebend.lab.random_bench`, effects those of `onebend.lab.random_bench`
+that poses and force show; the rod that is pushed is `onebend.lab.rod`, which shares nothing with the
 fit's statics. Shares are of places s from 0.05 to 0.9 of the push's place; k is the truth of `true_stiffness`.
 """
 
@@ -21,12 +21,19 @@ from pathlib import Path
 import numpy as np
 
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.random_bench import BenchRanges, random_bench
-from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, Chance, EffectRanges, only
-from onebend.lab.tag_errors import TagNoise
+from onebend.lab.bench import TagNoise
+from onebend.lab.random_bench import (
+    EFFECTS,
+    LABORATORY,
+    OF_THE_PICTURE,
+    BenchRanges,
+    Chance,
+    EffectRanges,
+    only,
+    random_bench,
+)
 from onebend.lab.virtual import VirtualBench, observe_virtual, true_stiffness, virtual_recording
-from onebend.learning.posterior import Posterior, fit
-from onebend.learning.stiffness_band import stiffness_of
+from onebend.learning.posterior import Posterior, fit, stiffness_of
 from onebend.records import GAIN_SD, Array
 
 IN_POSES = tuple(name for name in EFFECTS if name not in OF_THE_PICTURE)

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.capture.clocks import StampedClock, StampTiming
-from onebend.capture.film_writer import CRF, FilmWriter
-from onebend.lab.design_file import find_design
-from onebend.lab.film_request import CameraName, FilmRequest, filming_of
-from onebend.lab.filming.film import film
-from onebend.recording.tags.tracker import Tracker
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.lab.designs import find_design
+from onebend.lab.filming import film
+from onebend.lab.random_bench import CameraName, FilmRequest, filming_of
+from onebend.live.recording_folder import CRF, FilmWriter
+from onebend.live.sources import StampedClock, StampTiming
+from onebend.recording.entries import VideoEntry
+from onebend.recording.tags import Tracker
 from onebend.recording.video import FilmFrame, read_frames
 from onebend.records import Array
 

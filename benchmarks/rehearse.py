@@ -15,12 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.forecast.advice import advise
-from onebend.forecast.prediction import PredictedBand, predict
-from onebend.forecast.rehearsal import Obtained, obtained_of
-from onebend.forecast.runs import simulate
-from onebend.forecast.setup import Setup, known_beam, setup_of
-from onebend.lab.film_request import CameraName, FilmRequest, SensorName
+from onebend.lab.forecast import PredictedBand, Setup, advise, known_beam, predict, setup_of
+from onebend.lab.random_bench import CameraName, FilmRequest, SensorName
+from onebend.lab.rehearsal import Obtained, obtained_of, simulate
 from onebend.records import Array
 
 KEPT = Path(__file__).parents[1] / "out" / "rehearse"

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.stiffness import Uniform
 from onebend.records import Array
 
 Row = tuple[str, float, str, str]

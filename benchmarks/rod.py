@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.pose_folders import learned, rows_of, write_table, write_toml
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.stiffness import Table
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms
 from onebend.pipeline import learn

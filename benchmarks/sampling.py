@@ -23,19 +23,19 @@ from scipy.linalg import cho_factor, cho_solve
 
 from benchmarks.studies import bench_of, fit_from_nothing
 from onebend.lab.virtual import observe_virtual, virtual_recording
-from onebend.learning.inference.fit_problem import prior
-from onebend.learning.inference.joint import solved
-from onebend.learning.inference.linear_gaussian import (
+from onebend.learning.linear import (
     data_information,
     explained_by,
     force_shrinkage,
     misfit,
+    prior,
     residual_rows,
     residuals,
     rest_information,
+    solved,
 )
-from onebend.learning.model.forward import Prediction, predict
 from onebend.learning.posterior import Posterior
+from onebend.learning.prediction import Prediction, predict
 from onebend.records import Array, BoolArray
 
 S = np.linspace(0.05, 0.9, 18)

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.real_bench import bench_of
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.random_beams import force_that_bends
+from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.learning.posterior import fit
 from onebend.learning.validation import validate

@@ -16,18 +16,16 @@ from typing import Any, Literal
 import numpy as np
 
 from onebend.errors import LearningError, MechanicsError, ObservationError, RecordingError
-from onebend.lab.direct_observation import observe_from_truth
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_beams import force_that_bends
+from onebend.lab.bench import PushProfile
+from onebend.lab.designs import force_that_bends
 from onebend.lab.random_bench import PLACES, BenchRanges, random_bench
-from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
-from onebend.learning.design.instruments import instruments_of
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.frames import at_frames
+from onebend.lab.virtual import VirtualBench, observe_from_truth, observe_virtual, virtual_recording
+from onebend.learning.frames import at_frames
+from onebend.learning.instruments import instruments_of
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
-from onebend.learning.sensing.search import TOUCH
-from onebend.learning.sensing.sense import sense
-from onebend.learning.sensing.sensed import Sensed, SenseSettings
+from onebend.learning.sensing.forces import TOUCH
+from onebend.learning.sensing.sense import Sensed, SenseSettings, sense
 from onebend.records import PLACE_SD, Array, BoolArray
 from onebend.results.model import StoredModel, read_model, save_model
 

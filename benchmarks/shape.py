@@ -11,17 +11,14 @@ from collections import Counter
 
 import numpy as np
 
-from onebend.beam.clamped_ends.search import hold
+from onebend.beam.clamped_ends import hold
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, equidistant
-from onebend.beam.statics.continuation import equilibrium
-from onebend.control.goals.moving_goals import Goals, point_goals
-from onebend.control.goals.targets import curve
-from onebend.control.path.follow import PathSettings, follow_goals
-from onebend.control.path.timing import RateLimits
-from onebend.control.shape.actuators import Grip, Pusher
-from onebend.control.shape.shape import ShapeResult, shape
+from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.control.goals import Goals, curve, point_goals
+from onebend.control.path import PathSettings, RateLimits, follow_goals
+from onebend.control.shape import Grip, Pusher, ShapeResult, shape
 from onebend.records import Array
 from tests.beam.boundary import integrate
 

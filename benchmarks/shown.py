@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 STAMPS = ROOT / "docs" / "shown.json"
 SOURCE = "src/onebend/"
 DEMO = ["learn", "examples/linear-beam/train", "--output", "out/linear-beam", "--validate", "examples/linear-beam/fast"]
-OF_A_RUN = ("terminal/screens.py", "terminal/tables.py", "terminal/plots.py", "report/verdict.py", "report/wording.py")
+OF_A_RUN = ("cli/screens.py", "cli/screens.py", "cli/screens.py", "report/verdict.py", "report/wording.py")
 LEARNING = ("beam", "recording", "learning")
 
 
@@ -40,14 +40,12 @@ class Shown:
 
 SHOWN = {
     "demo": Shown("docs/first-beam.md", (*DEMO, "--force"), OF_A_RUN, LEARNING),
-    "plan": Shown("docs/plan.md", ("plan", "out/linear-beam"), ("terminal/plans.py", "learning/design"), LEARNING),
-    "learned": Shown(
-        "", ("examples/readme_picture.py",), ("report/figures/curves.py", "report/figures/style.py"), LEARNING
-    ),
+    "plan": Shown("docs/plan.md", ("plan", "out/linear-beam"), ("cli/learning.py", "learning/design"), LEARNING),
+    "learned": Shown("", ("examples/readme_picture.py",), ("report/figures.py", "report/style.py"), LEARNING),
     "reproduce": Shown(
         "",
         ("reproduce", "-o", "out/paper", "--force"),
-        ("terminal/long_runs.py", "studies/figures.py", "studies/tables.py"),
+        ("many/commands.py", "lab/study_report.py", "lab/study_report.py"),
         (*LEARNING, "lab", "control", "studies"),
         (("out/paper/figures/summary.png", "docs/images/reproduce.png"),),
         long=True,

@@ -19,13 +19,12 @@ from PIL import Image, ImageOps
 from benchmarks.detectors import true_corners
 from benchmarks.truth import RECORDINGS, read_truth
 from onebend.errors import ObservationError
-from onebend.lab.filming.film import film
-from onebend.lab.filming.film_setup import Filming
+from onebend.lab.filming import Filming, film
 from onebend.lab.random_bench import BenchRanges, random_bench
+from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.tags.finder import ENLARGED, SHARP, USUAL, Finder, Search, margin_of, side_of
-from onebend.recording.toml.entries import FAMILIES
+from onebend.recording.tag_finder import ENLARGED, SHARP, USUAL, Finder, Search, margin_of, side_of
+from onebend.recording.tags import detect_tags
 from onebend.recording.video import Picture, read_frames
 from onebend.records import Array
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, equidistant
+from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.records import Array
 
 BEAM = Beam(0.15, Gaussians(equidistant(3), 0.5, (0.02, 0.03, 0.015)))  # that of `benchmarks.mechanics`

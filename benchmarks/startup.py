@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.results.model import save_model
 
 REPEATS = 5

@@ -13,14 +13,12 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from benchmarks.in_family import ALLOWED, draw, least_variance, thirds
-from onebend.beam.modal import Modes
+from onebend.beam.grid import Modes
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Profile
+from onebend.beam.stiffness import Powers, Profile
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_beams import Kind, force_that_bends, random_stiffness
-from onebend.lab.sensors import FRANKA, ForceSensor
-from onebend.lab.tag_errors import TagNoise
+from onebend.lab.bench import FRANKA, ForceSensor, PushProfile, TagNoise
+from onebend.lab.designs import Kind, force_that_bends, random_stiffness
 from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
@@ -29,12 +27,11 @@ from onebend.lab.virtual import (
     observe_virtual,
     virtual_recording,
 )
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.fit_data import REST_MODES
+from onebend.learning.fit_data import REST_MODES
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.beam_frame import MOUNTING_SD
-from onebend.records import CLAMP_SD as HELD_SD
-from onebend.records import CURVATURE_SD, DIRECTION_SD, TURN_SD, Array, Observations
+from onebend.records import CLAMP_SD as HELD_SD, CURVATURE_SD, DIRECTION_SD, TURN_SD, Array, Observations
 
 KINDS: tuple[Kind, ...] = ("smooth", "stepped", "joint")
 ERRORS = ("white", "correlated", "bias", "gain", "clock", "tags", "everything", "stages", "franka")

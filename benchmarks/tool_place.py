@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.truth import recordings_asked
+from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.kept_frames import spacing_of
 from onebend.recording.observe import observe
 from onebend.recording.preview import look_at
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import Recording
-from onebend.recording.tool.film import tool_in_film, tool_remarks
-from onebend.recording.tool.place import ToolPlace
+from onebend.recording.tags import detect_tags
+from onebend.recording.tool import ToolPlace, tool_in_film, tool_remarks
+from onebend.recording.video import spacing_of
 from onebend.records import Markers, Observations
 
 OFF = (0.05, 0.1, 0.2)  # of the length, by which a place is written wrong

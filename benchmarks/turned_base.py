@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problem
-from onebend.learning.model.frames import loads_of
-from onebend.learning.model.held_ends import RESOLUTION
-from onebend.learning.pose_equilibria import pose_rms
+from onebend.beam.continuation import follow
+from onebend.beam.problem import make_problem
+from onebend.learning.frames import loads_of
+from onebend.learning.static_poses import RESOLUTION, pose_rms
 from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array

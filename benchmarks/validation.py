@@ -13,10 +13,9 @@ import numpy as np
 
 from benchmarks.truth import RECORDINGS, Truth, read_truth, recordings_asked
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
-from onebend.learning.model.frames import marker_rms
-from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import RegressionSettings
+from onebend.beam.stiffness import Table
+from onebend.learning.frames import marker_rms
+from onebend.learning.paper import RegressionSettings, regress
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.validation import validate
 from onebend.recording.observe import observe

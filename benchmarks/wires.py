@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.beam.profiles.uncertain import half_width
+from onebend.beam.stiffness import half_width
 from onebend.learning.posterior import Posterior
 from onebend.pipeline import learn
 from onebend.records import Array

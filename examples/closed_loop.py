@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from onebend import Beam, Uniform, controller
 from onebend.beam import Powers, Scaled
 from onebend.control import ControllerSettings, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
-from onebend.report.figures.style import BLUE, GREEN, ORANGE, blank, png_of, styled
+from onebend.report.style import BLUE, GREEN, ORANGE, blank, png_of, styled
 
 TARGET = Path(__file__).parents[1] / "docs" / "images" / "loop.png"
 MODEL = Beam(0.15, Powers((0.03, -0.02)), mass_per_length=Uniform(0.1))

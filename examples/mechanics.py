@@ -16,15 +16,15 @@ from matplotlib.figure import Figure
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipj, ellipk, ellipkinc
 
-from onebend.beam.clamped_ends.search import ClampedEquilibrium, hold_along
+from onebend.beam.clamped_ends import ClampedEquilibrium, hold_along
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Profile, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Profile, Steps, Uniform
 from onebend.records import Array
-from onebend.report.figures.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, PINK, blank, png_of, styled
+from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, PINK, blank, png_of, styled
 
 LENGTH, STIFFNESS = 0.3, 0.05  # m, N m; every figure is drawn in units of L and EI, so neither matters
 UNIFORM = Beam(LENGTH, Uniform(STIFFNESS))

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from onebend import Beam, reach
 from onebend.beam import Table
 from onebend.control import Reach, reachable
-from onebend.report.figures.reaching import draw_reach, reachable_places
-from onebend.report.figures.style import blank, png_of, styled
+from onebend.report.control_figures import draw_reach, reachable_places
+from onebend.report.style import blank, png_of, styled
 
 PLACES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 # k(s) [N m] of beams like the paper's: weakest at the base, in the middle, near the tip.

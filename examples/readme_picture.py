@@ -6,17 +6,16 @@ from pathlib import Path
 from PIL import Image
 
 import onebend
-from onebend.learning.explained import explained
-from onebend.report.figures.curves import stiffness
-from onebend.report.figures.drawing import fit
-from onebend.report.figures.style import png_of
+from onebend.learning.verdict import explained
+from onebend.report.figures import fit, stiffness
+from onebend.report.style import png_of
 
 HERE = Path(__file__).parent
 TARGET = HERE.parent / "docs" / "images" / "learned.jpg"
 HEIGHT = 560  # px
 
 observations = onebend.observe(HERE / "linear-beam" / "train")
-learned = onebend.paper.regress(observations)
+learned = onebend.learning.regress(observations)
 found = onebend.fit([observations], learned.beam.stiffness)
 
 figures = [

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, equidistant
-from onebend.learning.inference.stages import FitSettings
+from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, Source, Stated, View
@@ -27,7 +27,7 @@ BEAM = Beam(LENGTH, GAUSSIANS)
 
 @dataclass(frozen=True)
 class MadeUp:
-    """Fits `onebend.report.findings.Findings`."""
+    """Fits `onebend.report.wording.Findings`."""
 
     beam: Beam
     learned: Learned | None

@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import onebend
 from onebend import control
-from onebend.blas import one_blas_thread
 from onebend.cli import COMMANDS, Command
+from onebend.live import OnlineLearner
+from onebend.progress import one_blas_thread
 
 # What needs no guard: it reads or writes files, or only describes.
 UNGUARDED = {
@@ -106,7 +107,7 @@ def test_every_public_verb_is_guarded(face: ModuleType) -> None:
     ("kind", "names"),
     [
         (onebend.Beam, ["equilibrium"]),
-        (onebend.OnlineLearner, ["__init__", "update", "settle", "nuisances"]),
+        (OnlineLearner, ["__init__", "update", "settle", "nuisances"]),
         (control.Controller, ["begin", "step", "margins"]),
         (control.WarmReach, ["__init__", "solve"]),
     ],

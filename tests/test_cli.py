@@ -15,15 +15,14 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner, Result
 
 from onebend import __version__, cli
-from onebend.cli import learning as learning_commands
-from onebend.cli import recordings as recording_commands
+from onebend.cli import learning as learning_commands, recordings as recording_commands
 from onebend.errors import LearningError, ObservationError
 from onebend.files.kept import users_folder
-from onebend.recording.bags.topics import BagContents
+from onebend.recording.bag_topics import BagContents
 from onebend.recording.folder import folder_of, read_recording
-from onebend.report.figures.pictures import Pictures, draw
+from onebend.report.pictures import Pictures, draw
 from onebend.results.model import load_model, save_model
-from onebend.results.recording_files import recording_files
+from onebend.results.provenance import recording_files
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "train"

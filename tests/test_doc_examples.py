@@ -14,9 +14,8 @@ import pytest
 
 import onebend
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.lab.pushes import PushProfile
+from onebend.beam.stiffness import UncertainStiffness, Uniform
+from onebend.lab.bench import PushProfile
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.records import Observations
 from onebend.results.model import save_model
@@ -27,8 +26,8 @@ ROOT = Path(__file__).parents[1]
 ELSEWHERE = {
     "README.md": 1,  # tests/test_end_to_end.py
     "lab.md": 4,  # tests/lab/fabrication/test_bench_page.py, test_page.py; tests/lab/filming/test_film.py for the film
-    "live.md": 2,  # tests/streaming/test_live_page.py, tests/learning/live/test_online_learner.py
-    "record.md": 1,  # tests/capture/test_record_page.py
+    "live.md": 2,  # tests/live/test_live_page.py, tests/live/learner/test_online_learner.py
+    "record.md": 1,  # tests/live/test_record_page.py
 }
 
 

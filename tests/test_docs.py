@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from benchmarks.pages import INHERITED, TABLES, pages, renewed
 from onebend.cli import COMMANDS, app
-from onebend.learning.live.settings import OnlineSettings
-from onebend.recording.toml.schema import keys_of
+from onebend.live.hyperparameters import OnlineSettings
+from onebend.recording.schema import keys_of
 from onebend.records import StatedSection
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation

@@ -18,7 +18,7 @@ from typer.testing import CliRunner, Result
 import onebend
 from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.records import Observations
 from onebend.results import detection_cache
 

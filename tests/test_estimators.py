@@ -10,11 +10,10 @@ from sklearn.model_selection import LeaveOneOut, cross_val_score
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform, equidistant, gaussian_basis
+from onebend.beam.stiffness import Uniform, equidistant, gaussian_basis
 from onebend.errors import LearningError
 from onebend.estimators import StiffnessDistribution, StiffnessRegression, regression_rows
-from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import RegressionSettings
+from onebend.learning.paper import RegressionSettings, regress
 from onebend.records import Observations, StatedSection
 from tests.learning.bench import SOFT, forces, in_family, observed
 from tests.made_up import with_stated

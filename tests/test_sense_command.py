@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend.cli import app, motion
-from onebend.export.force_bag import FORCE_TOPIC
-from onebend.recording.bags.force_topic import read_bag_force
-from onebend.recording.toml.entries import ForceEntry
+from onebend.recording.bag_topics import read_bag_force
+from onebend.recording.entries import ForceEntry
 from onebend.records import Observations
 from onebend.results.model import save_model
+from onebend.results.sensing import FORCE_TOPIC
 from tests.learning.bench import SOFT, forces, observed
 
 SEEN = observed(SOFT, forces(14), noise=(3e-5, 1e-3))

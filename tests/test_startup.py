@@ -50,11 +50,11 @@ def test_version_and_help_load_no_command(asked: str) -> None:
     assert of_onebend(modules) == {
         "onebend",
         "onebend.lazy",
-        "onebend.blas",
+        "onebend.progress",
         "onebend.cli",
         "onebend.crash",
         "onebend.errors",
-        "onebend.escaping",
+        "onebend.text_files",
     }
     assert not modules & {"numpy", "scipy", *HEAVY}
 

@@ -14,12 +14,11 @@ from rich.console import Console
 
 from onebend import cli
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import Powers, UncertainStiffness, Uniform
+from onebend.cli import common, screens, screens as plots, screens as tables
 from onebend.errors import RecordingError
 from onebend.progress import track
 from onebend.report.overview import overview
-from onebend.terminal import bars, parts, plots, screens, tables
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "linear-beam" / "fast"
@@ -36,7 +35,7 @@ def shown(where: Console) -> str:
 
 def test_bars_show_count_rate_and_nested_stages() -> None:
     where = console(screen=True)
-    with bars.Bars(where) as shown_bars:
+    with common.Bars(where) as shown_bars:
         for _ in track(shown_bars, "outer [m]", range(3), 3):
             for _ in track(shown_bars, "inner", range(2), None):
                 pass
@@ -49,7 +48,7 @@ def test_bars_show_count_rate_and_nested_stages() -> None:
 
 def test_bars_close_a_stage_that_is_left_early() -> None:
     where = console(screen=True)
-    with bars.Bars(where) as shown_bars:
+    with common.Bars(where) as shown_bars:
         for i in track(shown_bars, "stage", range(10), 10):
             if i == 4:
                 break
@@ -69,12 +68,12 @@ def test_an_interrupted_bar_shows_how_far_it_came(where_cut: str) -> None:
 
     where = console(screen=True)
 
-    def work(progress: bars.Bars) -> None:
+    def work(progress: common.Bars) -> None:
         for i in track(progress, "stage", items(), 192):
             if i == 4:
                 raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), bars.Bars(where) as shown_bars:
+    with pytest.raises(KeyboardInterrupt), common.Bars(where) as shown_bars:
         work(shown_bars)
     assert "4/192" in shown(where).splitlines()[-1]
     assert "192/192" not in shown(where)
@@ -84,8 +83,8 @@ def test_an_interrupted_bar_shows_how_far_it_came(where_cut: str) -> None:
 def test_a_pipe_gets_one_line_for_a_long_stage_and_none_for_a_short_one(monkeypatch: pytest.MonkeyPatch) -> None:
     where = console()
     ticks = iter([0.0, 0.1, 10.0, 13.4])
-    monkeypatch.setattr(bars, "monotonic", lambda: next(ticks))
-    with bars.Bars(where) as shown_bars:
+    monkeypatch.setattr(common, "monotonic", lambda: next(ticks))
+    with common.Bars(where) as shown_bars:
         for stage in ("short", "long"):
             shown_bars.start(stage, 1)
             shown_bars.advance()
@@ -199,7 +198,7 @@ def test_tables_mark_the_chosen_and_say_why_others_are_out() -> None:
 
 def test_nothing_odd_is_said_too() -> None:
     where = console()
-    where.print(parts.remarks_list([]))
+    where.print(common.remarks_list([]))
     assert "Nothing looked odd." in shown(where)
 
 

@@ -16,20 +16,16 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from onebend.cli import app
-from onebend.cli.common import clean_errors
+from onebend.cli.common import clean_errors, remarks_list, warnings_list
 from onebend.errors import SECTIONS, ObservationError, reference, section, told
-from onebend.learning.criticism.alternatives import Suspect
-from onebend.learning.criticism.criticism import Criticism, Finding
-from onebend.learning.criticism.score_tests import Score
-from onebend.learning.criticism_messages import criticism_remarks
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.criticism import Criticism, Finding, Score, Suspect
+from onebend.learning.verdict import criticism_remarks, fit_remarks
 from onebend.records import Remark
-from onebend.report.page.page import page
+from onebend.report.page import page
 from onebend.report.verdict import verdict_of
 from onebend.results.model import save_model
-from onebend.terminal.parts import remarks_list, warnings_list
 from tests import made_up
-from tests.learning.criticism.test_criticism import suspects
+from tests.lab.core.test_criticism import suspects
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "onebend"

@@ -11,8 +11,8 @@ import threading
 import numpy as np
 import pytest
 
-from onebend import workers
-from onebend.workers import each, in_own_pages
+from onebend import progress
+from onebend.progress import each, in_own_pages
 
 
 def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,7 +24,7 @@ def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monke
 
     every = []
     for cores in (1, 2, 5):
-        monkeypatch.setattr(workers, "available_cores", lambda cores=cores: cores)
+        monkeypatch.setattr(progress, "available_cores", lambda cores=cores: cores)
         seen.clear()
         every.append(each(work, range(20), matrices))
         assert (seen == {threading.get_ident()}) == (cores == 1)
@@ -37,7 +37,7 @@ def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monke
 def test_a_piece_that_fails_ends_all_and_leaves_no_thread(
     failure: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "available_cores", lambda: 2)
+    monkeypatch.setattr(progress, "available_cores", lambda: 2)
     before = threading.active_count()
 
     def work(number: int) -> int:
@@ -73,7 +73,7 @@ def test_a_small_array_stays_where_it_is() -> None:
 
 MASKED = """
 import multiprocessing, os, signal
-from onebend.workers import interrupts_held
+from onebend.progress import interrupts_held
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # work begun in the background may be deaf to it
     try:

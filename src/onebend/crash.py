@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 from onebend.errors import OnebendError
-from onebend.escaping import one_line
+from onebend.text_files import one_line
 
 FAILED, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of an error's own words

@@ -14,17 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
-from onebend.beam.profiles.modulus import one_modulus
-from onebend.blas import one_blas_thread
+from onebend.beam.section import one_modulus
 from onebend.errors import LearningError
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.frames import usable_frames
-from onebend.learning.modulus import stated_section
-from onebend.learning.paper.inverse_kinematics import solve_states
-from onebend.learning.paper.regression import Family, assemble, basis, column_sizes, least_squares, literal_rows
+from onebend.learning.frames import usable_frames
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.outcome import stated_section
+from onebend.learning.paper import Family, assemble, basis, column_sizes, least_squares, literal_rows, solve_states
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
+from onebend.progress import one_blas_thread
 from onebend.records import Array, Observations
 
 try:

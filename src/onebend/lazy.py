@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
+
+WINGS = ("live", "many", "lab", "studio")  # folders that may be left out, each with commands of its own
+
+
+def wings() -> list[str]:
+    """The wings that are here."""
+    return [name for name in WINGS if (Path(__file__).parent / name / "__init__.py").is_file()]
 
 
 def lazy_names(
@@ -34,3 +43,21 @@ def lazy_names(
         return sorted({*vars(sys.modules[package]), *public})
 
     return load, names, public
+
+
+# The command line. Results go to standard output, progress and errors to standard error.
+#
+# Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do, or a fault of
+# onebend itself, with the file that says more; 130 interrupted. The list of commands stands here as text, so that
+# `--version` and `--help` load no command; each loads what it needs.
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a command stands, the first line of its help, and the example at its end."""
+
+    module: str
+    function: str
+    help: str
+    example: str  # the words after `onebend NAME`; it works on what `make demo` made, and on what `first` makes
+    first: str = ""  # the command that makes what the example needs beside that

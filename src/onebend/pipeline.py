@@ -9,33 +9,27 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import ModulusBand, one_modulus
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.blas import one_blas_thread
+from onebend.beam.section import ModulusBand, one_modulus
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
-from onebend.learning.design.planning import PlanSettings, plan
-from onebend.learning.design.proposals import Plan
-from onebend.learning.frequencies.compared import frequency_remarks
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.frames import with_seen_tags
-from onebend.learning.model.held_ends import stated_remarks
-from onebend.learning.model.mass import mass_remarks
-from onebend.learning.modulus import modulus_along, modulus_remarks, stated_section
-from onebend.learning.outcome import Comparison, Learned
-from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import MOST_FRAMES, RegressionSettings
-from onebend.learning.paper.selection import pairs as trials
+from onebend.learning.design import Plan, PlanSettings, plan
+from onebend.learning.frames import with_seen_tags
+from onebend.learning.frequencies import frequency_remarks
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.outcome import Comparison, Learned, modulus_along, modulus_remarks, stated_section
+from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
+from onebend.learning.parameters import mass_remarks
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
+from onebend.learning.static_poses import stated_remarks
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks
-from onebend.progress import Progress, Silent, Stopwatch
-from onebend.recording.folder import read_recording
-from onebend.recording.kept_frames import KeptFrames
+from onebend.progress import Progress, Silent, Stopwatch, one_blas_thread
+from onebend.recording.entries import Recording
+from onebend.recording.folder import check_same_beam, check_same_length, read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import Recording
-from onebend.recording.toml.same_beam import check_same_length, check_together
+from onebend.recording.tags import detect_tags
+from onebend.recording.video import KeptFrames
 from onebend.records import Array, Observations, Remark
 from onebend.results.model import read_model
 
@@ -98,7 +92,7 @@ def learn(
     wanted = [one if isinstance(one, Recording) else read_recording(one) for one in folders]
     for one in others:
         read_recording(one)
-    check_together(wanted, jointly=fitting is not None)
+    check_same_beam(wanted, jointly=fitting is not None)
     trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import mmap
+import multiprocessing
+import os
+import signal
+import sys
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from functools import lru_cache, wraps
+from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
+from typing import Any, ParamSpec, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 Item = TypeVar("Item")
 
@@ -85,3 +98,184 @@ class Stopwatch:
         self.seconds[name] += spent - inside
         if self._open:
             self._open[-1][1] += spent
+
+
+# Processes and threads that share work: how many run at once here, who answers to an interrupt, and where what they
+# make is kept.
+
+Result = TypeVar("Result")
+_WORTH_THREADS = 4  # pieces of work: for fewer, threads are not worth their start
+_WORTH_PAGES = 1 << 19  # bytes: a smaller array stays where it is
+
+
+def available_cores() -> int:
+    """Cores that this process may use, 1 at least."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Result, ...]:
+    """`work` of each row of the arguments, which are equally long, in order; many rows on threads, one a core.
+
+    For work in large arrays, most of which leaves the interpreter free.
+    """
+    rows = list(zip(*arguments, strict=True))
+    cores = available_cores()
+    if len(rows) < _WORTH_THREADS or cores == 1:
+        return tuple(work(*row) for row in rows)
+    with ThreadPoolExecutor(cores) as pool:
+        return tuple(pool.map(lambda row: work(*row), rows))
+
+
+def in_own_pages(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An array that stays for long, copied to memory pages of its own where it is large: they go back with it.
+
+    The heap grows by what is made and freed around an array that stays, and cannot shrink past it. Of a hundred
+    recordings learned together that was a third of the memory.
+    """
+    if array.nbytes < _WORTH_PAGES:
+        return array
+    rows = array.T if array.flags.f_contiguous else array
+    out = np.frombuffer(_pages(array.nbytes), dtype=array.dtype).reshape(rows.shape)
+    out[...] = rows
+    return out.T if array.flags.f_contiguous else out
+
+
+def _pages(count: int) -> mmap.mmap:
+    """So many bytes, of this process alone."""
+    if hasattr(mmap, "MAP_PRIVATE"):
+        return mmap.mmap(-1, count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    return mmap.mmap(-1, count)
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """An interrupt waits until the end of this block; processes and threads that are begun inside answer to none.
+
+    A worker that is interrupted while it is being loaded, before its initialiser, would print a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # begun later, with the first process, it would let interrupts in again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def leave_interrupts_to_parent() -> None:
+    """Initialiser of a worker process: an interrupt is its parent's business, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def end_with_parent() -> None:
+    """Initialiser of a worker process: interrupts are its parent's, and it ends when the parent is gone, however."""
+    leave_interrupts_to_parent()
+    threading.Thread(target=_end_after, args=(multiprocessing.parent_process(),), daemon=True).start()
+
+
+def _end_after(parent: BaseProcess | None) -> None:
+    if parent is not None:
+        parent.join()
+        os._exit(0)
+
+
+# One BLAS thread for work on many small matrices, whatever the caller's setting is.
+#
+# The linear algebra here is batched over frames of a few dozen numbers; BLAS threads then only wait for each other (a
+# clock search took eighty times longer with them on a busy machine). Threads are used where they pay: finding the
+# tags. Every public function that does linear algebra is guarded. The guard costs about 10 us, inside another one
+# less than 1.
+
+Arguments = ParamSpec("Arguments")
+
+
+def one_blas_thread(work: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Run a function with one BLAS thread, and put the caller's setting back."""
+
+    @wraps(work)
+    def wrapped(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _LIMIT:
+            return work(*args, **kwargs)
+
+    return wrapped
+
+
+class _Limit:
+    """One BLAS thread from the first function that enters to the last that leaves, over all of Python's threads.
+
+    The setting of OpenBLAS belongs to the process, so the last to leave puts it back. That of MKL belongs to one
+    thread, so each thread puts its own back.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._here = threading.local()  # .depth: guards around this thread's work; .before: what it put to one
+        self._threads = 0  # inside
+        self._before: dict[Any, int] = {}  # libraries with one setting for the process, and that setting
+
+    def __enter__(self) -> None:
+        here = self._here.__dict__
+        depth = here.get("depth", 0)
+        libraries = _libraries("numpy.linalg" in sys.modules, "scipy.linalg" in sys.modules)
+        if depth == 0 or len(here["before"]) < len(libraries):  # another BLAS may come with a later import
+            with self._lock:
+                self._threads += depth == 0
+                before = here.setdefault("before", {})
+                for library in libraries:
+                    if library not in before:
+                        before[library] = library.get_num_threads()
+                        self._before.setdefault(library, before[library])
+                        if before[library] != 1:
+                            _set(library, 1)
+        here["depth"] = depth + 1
+
+    def __exit__(self, *_: object) -> None:
+        here = self._here.__dict__
+        here["depth"] -= 1
+        if here["depth"]:
+            return
+        before = here.pop("before")
+        with self._lock:
+            self._threads -= 1
+            for library, count in before.items():
+                if count != 1 and _is_of_one_thread(library):
+                    library.set_num_threads(count)
+            if self._threads == 0:
+                for library, count in self._before.items():
+                    if count != 1 and not _is_of_one_thread(library):
+                        _set(library, count)
+                self._before.clear()
+
+
+_LIMIT = _Limit()
+_FOUND: dict[str, Any] = {}  # libraries by their file
+
+
+@lru_cache
+def _libraries(*_loaded: bool) -> tuple[Any, ...]:
+    """The BLAS libraries of this process. NumPy and SciPy may bring one each; a search takes a millisecond."""
+    from threadpoolctl import ThreadpoolController  # here: no start-up time for what computes nothing
+
+    for library in ThreadpoolController().lib_controllers:
+        if library.user_api == "blas":
+            _FOUND.setdefault(library.filepath, library)
+    return tuple(_FOUND.values())
+
+
+def _is_of_one_thread(library: Any) -> bool:
+    """Whether the library keeps its setting for each thread by itself."""
+    return library.internal_api == "mkl" or getattr(library, "threading_layer", "") == "openmp"
+
+
+def _set(library: Any, count: int) -> None:
+    """Set the number of threads. threadpoolctl (3.8 and later) leaves that to the Python thread that did it first."""
+    release = getattr(library, "clear_controlling_thread", _nothing)
+    release(force=True)
+    library.set_num_threads(count)
+    release(force=True)
+
+
+def _nothing(*, force: bool) -> None:
+    """For a library whose threads every Python thread may set."""

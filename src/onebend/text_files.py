@@ -10,9 +10,12 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn
+
+import numpy as np
 
 from onebend.errors import OnebendError
 
@@ -219,3 +222,86 @@ def _in_words(size: int) -> str:
     """5.3 GB, 12 kB."""
     power = min(3, max(0, (len(str(size)) - 1) // 3))
     return f"{size / 1000**power:.3g} {('bytes', 'kB', 'MB', 'GB')[power]}"
+
+
+# JSON as its standard has it: no NaN and no infinity, and no character that a terminal would act on.
+
+# What JSON lets stand in a string though terminals act on it or no encoding has it. (C0 it escapes by itself.)
+_NOT_IN_JSON = re.compile("[\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]")
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON knows it: arrays as lists, numbers that are not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and np.all(np.isfinite(value)):
+        return value.tolist()
+    if isinstance(value, np.ndarray | list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value
+
+
+def to_json(data: Any, *, ascii_only: bool = False, readable: bool = True) -> str:
+    """Strict JSON; with `ascii_only` every other character by its code. Not `readable`, it is made much faster."""
+    text = json.dumps(plain(data), indent=2 if readable else None, allow_nan=False, ensure_ascii=ascii_only)
+    return _NOT_IN_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+# What a person named (recordings, designs, keys, reasons) is text, wherever it is shown, and nothing else.
+#
+# A terminal acts on escape sequences, a spreadsheet on cells that begin like a formula, Matplotlib on dollar signs.
+
+# Control characters but the line feed (C0, delete, C1), what turns or hides text (bidirectional marks, zero-width
+# signs, line and paragraph separators, tags), and halves of surrogate pairs, which no encoding has.
+_NOT_TEXT = re.compile(
+    "[\x00-\x09\x0b-\x1f\x7f-\x9f\xad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff"
+    "\U000e0000-\U000e007f]"
+)
+_FORMULA = ("=", "+", "-", "@", "\\t", "\\r", "\\n", "|", "%", "＝", "＋", "－", "＠")
+LONGEST = 70  # characters of a name in a picture's title
+
+
+def printable(text: str) -> str:
+    """`text` with everything that a terminal or an editor would act on as `\\x1b` and the like; line feeds stay."""
+    return _NOT_TEXT.sub(lambda found: _code(found[0]), text)
+
+
+def one_line(text: str) -> str:
+    """As `printable`, on one line."""
+    return printable(text).replace("\n", "\\n")
+
+
+def csv_cell(value: object) -> object:
+    """A cell that no spreadsheet takes for a formula: text that begins like one gets an apostrophe before it."""
+    if not isinstance(value, str):
+        return value
+    text = one_line(value)
+    return f"'{text}" if text.lstrip(" \"'").startswith(_FORMULA) and not is_number(text) else text
+
+
+def figure_text(text: str) -> str:
+    """Text for Matplotlib: no mathematics, one line, not longer than a title can be."""
+    text = one_line(text)
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST - 1]}…"
+    return text.replace("$", r"\$")
+
+
+def _code(letter: str) -> str:
+    number = ord(letter)
+    if letter in "\t\r":
+        return {"\t": "\\t", "\r": "\\r"}[letter]
+    return f"\\x{number:02x}" if number < 0x100 else f"\\u{number:04x}" if number < 0x10000 else f"\\U{number:08x}"
+
+
+def is_number(text: str) -> bool:
+    """Whether a table's reader takes the text for a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

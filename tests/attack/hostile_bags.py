@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from backports import zstd
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
+from mcap.writer import CompressionType, Writer as McapWriter
 
 from tests.attack.family import Case, Harm
 from tests.recording.bagged import RULE, STAMPED, Log, log, write_mcap

@@ -23,9 +23,8 @@ from types import FrameType
 from typing import Any
 
 from onebend.errors import ResultsError
-from onebend.files import swap as swapping
-from onebend.files.manifest import changed_files, read_summary, write_summary
-from onebend.files.publish import abandon, finish, prepare, publish
+from onebend.files import publish as swapping
+from onebend.files.publish import abandon, changed_files, finish, prepare, publish, read_summary, write_summary
 
 KIND = "onebend-test-1"
 TOUCHES = (

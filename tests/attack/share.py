@@ -15,8 +15,7 @@ from pathlib import Path
 
 from tests.attack.family import Case
 from tests.attack.table import LEARN, Prepare, on_film, on_tracks
-from tests.attack.test_check import CASES as FILMS
-from tests.attack.test_check import ELSEWHERE
+from tests.attack.test_check import CASES as FILMS, ELSEWHERE
 from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.victim import Outcome, Victim
 

@@ -15,23 +15,16 @@ from pathlib import Path
 from onebend.results.model import save_model
 from tests.attack.conftest import EXAMPLE
 from tests.attack.family import Case
-from tests.attack.hostile_bags import BAG
-from tests.attack.hostile_bags import CASES as BAGS
+from tests.attack.hostile_bags import BAG, CASES as BAGS
 from tests.attack.hostile_films import CASES as HARD
-from tests.attack.test_absurd_options import CASES as OPTIONS
-from tests.attack.test_absurd_options import REQUESTS
-from tests.attack.test_absurd_options import prepare as with_model_and_goals
-from tests.attack.test_bench_poses import CASES as BENCHES
-from tests.attack.test_bench_poses import on_example
-from tests.attack.test_check import CASES as FILMS
-from tests.attack.test_check import ELSEWHERE
+from tests.attack.test_absurd_options import CASES as OPTIONS, REQUESTS, prepare as with_model_and_goals
+from tests.attack.test_bench_poses import CASES as BENCHES, on_example
+from tests.attack.test_check import CASES as FILMS, ELSEWHERE
 from tests.attack.test_hostile_films import CASES as HOSTILE
 from tests.attack.test_hostile_text import CSV_CASES, FILE_CASES, MODEL_CASES, TOML_CASES
 from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.test_parquet import CASES as PARQUET
-from tests.attack.test_sources import CASES as SOURCES
-from tests.attack.test_sources import prepare as with_sources
-from tests.attack.test_sources import recorded
+from tests.attack.test_sources import CASES as SOURCES, prepare as with_sources, recorded
 from tests.attack.victim import Outcome, Victim
 from tests.made_up import BEAM
 from tests.recording.tracked import track_folder

@@ -14,10 +14,10 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend import cli, load_model, load_observations, load_uncertain
-from onebend.cli import filming as filming_commands
 from onebend.cli import learning as learning_commands
-from onebend.files.manifest import changed_files, read_summary, sha256_of
-from onebend.report.figures.pictures import Pictures
+from onebend.files.publish import changed_files, read_summary, sha256_of
+from onebend.lab import commands as filming_commands
+from onebend.report.pictures import Pictures
 from onebend.results.model import read_model, save_model
 from onebend.results.observations_file import save_observations
 from tests import made_up

@@ -13,14 +13,22 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from onebend.capture.folder import copy_description
 from onebend.cli import app
 from onebend.errors import RecordingError, ResultsError
 from onebend.files.kept import KeptFolder
-from onebend.files.manifest import OWN_CHECKSUM, own_files, seal, sha256_of, with_checksum, write_summary
-from onebend.files.publish import abandon, prepare
+from onebend.files.publish import (
+    FORMAT,
+    OWN_CHECKSUM,
+    abandon,
+    own_files,
+    prepare,
+    seal,
+    sha256_of,
+    with_checksum,
+    write_summary,
+)
 from onebend.files.single_file import write_file
-from onebend.files.workplace import FORMAT
+from onebend.live.recording_folder import copy_description
 from tests.attack.conftest import EXAMPLE
 from tests.attack.killing import KIND, run, state_of
 
@@ -274,7 +282,7 @@ def test_what_a_marker_says_is_text(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "since": "x" * 900,
     }
     (planted / "workplace.json").write_text(json.dumps(said))
-    monkeypatch.setattr("onebend.files.workplace._probe", lambda _: (_ for _ in ()).throw(BlockingIOError()))
+    monkeypatch.setattr("onebend.files.publish._probe", lambda _: (_ for _ in ()).throw(BlockingIOError()))
     result = CliRunner().invoke(app, ["learn", "REC", "-o", str(tmp_path / "out")])
     assert result.exit_code == 2
     assert "is being written by process \\x1b[2J on \\x1b[31m" in result.stderr

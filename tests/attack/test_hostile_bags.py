@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from onebend.recording.bags.reader import files_of
+from onebend.recording.bags import files_of
 from tests.attack.family import Case, params, withstood
 from tests.attack.hostile_bags import BAG, CASES
 from tests.attack.victim import Victim

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -23,20 +22,18 @@ from typer.testing import CliRunner
 
 from onebend import cli
 from onebend.cli import learning as learning_commands
-from onebend.control.path.trajectory_files import _block
+from onebend.cli.common import Bars, text_alone
+from onebend.cli.recordings import show_overview
+from onebend.cli.screens import show_run
+from onebend.control.trajectory_files import _block
 from onebend.errors import RecordingError
-from onebend.escaping import csv_cell, figure_text, one_line, printable
-from onebend.report.figures.drawing import draw_all
-from onebend.report.figures.pictures import Pictures, draw
-from onebend.report.figures.style import png_of
+from onebend.report.figures import draw_all
 from onebend.report.overview import Overview, overview
-from onebend.results.model import save_model
-from onebend.results.origin import origin_of
+from onebend.report.pictures import Pictures, draw
+from onebend.report.style import png_of
+from onebend.results.model import origin_of, save_model
 from onebend.results.tables import write_csv
-from onebend.strict_json import to_json
-from onebend.terminal.bars import Bars, text_alone
-from onebend.terminal.recordings import show_overview
-from onebend.terminal.screens import show_run
+from onebend.text_files import csv_cell, figure_text, one_line, printable, to_json
 from tests import made_up
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-beam" / "train"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from onebend.capture.devices.cells import cells_of
+from onebend.live.force_sensors import cells_of
 from tests.attack.conftest import EXAMPLE
 from tests.attack.family import Case, params, withstood
 from tests.attack.victim import Victim

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from onebend.beam.statics.rod import Rod
+from onebend.beam.problem import Rod
 from onebend.records import Array
 
 NOTHING = np.zeros(2)

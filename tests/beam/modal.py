@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.beam.modal import Modes
-from onebend.beam.statics.equilibrium import gradient, tangent
-from onebend.beam.statics.problem import Problem
+from onebend.beam.grid import Modes
+from onebend.beam.problem import Problem
+from onebend.beam.statics import gradient, tangent
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

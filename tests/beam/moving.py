@@ -5,13 +5,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from onebend.beam.modal import Modes
+from onebend.beam.dynamics import (
+    Actions,
+    Body,
+    acting,
+    body,
+    coriolis_matrix,
+    force_jacobian,
+    gravity_vector,
+    mass_matrix,
+)
+from onebend.beam.grid import Modes
+from onebend.beam.integration import MotionState
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, acting
-from onebend.beam.motion.dynamics import Body, body, coriolis_matrix, force_jacobian, gravity_vector, mass_matrix
-from onebend.beam.motion.integration import MotionState
-from onebend.beam.profiles.stiffness import Powers, Scaled, Steps, Uniform
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Powers, Scaled, Steps, Uniform
 from onebend.records import Array
 
 SOFT = Beam(0.15, Uniform(0.02), mass_per_length=Uniform(0.1))  # 150 mm, fundamental 4.3 Hz

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from onebend.beam.modal import Modes, angles, jacobians, places, positions
+from onebend.beam.grid import Modes, angles, jacobians, places, positions
 
 S = np.array([0.0, 0.3, 0.71, 1.0])
 

@@ -9,18 +9,16 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from onebend.beam.continuation import follow
+from onebend.beam.dynamics import body, gravity_vector, kinetic_energy, weight_energy
+from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.dynamics import body, gravity_vector, kinetic_energy, weight_energy
-from onebend.beam.motion.vibration import vibration
-from onebend.beam.profiles.stiffness import Steps, Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problem, make_problems
+from onebend.beam.problem import make_problem, make_problems
+from onebend.beam.stiffness import Steps, Uniform
+from onebend.beam.vibration import vibration
 from onebend.errors import ExportError, MechanicsError
-from onebend.export.chain import chain_of
-from onebend.export.function import function
-from onebend.export.pyelastica import pyelastica
+from onebend.export.export import chain_of, function, pyelastica
 from onebend.records import Array, PointMass
 
 BEAM = Beam(0.3, Steps((0.0, 0.5, 1.0), (0.05, 0.02)), Uniform(0.4), 0.2, Uniform(0.05))

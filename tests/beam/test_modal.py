@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from onebend.beam.continuation import follow
+from onebend.beam.grid import Modes
 from onebend.beam.loads import push
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.stiffness import Uniform
 from tests.beam.modal import modal_equilibrium
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.beam.grid import make_grid
-from onebend.beam.modal import MOST_POWERS, Modes
+from onebend.beam.grid import MOST_POWERS, Modes, make_grid
 from onebend.errors import MechanicsError
 
 S = np.linspace(0.0, 1.0, 23)

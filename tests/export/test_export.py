@@ -17,17 +17,10 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import Table, UncertainStiffness, Uniform
 from onebend.cli import app
 from onebend.errors import ExportError, ResultsError
-from onebend.export.chain import chain_of
-from onebend.export.export import KINDS, export
-from onebend.export.function import function
-from onebend.export.mujoco import mjcf
-from onebend.export.pyelastica import pyelastica
-from onebend.export.robot import sdf, urdf
-from onebend.export.table import columns
+from onebend.export.export import KINDS, chain_of, columns, export, function, mjcf, pyelastica, sdf, urdf
 from onebend.files.single_file import write_file
 from onebend.records import Array
 from onebend.results.model import save_model

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from onebend.errors import ExportError
-from onebend.export.force_bag import COVARIANCE_TOPIC, FORCE_TOPIC, FRAME, force_bag
-from onebend.recording.bags.force_topic import read_bag_force
-from onebend.recording.bags.message_times import clock_of, timed
-from onebend.recording.bags.reader import open_bag, topic_of
-from onebend.recording.toml.entries import ForceEntry
+from onebend.recording.bag_topics import clock_of, read_bag_force, timed
+from onebend.recording.bags import open_bag, topic_of
+from onebend.recording.entries import ForceEntry
+from onebend.results.sensing import COVARIANCE_TOPIC, FORCE_TOPIC, FRAME, force_bag
 
 RNG = np.random.default_rng(2)
 TIME = 1.7e9 + np.arange(16) / 30.0

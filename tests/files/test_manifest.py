@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from onebend.files.manifest import own_files
+from onebend.files.publish import own_files
 
 KIND = "onebend-test-1"
 

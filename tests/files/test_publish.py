@@ -12,12 +12,23 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.files import renames
-from onebend.files import swap as swapping
-from onebend.files import target as targets
-from onebend.files.manifest import changed_files, files_in, own_files, read_summary, sha256_of, write_summary
-from onebend.files.publish import OutputFolder, abandon, amend, finish, prepare, publish, unplaced
-from onebend.files.workplace import left_behind
+from onebend.files import publish as swapping, publish as targets, single_file
+from onebend.files.publish import (
+    OutputFolder,
+    abandon,
+    amend,
+    changed_files,
+    files_in,
+    finish,
+    left_behind,
+    own_files,
+    prepare,
+    publish,
+    read_summary,
+    sha256_of,
+    unplaced,
+    write_summary,
+)
 
 KIND = "onebend-test-1"
 
@@ -149,7 +160,7 @@ def test_a_file_that_appears_during_the_swap_is_kept(tmp_path: Path, monkeypatch
         write(folder)
         (folder / "new.png").write_text("new")
 
-    original = renames.sync_folder
+    original = single_file.sync_folder
     monkeypatch.setattr(swapping, "sync_folder", lambda where: then(where) if where.name == "complete" else None)
     with place_at(out, overwrite=True) as place:
         left = publish(place, write_more)

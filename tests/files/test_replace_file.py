@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.files.renames import exchange
-from onebend.files.single_file import replace_file
+from onebend.files.single_file import exchange, replace_file
 
 
 def test_it_is_replaced_where_it_is_as_known_and_keeps_its_permissions(tmp_path: Path) -> None:

@@ -10,27 +10,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
-from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.stiffness import Powers, Uniform
 from onebend.cli import app
 from onebend.errors import MechanicsError
-from onebend.lab.design_file import find_design, read_design, template, write_design_template
-from onebend.lab.designs import DESIGNS, Design
-from onebend.lab.expected import GRAVITY, across_depth, bend, buckling_force, expect
-from onebend.lab.materials import (
+from onebend.lab.designs import (
     BALL_RADIUS,
+    DESIGNS,
+    GRAVITY,
     SILICONES,
     TRAVEL,
+    Design,
     ModulusEstimate,
+    across_depth,
+    bend,
+    buckling_force,
+    expect,
+    find_design,
     from_shore_00,
     from_shore_a,
     from_stress_100,
+    read_design,
     silicone,
+    template,
+    write_design_template,
 )
 from onebend.results.model import read_model
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.recording.folder import read_recording
-from onebend.recording.tracks.marker_tracks import track_markers
+from onebend.recording.tracks import track_markers
 
 
 def test_film_without_pixels_is_a_recording_with_its_truth(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Steps, Uniform
-from onebend.lab.random_beams import LARGEST_RATIO, Kind, force_that_bends, random_stiffness
+from onebend.beam.stiffness import Steps, Uniform
+from onebend.lab.designs import LARGEST_RATIO, Kind, force_that_bends, random_stiffness
 
 S = np.linspace(0.0, 1.0, 801)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.lab.sensors import FRANKA, WRIST, ForceSensor, coloured, log_of, stages
+from onebend.lab.bench import FRANKA, WRIST, ForceSensor, coloured, log_of, stages
 from onebend.records import Array
 
 TIME = np.arange(0.0, 200.0, 0.005)

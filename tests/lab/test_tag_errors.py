@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.lab.tag_errors import TagNoise, filmed
+from onebend.lab.bench import TagNoise, filmed
 from onebend.records import Array
 
 STILL = np.zeros((20_000, 3, 3))

@@ -8,23 +8,21 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.direct_observation import observe_from_truth
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_beams import force_that_bends, random_stiffness
-from onebend.lab.sensors import ForceSensor
-from onebend.lab.tag_errors import TagNoise
+from onebend.lab.bench import ForceSensor, PushProfile, TagNoise
+from onebend.lab.designs import force_that_bends, random_stiffness
 from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
     VirtualClock,
     VirtualRecording,
     VirtualTag,
+    observe_from_truth,
     observe_virtual,
     virtual_recording,
 )
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 
 S = np.linspace(0.05, 0.9, 60)

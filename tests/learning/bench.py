@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from onebend.beam.grid import Modes, angles, places, positions
 from onebend.beam.loads import push
-from onebend.beam.modal import Modes, angles, places, positions
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, equidistant
-from onebend.beam.statics.problem import make_problem
-from onebend.learning.inference.stages import FitSettings
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.learning.optimizer import FitSettings
 from onebend.records import Array, Observations, Source, Stated
 from tests.beam.modal import modal_equilibrium
 

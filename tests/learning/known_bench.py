@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.measured_section import relative_moment, second_moment
-from onebend.beam.profiles.polyline import Polyline
+from onebend.beam.section import relative_moment, second_moment
+from onebend.beam.stiffness import Polyline
 from onebend.learning.posterior import Posterior, fit
 from onebend.recording.folder import read_recording
-from onebend.recording.tracks.pose_tables import pose_observations
+from onebend.recording.poses import pose_observations
 from onebend.records import Array, Observations, StatedSection
 from tests.learning.bench import IDEAL
 

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.beam.modal import Modes
+from onebend.beam.dynamics import Actions, AppliedForce, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import simulate
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce
-from onebend.beam.motion.dynamics import body
-from onebend.beam.motion.integration import simulate
-from onebend.beam.motion.vibration import settle
-from onebend.beam.profiles.stiffness import LogSpline, Scaled, Uniform
+from onebend.beam.stiffness import LogSpline, Scaled, Uniform
+from onebend.beam.vibration import settle
 from onebend.records import ClockOffset, Observations
 from tests import made_up
 from tests.made_up import with_source, with_stated

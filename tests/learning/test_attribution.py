@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from onebend.learning.attribution import FORCE_SCALE, GROUPS, LEFT, Attribution, attributions, hidden_by
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
-from onebend.learning.inference.joint_covariance import JointCovariance
-from onebend.learning.inference.optimizer import Optimum
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.parameters import Block, Layout, Priors
-from onebend.learning.model.spline import RHO, TAU
+from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
+from onebend.learning.normal import JointCovariance
+from onebend.learning.optimizer import FitSettings, Optimum
+from onebend.learning.parameters import RHO, TAU, Block, Layout, Priors
 from onebend.learning.posterior import fit
 from onebend.records import Array, IntArray
 from tests.learning.allowances.allowed_bench import with_everything

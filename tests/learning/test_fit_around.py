@@ -12,21 +12,18 @@ import pytest
 
 from onebend import pipeline
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
 from onebend.learning import posterior
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.frames import nothing_moves
-from onebend.learning.model.parameters import Priors
-from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import RegressionSettings
-from onebend.learning.posterior import Posterior, fit
+from onebend.learning.frames import nothing_moves
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.paper import RegressionSettings, regress
+from onebend.learning.parameters import Priors
+from onebend.learning.posterior import LEVEL, Posterior, correlations, fit, tradeoffs, with_level
 from onebend.learning.start import start_of
-from onebend.learning.tradeoffs import LEVEL, correlations, tradeoffs, with_level
 from onebend.learning.validation import mounting, validate
 from onebend.learning.verdict import fit_remarks, fitted_rms
-from onebend.recording.folder import read_recording
-from onebend.recording.toml.same_beam import check_together
+from onebend.recording.folder import check_same_beam, read_recording
 from onebend.records import Observations, Remark
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
@@ -187,7 +184,7 @@ def test_a_curved_beam_is_compared_from_its_own_shape_at_rest() -> None:
 
 def test_recordings_of_two_beams_are_refused_before_any_work() -> None:
     train, fast = read_recording(EXAMPLE / "train"), read_recording(EXAMPLE / "fast")
-    check_together([train, fast], jointly=True)
+    check_same_beam([train, fast], jointly=True)
     longer = replace(fast, beam=replace(fast.beam, length=0.2))
     other = replace(fast, tags=replace(fast.tags, on_beam=fast.tags.on_beam[:2]))
     moved = replace(
@@ -197,9 +194,9 @@ def test_recordings_of_two_beams_are_refused_before_any_work() -> None:
         (longer, "200 mm"), (other, r"\[1, 2\], against"), (moved, "tag 1 is at s = 0.5"), (train, "given twice"),
     ):  # fmt: skip
         with pytest.raises(LearningError, match=words):
-            check_together([train, wrong], jointly=True)
+            check_same_beam([train, wrong], jointly=True)
     with pytest.raises(LearningError, match="learns from one"):
-        check_together([train, fast], jointly=False)
+        check_same_beam([train, fast], jointly=False)
 
 
 def test_a_regression_that_finds_no_beam_does_not_stop_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:

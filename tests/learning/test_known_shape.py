@@ -11,17 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.measured_section import moment_errors
-from onebend.beam.profiles.modulus import modulus_band, one_modulus
+from onebend.beam.section import modulus_band, moment_errors, one_modulus
 from onebend.errors import LearningError
-from onebend.learning.known_shape import CORRELATION, KnownShape, known_shape
-from onebend.learning.learned_mass import mass_per_length
-from onebend.learning.model.held_ends import stated_remarks
-from onebend.learning.model.own_weight import following
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import LEVEL_SD, Spline
-from onebend.learning.posterior import Posterior, fit
-from onebend.learning.stiffness_band import without_section_errors
+from onebend.learning.fit_data import following
+from onebend.learning.parameters import CORRELATION, LEVEL_SD, KnownShape, Priors, Spline, known_shape, make_layout
+from onebend.learning.posterior import Posterior, fit, mass_per_length, without_section_errors
+from onebend.learning.static_poses import stated_remarks
 from onebend.learning.verdict import fit_remarks
 from onebend.records import Array, Observations, StatedSection
 from tests.learning.bench import IDEAL, forces, observed

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.modulus import modulus_along, modulus_remarks, modulus_unit, stated_section
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.outcome import modulus_along, modulus_remarks, modulus_unit, stated_section
 from onebend.pipeline import learn
 from onebend.records import Observations, StatedSection
 from onebend.report.overview import overview

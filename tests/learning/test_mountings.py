@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, equidistant
-from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD, between_recordings
-from onebend.learning.inference.stages import FitSettings
+from onebend.beam.stiffness import Gaussians, equidistant
+from onebend.learning.allowances import BETWEEN, BETWEEN_SD, between_recordings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Observations
-from onebend.report.allowance_words import mounting_words
+from onebend.report.confidence import mounting_words
 from tests.learning.bench import SOFT, forces, observed
 from tests.made_up import with_source
 

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
+from onebend.beam.stiffness import Gaussians, Powers, Steps, Uniform, equidistant
 from onebend.errors import LearningError
-from onebend.learning.inference.fit_problem import RecordingNoise
-from onebend.learning.inference.linear_gaussian import ResidualRows, residual_rows, tag_information
-from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.fit_data import FitData, fit_data
+from onebend.learning.linear import RecordingNoise, ResidualRows, residual_rows, tag_information
+from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
+from onebend.learning.prediction import predict
 from onebend.records import Array, Observations
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated

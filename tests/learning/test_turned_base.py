@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import follow
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table, Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Problem, make_problem
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.frames import loads_of
-from onebend.learning.model.held_ends import RESOLUTION
-from onebend.learning.pose_equilibria import SeenPoses, led, nearest, pose_rms, seen_poses, stay, unexplained
+from onebend.beam.problem import Problem, make_problem
+from onebend.beam.stiffness import Table, Uniform
+from onebend.learning.frames import loads_of
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.static_poses import RESOLUTION, SeenPoses, led, nearest, pose_rms, seen_poses, stay, unexplained
 from onebend.learning.validation import validate
 from onebend.pipeline import Run, learn
 from onebend.recording.observe import observe

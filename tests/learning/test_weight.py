@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, AllowanceName
-from onebend.learning.learned_mass import weight_doubts
-from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.mass import LearnedMass
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.beam.stiffness import Uniform
+from onebend.learning.allowances import EVERY_ALLOWANCE, AllowanceName
+from onebend.learning.fit_data import FitData, fit_data
+from onebend.learning.parameters import Layout, LearnedMass, Priors, Spline, make_layout
+from onebend.learning.posterior import weight_doubts
+from onebend.learning.prediction import predict
 from onebend.records import Array, Observations, PointMass
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated

@@ -10,7 +10,7 @@ import av
 import cv2
 import numpy as np
 
-from onebend.recording.calibration.boards import Board
+from onebend.recording.calibration import Board
 from onebend.records import Array
 
 WIDTH, HEIGHT = 640, 480

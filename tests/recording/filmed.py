@@ -10,11 +10,8 @@ import numpy as np
 from pyapriltags import Detector
 from scipy.spatial.transform import Rotation
 
-from onebend.recording.camera.lens import project, to_plane
-from onebend.recording.camera.plane import FACING, square
-from onebend.recording.toml.beam_entry import BeamEntry
-from onebend.recording.toml.entries import Recording, TagEntry, TagsEntry
-from onebend.recording.toml.source_entries import CameraEntry, VideoEntry
+from onebend.recording.camera import FACING, project, square, to_plane
+from onebend.recording.entries import BeamEntry, CameraEntry, Recording, TagEntry, TagsEntry, VideoEntry
 from onebend.recording.video import FilmFrame
 from onebend.records import Array, Detections, View
 

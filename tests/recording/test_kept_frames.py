@@ -9,10 +9,18 @@ import av
 import numpy as np
 import pytest
 
-from onebend.recording import kept_frames
-from onebend.recording.kept_frames import FEWEST, MOST_PIXELS, KeptFrames, roundest, spacing_of
-from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import Picture, pictures_at, read_frames
+from onebend.recording import video as kept_frames
+from onebend.recording.entries import VideoEntry
+from onebend.recording.video import (
+    FEWEST,
+    MOST_KEPT_PIXELS,
+    KeptFrames,
+    Picture,
+    pictures_at,
+    read_frames,
+    roundest,
+    spacing_of,
+)
 from tests.recording.test_video import write_video
 
 WIDTH, HEIGHT, COUNT = 64, 48, 50
@@ -32,7 +40,7 @@ def not_sought(_: VideoEntry, indices: Collection[int], **__: bool) -> Iterator[
 
 
 def test_frames_that_passed_are_those_that_would_be_sought(film: VideoEntry, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_frames, "MOST_PIXELS", 13 * WIDTH * HEIGHT)
+    monkeypatch.setattr(kept_frames, "MOST_KEPT_PIXELS", 13 * WIDTH * HEIGHT)
     monkeypatch.setattr(kept_frames, "FEWEST", 5)
     kept = KeptFrames()
     for _ in read_frames(film, kept.keep):
@@ -53,7 +61,7 @@ def test_frames_that_passed_are_those_that_would_be_sought(film: VideoEntry, mon
 
 
 def test_what_is_not_kept_is_sought(film: VideoEntry, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_frames, "MOST_PIXELS", 13 * WIDTH * HEIGHT)
+    monkeypatch.setattr(kept_frames, "MOST_KEPT_PIXELS", 13 * WIDTH * HEIGHT)
     monkeypatch.setattr(kept_frames, "FEWEST", 5)
     kept = KeptFrames()
     list(read_frames(film, kept.keep))
@@ -87,9 +95,9 @@ def test_another_film_takes_the_place_of_the_first(film: VideoEntry, tmp_path: P
 def test_as_many_are_kept_as_fit(count: int, pixels: int) -> None:
     every = spacing_of(count, pixels)
     number = len(range(0, count, every))
-    assert number * pixels <= MOST_PIXELS
+    assert number * pixels <= MOST_KEPT_PIXELS
     assert every & (every - 1) == 0
-    assert every == 1 or len(range(0, count, every // 2)) * pixels > MOST_PIXELS
+    assert every == 1 or len(range(0, count, every // 2)) * pixels > MOST_KEPT_PIXELS
     assert number >= min(count, FEWEST // 2)
 
 

@@ -11,13 +11,28 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.beam_frame import beam_turn, rest_shape, to_beam_frame, turned
-from onebend.recording.camera.lens import project
-from onebend.recording.gravity import BaseLog, base_clock, gravity_in_frame, read_base_log
+from onebend.recording.beam_frame import (
+    BaseLog,
+    base_clock,
+    beam_turn,
+    gravity_in_frame,
+    read_base_log,
+    rest_shape,
+    to_beam_frame,
+    turned,
+)
+from onebend.recording.camera import project
+from onebend.recording.entries import (
+    BeamEntry,
+    ForceEntry,
+    GravityEntry,
+    PushEntry,
+    Recording,
+    TagEntry,
+    TagsEntry,
+    VideoEntry,
+)
 from onebend.recording.observe import ObserveSettings, assemble
-from onebend.recording.toml.beam_entry import BeamEntry
-from onebend.recording.toml.entries import ForceEntry, GravityEntry, PushEntry, Recording, TagEntry, TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
 from onebend.records import GAIN_SD, ForceLog, Observations, View
 from tests.made_up import LENGTH, MARKER_S, TAGS
 from tests.recording.pushed import Pushed

@@ -12,13 +12,13 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import Table
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.recording.observe import observe

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.entries import VideoEntry
 from onebend.recording.video import FilmFrame, frame_at, frame_count, rate_remarks, read_frames, upright
 
 WIDTH, HEIGHT = 64, 48

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table, Uniform
+from onebend.beam.stiffness import Table, Uniform
 from onebend.records import Array, BoolArray
 from tests.made_up import LENGTH
 from tests.recording.pushed import Pushed

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.stiffness import Uniform
 from onebend.learning.attribution import FORCE_SCALE, GROUPS, Attribution
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.recording.observe import observe
 from onebend.records import GAIN_SD, PLACE_SD, Observations
-from onebend.report.allowance_words import narrower_words, share_words, what_to_do, why_words
+from onebend.report.confidence import narrower_words, share_words, what_to_do, why_words
 from onebend.report.verdict import verdict_of
 from tests import made_up
 from tests.recording.tracked import ROD_S, pose_folder

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.report import figures as curves
 from onebend.report.confidence import (
     gain_words,
     identified_ranges,
@@ -16,9 +17,8 @@ from onebend.report.confidence import (
     nuisance_rows,
     unidentified_words,
 )
-from onebend.report.figures import curves
-from onebend.report.figures.style import png_of
-from onebend.report.page.cards import band_card
+from onebend.report.page import band_card
+from onebend.report.style import png_of
 from onebend.report.wording import significant
 from tests import made_up
 

@@ -9,18 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fitted_rms
 from onebend.pipeline import Run, learn
 from onebend.records import KnownLoads
 from onebend.report.confidence import scale_words
-from onebend.report.figures.drawing import draw_all
-from onebend.report.findings import all_remarks
-from onebend.report.kinds import is_forced, kind_of, learned_from
-from onebend.report.page.cards import cards
-from onebend.report.page.page import page
-from onebend.report.wording import assumptions, inputs, millimetres
+from onebend.report.figures import draw_all
+from onebend.report.page import cards, page
+from onebend.report.wording import all_remarks, assumptions, inputs, is_forced, kind_of, learned_from, millimetres
 from tests import made_up
 from tests.made_up import with_source
 from tests.report.page.test_page import Links

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from onebend.beam.profiles.measured_section import relative_moment
-from onebend.beam.profiles.modulus import modulus_band, one_modulus
+from onebend.beam.section import modulus_band, one_modulus, relative_moment
+from onebend.cli.screens import estimate_table, show_model, show_run
 from onebend.records import StatedSection
-from onebend.report.modulus import (
+from onebend.report.confidence import (
     MeasuredBeam,
     measured_beam,
     modulus_range,
@@ -21,11 +21,9 @@ from onebend.report.modulus import (
     modulus_words,
     one_modulus_words,
 )
-from onebend.report.page.page import page
+from onebend.report.page import page
 from onebend.report.wording import significant
 from onebend.results.model import StoredModel
-from onebend.terminal.screens import show_model, show_run
-from onebend.terminal.tables import estimate_table
 from tests import made_up
 
 BAR = StatedSection("rectangle", np.array([0.0, 1.0]), np.full(2, 0.004), np.full(2, 0.03))

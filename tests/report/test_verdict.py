@@ -11,18 +11,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from onebend.learning.criticism.criticism import Finding
+from onebend.cli.screens import show_run
+from onebend.learning.criticism import Finding
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fit_remarks, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
 from onebend.report.confidence import model_test_rows
-from onebend.report.findings import another_beam
-from onebend.report.page.cards import cards
-from onebend.report.page.page import page
-from onebend.report.page.template import code_in
+from onebend.report.page import cards, code_in, page
 from onebend.report.verdict import hopeless, verdict_of
-from onebend.results.summary import summary_of
-from onebend.terminal.screens import show_run
+from onebend.report.wording import another_beam
+from onebend.results.learned_files import summary_of
 from tests import made_up
 
 

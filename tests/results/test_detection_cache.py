@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from onebend.files.kept import KeptFolder, users_folder
-from onebend.recording.toml.entries import TagEntry, TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.entries import TagEntry, TagsEntry, VideoEntry
 from onebend.records import Detections, Remark
 from onebend.results import detection_cache
 from onebend.results.detection_cache import DetectionCache, finder_version, key_of, packed, unpacked

@@ -9,16 +9,23 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.measured_section import relative_moment
-from onebend.beam.profiles.modulus import modulus_band, one_modulus
-from onebend.beam.profiles.stiffness import Gaussians, LogSpline, Powers, Profile, Scaled, Steps, Table, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.section import modulus_band, one_modulus, relative_moment
+from onebend.beam.stiffness import (
+    Gaussians,
+    LogSpline,
+    Powers,
+    Profile,
+    Scaled,
+    Steps,
+    Table,
+    UncertainStiffness,
+    Uniform,
+)
 from onebend.errors import ResultsError
-from onebend.files.manifest import with_checksum
+from onebend.files.publish import with_checksum
 from onebend.records import StatedSection
 from onebend.results.model import (
     StoredModel,
@@ -26,10 +33,10 @@ from onebend.results.model import (
     load_modulus,
     load_uncertain,
     model_text,
+    origin_of,
     read_model,
     save_model,
 )
-from onebend.results.origin import origin_of
 from tests import made_up
 from tests.made_up import same
 

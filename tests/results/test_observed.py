@@ -27,8 +27,13 @@ from onebend.records import (
     Stated,
     StatedSection,
 )
-from onebend.results.observations_file import load_observations, observations_beside, save_observations
-from onebend.results.record_json import fields_from, to_data
+from onebend.results.observations_file import (
+    fields_from,
+    load_observations,
+    observations_beside,
+    save_observations,
+    to_data,
+)
 from tests import made_up
 from tests.made_up import same, with_source
 

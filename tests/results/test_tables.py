@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.modulus import modulus_band
-from onebend.files.manifest import seal, write_summary
+from onebend.beam.section import modulus_band
+from onebend.files.publish import seal, write_summary
 from onebend.records import StatedSection
-from onebend.results.summary import summary_of, validation_summary
+from onebend.results.learned_files import summary_of, validation_summary
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
-from onebend.strict_json import plain
+from onebend.text_files import plain
 from tests import made_up
 from tests.made_up import with_source
 

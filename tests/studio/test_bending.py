@@ -16,7 +16,7 @@ from onebend.cli import app
 from onebend.errors import StudioError
 from onebend.results.model import read_model
 from onebend.studio.bending import Bending
-from onebend.studio.clients import text_of
+from onebend.studio.desk import text_of
 from tests.studio.conftest import PORT, own
 
 SOCKET = f"ws://127.0.0.1:{PORT}/socket"

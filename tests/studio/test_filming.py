@@ -18,15 +18,15 @@ import typer
 from PIL import Image
 from starlette.testclient import TestClient
 
-from onebend.capture.film_writer import FilmWriter
-from onebend.capture.state import CaptureState
-from onebend.cli.recordings import record
 from onebend.errors import StudioError
+from onebend.live.commands import record
+from onebend.live.guidance import CaptureState
+from onebend.live.recording_folder import FilmWriter
 from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
 from onebend.studio.places import StudioFolder
 from onebend.studio.recorder import WIDEST, Talk, check_data, settings_of, small_jpeg, state_data, work
+from tests.live.streamed import frames, log, toml
 from tests.recording.filmed import HEIGHT, WIDTH
-from tests.streaming.streamed import frames, log, toml
 from tests.studio.conftest import own
 
 

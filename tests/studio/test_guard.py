@@ -8,7 +8,7 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from onebend.studio.guard import LARGEST_BODY
+from onebend.studio.places import LARGEST_BODY
 from tests.studio.conftest import HOME, PORT, TOKEN, own
 
 PATHS = (

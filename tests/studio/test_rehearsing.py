@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 from typer.testing import CliRunner
 
 from onebend.cli import app
-from onebend.control.reach.reach import reach
+from onebend.control.reach import reach
 from onebend.errors import ControlError, StudioError
 from onebend.results.model import read_model
 from onebend.studio import rehearsing

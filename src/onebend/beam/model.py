@@ -10,15 +10,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from onebend.beam.continuation import Side, equilibrium
 from onebend.beam.loads import push, weight
-from onebend.beam.profiles.rectangular import POISSON, RectangularSection
-from onebend.beam.profiles.stiffness import Profile, Uniform, profile_from_dict
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.nodal_beam import GridMemory
-from onebend.beam.statics.snap_through import Side
-from onebend.blas import one_blas_thread
+from onebend.beam.problem import GridMemory
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import POISSON, Profile, RectangularSection, Uniform, profile_from_dict
 from onebend.errors import MechanicsError
+from onebend.progress import one_blas_thread
 from onebend.records import Array, PointMass
 
 

@@ -11,7 +11,6 @@ import gc
 import os
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
-from dataclasses import dataclass
 from functools import wraps
 from importlib import import_module
 from typing import Annotated, Any, Literal, NoReturn
@@ -20,8 +19,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import onebend
-from onebend.blas import one_blas_thread
 from onebend.crash import guarded
+from onebend.lazy import Place, wings
+from onebend.progress import one_blas_thread
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
@@ -29,189 +29,110 @@ MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700
 COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a command stands, the first line of its help, and the example at its end."""
-
-    module: str  # in this folder
-    function: str
-    help: str
-    example: str  # the words after `onebend NAME`; it works on what `make demo` made, and on what `first` makes
-    first: str = ""  # the command that makes what the example needs beside that
-
-
 COMMANDS = {
     "learn": Place(
-        "learning",
+        "onebend.cli.learning",
         "learn",
         "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
         "examples/linear-beam/train -o out/linear-beam --force",
     ),
-    "batch": Place(
-        "long_runs",
-        "batch",
-        "Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped.",
-        "out/stems -o out/stems-learned",
-        "onebend film linear --markers -o out/stems/dry/stem-1",
-    ),
-    "population": Place(
-        "long_runs",
-        "population",
-        "Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers.",
-        "out/pushes-learned --by group -o out/population",
-        "onebend batch examples/linear-beam -o out/pushes-learned",
-    ),
     "validate": Place(
-        "learning",
+        "onebend.cli.learning",
         "validate",
         "Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI).",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "plan": Place(
-        "learning",
+        "onebend.cli.learning",
         "plan",
         "Say which push to make next: what each would leave of the band on k(s).",
         "out/linear-beam --count 3",
     ),
     "damp": Place(
-        "motion",
+        "onebend.cli.motion",
         "damp",
         "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "sense": Place(
-        "motion",
+        "onebend.cli.motion",
         "sense",
         "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "frequencies": Place(
-        "motion",
+        "onebend.cli.motion",
         "frequencies",
         "Find the natural frequencies in a free swing, to be written in recording.toml.",
         "examples/ruler/swing.csv",
     ),
     "reach": Place(
-        "control",
+        "onebend.cli.control",
         "reach",
         "Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8).",
         "out/linear-beam --goal 0.1338 0.0638",
     ),
     "shape": Place(
-        "shaping",
+        "onebend.cli.control",
         "shape",
         "Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape.",
         "out/linear-beam --targets examples/bend/targets.csv --grip",
     ),
     "path": Place(
-        "shaping",
+        "onebend.cli.control",
         "path",
         "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
-    "loop": Place(
-        "control",
-        "loop",
-        "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
-        "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
-    ),
     "new": Place(
-        "recordings",
+        "onebend.cli.recordings",
         "new",
         "Write a recording.toml to fill in.",
         "my-beam",
     ),
-    "record": Place(
-        "recordings",
-        "record",
-        "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
-        "out/my-push --play examples/linear-beam/train",
-    ),
     "topics": Place(
-        "recordings",
+        "onebend.cli.recordings",
         "topics",
         "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
         "out/path/bag",
         "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "check": Place(
-        "recordings",
+        "onebend.cli.recordings",
         "check",
         "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
         "examples/linear-beam/train",
     ),
     "cache": Place(
-        "recordings",
+        "onebend.cli.recordings",
         "show_cache",
         "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
         "",
     ),
     "calibrate": Place(
-        "calibrating",
+        "onebend.cli.recordings",
         "calibrate",
         "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
     "show": Place(
-        "models",
+        "onebend.cli.models",
         "show",
         "Draw the learned k(s) in the terminal.",
         "out/linear-beam",
     ),
     "export": Place(
-        "exporting",
+        "onebend.cli.models",
         "export_command",
         "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
-        "exporting",
+        "onebend.cli.models",
         "rerun_command",
         "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
         "out/linear-beam examples/linear-beam/fast",
-    ),
-    "studio": Place(
-        "studio",
-        "studio",
-        "Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.",
-        "out",
-    ),
-    "design": Place(
-        "making",
-        "design",
-        "Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration.",
-        "linear",
-    ),
-    "mould": Place(
-        "making",
-        "mould",
-        "Make the mould of a design, the clamp and the carriers of its tags, as files to print.",
-        "linear -o out/mould",
-    ),
-    "tags": Place(
-        "making",
-        "tags",
-        "Draw a sheet of tags at exact size, with rulers to check the printer by.",
-        "examples/linear-beam/train -o out/tags.pdf",
-    ),
-    "film": Place(
-        "filming",
-        "film",
-        "Film a known beam that is pushed: a recording folder to learn from, with the truth beside it.",
-        "linear --push free --sensor wrist -o out/released",
-    ),
-    "reproduce": Place(
-        "long_runs",
-        "reproduce",
-        "Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report.",
-        "-o out/paper --quick --without-video",
-    ),
-    "rehearse": Place(
-        "rehearsing",
-        "rehearse",
-        "Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change.",
-        "linear --runs 0",
     ),
 }
 
@@ -230,6 +151,12 @@ def remembered(command: Callable[..., None]) -> Callable[..., None]:
     return inside
 
 
+def all_commands() -> dict[str, Place]:
+    """The commands of the core, and those that the wings which are here bring."""
+    brought = [import_module(f"onebend.{wing}").COMMANDS for wing in wings()]
+    return {name: place for table in (COMMANDS, *brought) for name, place in table.items()}
+
+
 class Command(TyperCommand):
     """A name and a line of help; what the command does, and its options, are loaded when it is called."""
 
@@ -239,7 +166,7 @@ class Command(TyperCommand):
 
     def loaded(self) -> Any:
         """The command itself. It works with one BLAS thread."""
-        module = import_module(f"onebend.cli.{self.place.module}")
+        module = import_module(self.place.module)
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
         single.command(self.name, epilog="\n\n".join(lines))(
@@ -256,7 +183,7 @@ class Commands(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        self.commands = {name: Command(name, place) for name, place in COMMANDS.items()}
+        self.commands = {name: Command(name, place) for name, place in all_commands().items()}
 
 
 app = typer.Typer(

@@ -10,20 +10,152 @@ import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from time import monotonic
+from typing import Annotated, Any, NoReturn
 
+import numpy as np
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderableType, RenderHook
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress as RichProgress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
 
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError, RecordingError, reference
-from onebend.escaping import printable
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
-from onebend.report.figures.pictures import Pictures
+from onebend.records import Array, Remark
+from onebend.report.pictures import Pictures
+from onebend.report.wording import significant
 from onebend.results.provenance import InputFile, provenance
-from onebend.strict_json import to_json
-from onebend.terminal.bars import Bars, text_alone
+from onebend.text_files import printable, to_json
+
+# Options that several commands take. Names and helps are the user's manual; docs/cli.md says more.
+
+LEAST, MOST = 1e-6, 1e9  # of what must be positive; beyond it, numbers are no measures of a beam
+
+PushAt = Annotated[
+    float,
+    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts: s in (0, 1], 1 the tip."),
+]
+Point = Annotated[
+    float,
+    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point that is led to the goal: s in (0, 1]."),
+]
+Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
+Gravity = Annotated[
+    tuple[float, float],
+    typer.Option(
+        "--gravity-m-s2",
+        metavar="GX GY",
+        help="In the beam's frame; needs a model with a mass. Default: none in plane.",
+    ),
+]
+Recording = Annotated[
+    Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log; or that file.")
+]
+Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
+Threads = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
+]
+Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+LogAxis = Annotated[bool, typer.Option("--log", help="Draw k(s) on a logarithmic axis.")]
+
+
+# The screen: on it what a person named is text alone. Progress: bars on a screen, lines on a pipe.
+
+QUIET_SECONDS = 1.0  # a stage that took less leaves no line behind where there is no screen to draw a bar on
+
+
+class _Text:
+    """A renderable whose text is escaped; colours and the like are the console's own."""
+
+    def __init__(self, inside: RenderableType) -> None:
+        self._inside = inside
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        for segment in console.render(self._inside, options):
+            yield segment if segment.control else Segment(printable(segment.text), segment.style)
+
+
+class _Escape(RenderHook):
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Text(one) for one in renderables]
+
+
+def text_alone(console: Console) -> Console:
+    """The console, from now on with all text escaped."""
+    console.push_render_hook(_Escape())
+    return console
+
+
+class RateColumn(ProgressColumn):
+    """Things a second, over the whole stage."""
+
+    def render(self, task: Task) -> Text:
+        elapsed = task.finished_time or task.elapsed
+        if not elapsed or not task.completed:
+            return Text("")
+        return Text(f"{task.completed / elapsed:.3g}/s", style="cyan")
+
+
+class Bars:
+    """A `Progress` of bars with rate and time left; on a pipe, one line a stage. A context manager."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        columns = (
+            SpinnerColumn(finished_text="[green]✓"),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            RateColumn(),
+            TimeRemainingColumn(elapsed_when_finished=True),
+        )
+        self._bars = RichProgress(*columns, console=console, disable=not console.is_terminal)
+        self._open: list[tuple[TaskID, str, float]] = []  # stages can be nested
+
+    def __enter__(self) -> Bars:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
+
+    def start(self, stage: str, total: int | None) -> None:
+        task = self._bars.add_task(escape(printable(stage)), total=total)
+        self._open.append((task, stage, monotonic()))
+
+    def advance(self, count: int = 1) -> None:
+        self._bars.advance(self._open[-1][0], count)
+
+    def done(self) -> None:
+        task, stage, began = self._open.pop()
+        if sys.exc_info()[0] is not None:
+            return  # the stage was left early: its bar stays where it was
+        count = self._count(task)
+        self._bars.update(task, total=count, completed=count)
+        seconds = monotonic() - began
+        if not self._console.is_terminal and seconds > QUIET_SECONDS:
+            self._console.print(f"{stage}: {seconds:.1f} s", markup=False, highlight=False)
+
+    def _count(self, task: TaskID) -> float:
+        return next((bar.completed for bar in self._bars.tasks if bar.id == task), 0.0)
 
 
 @contextmanager
@@ -213,3 +345,58 @@ def percent(text: str | None) -> float:
     if not 0.0 < share <= 1.0:
         raise RecordingError(f"--until {text}: write how exactly k(s) is wanted, as 5%.")
     return share
+
+
+# What several screens share: a list of facts, what looked odd, a force in words, and where the files are.
+
+NO_BAND = "not known: the model has no band on k(s)"
+
+
+def facts_table() -> Table:
+    """An empty table of what something is (first column) and its value."""
+    return Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+
+
+def force_words(force: Array) -> str:
+    """Size, direction and parts of a force (2,) N."""
+    turn = math.degrees(math.atan2(force[1], force[0]))
+    size = significant(float(np.hypot(*force)))
+    return f"[bold]{size} N[/] at {turn:.1f} deg: ({force[0]:.4g}, {force[1]:.4g}) N"
+
+
+def say_written(console: Console, output: Path | None, files: str) -> None:
+    """Which `files` are in the folder `output` now; nothing where none were written."""
+    if output is not None:
+        console.print(f"\nWrote {output}: {files}", highlight=False, markup=False)
+
+
+def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:
+    """Warnings alone, each with what to do about it."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for whose, remark in remarks:
+        table.add_row("[yellow]![/]", Text(f"{whose}: {remark.text}"))
+        _add_docs(table, remark)
+    return table
+
+
+def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
+    """What looked odd: warnings in colour, notes in grey."""
+    if not remarks:
+        return Text("Nothing looked odd.", "dim")
+    table = Table(box=None, show_header=False, pad_edge=False, title="What looked odd", title_justify="left")
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for whose, remark in remarks:
+        warning = remark.level == "warning"
+        table.add_row("[yellow]![/]" if warning else "[dim]·[/]", escape(f"{whose}: {remark.text}"),
+                      style="" if warning else "dim")  # fmt: skip
+        _add_docs(table, remark)
+    return table
+
+
+def _add_docs(table: Table, remark: Remark) -> None:
+    """Below a warning, where to read of it."""
+    if remark.docs:
+        table.add_row("", Text(reference(remark.about), "dim"))

@@ -3,30 +3,93 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
+from onebend.beam.model import Beam
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, or_unlimited, print_summary, put_in_place, screen, workplace
+from onebend.cli.common import (
+    LEAST,
+    MOST,
+    NO_BAND,
+    Goal,
+    Gravity,
+    Json,
+    Model,
+    Output,
+    Overwrite,
+    Point,
+    PushAt,
+    clean_errors,
+    facts_table,
+    force_words,
+    or_unlimited,
+    print_summary,
+    put_in_place,
+    say_written,
+    screen,
+    workplace,
+)
 from onebend.cli.models import gravity_on, read_trusted
-from onebend.cli.options import LEAST, MOST, Goal, Gravity, Json, Model, Output, Overwrite, Point, PushAt
-from onebend.control.loop.controller import controller
-from onebend.control.loop.robustness import MOST_DRAWN, drawn_beams, simulate_trials, trial_settings, wrong_beams
-from onebend.control.loop.simulation import LoopCamera
-from onebend.control.reach.reach import Reach, ReachSettings
-from onebend.control.reach.reach import reach as solve_reach
-from onebend.control.reach.reachable import ReachableSet, reachable
-from onebend.control.reach.uncertainty import predicted_error
+from onebend.control.goals import Between, Goals, read_goals, read_targets
+from onebend.control.loop import Controller, Margins
+from onebend.control.loop_simulation import SETTLED, LoopTrial
+from onebend.control.path import FollowedPath, PathSettings, PathSpread, RateLimits, by_force, follow_goals, path_spread
+from onebend.control.reach import SURE, PredictedError, Reach, ReachSettings, predicted_error, reach as solve_reach
+from onebend.control.reach_set import ReachableSet, reachable
+from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shape as solve_shape
+from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
-from onebend.report.figures.pictures import draw
-from onebend.results.looping import LOOP_FORMAT, loop_summary, loop_writer
+from onebend.extras import installed
+from onebend.report.pictures import draw
+from onebend.report.wording import length_words, significant
+from onebend.results.control_files import (
+    PATH_FORMAT,
+    REACH_FORMAT,
+    SHAPE_FORMAT,
+    path_summary,
+    path_writer,
+    reach_summary,
+    reach_writer,
+    shape_summary,
+    shape_writer,
+)
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
-from onebend.results.reaching import REACH_FORMAT, reach_summary, reach_writer
-from onebend.terminal.looping import show_loop
-from onebend.terminal.reaching import show_reach
+
+# What `onebend reach` says.
+
+
+def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
+    """The force, the point and how sure it is."""
+    table = facts_table()
+    table.add_row(f"force at s = {result.push_s:.3g}", force_words(result.force))
+    if result.settings.moment:
+        table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
+    x, y = 1e3 * result.reached[:2]
+    angle = math.degrees(result.reached[2])
+    table.add_row(f"point s = {result.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
+    table.add_row("from the goal", f"{length_words(result.error)} in the model, after {result.iterations} iterations")
+    table.add_row("sure to within", _sureness_of_goal(error))
+    table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
+    console.print(table, highlight=False)
+    say_written(console, output, "path.csv, reach.png, summary.json")
+
+
+def _sureness_of_goal(error: PredictedError | None) -> str:
+    if error is None:
+        return NO_BAND
+    long, short = error.ellipse(SURE).semi_axes
+    ellipse = f"± {length_words(long)} along and ± {length_words(short)} across"
+    return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the band on k(s)"
+
 
 GoalAngle = Annotated[
     float | None,
@@ -50,57 +113,6 @@ Direction = Annotated[
     float | None,
     typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
 ]
-KError = Annotated[
-    float,
-    typer.Option(
-        "--k-error",
-        min=0.0,
-        max=0.95,
-        metavar="SHARE",
-        help="Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
-    ),
-]
-Draws = Annotated[
-    int | None,
-    typer.Option(
-        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band of k(s) instead."
-    ),
-]
-Noise = Annotated[
-    float,
-    typer.Option("--noise-mm", min=0.0, max=1e3, metavar="MM", help="Of each coordinate the camera sees, one sd."),
-]
-Delay = Annotated[
-    float,
-    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
-]
-Rate = Annotated[
-    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
-]
-Duration = Annotated[
-    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
-]
-LoopMaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force.")
-]
-Feeling = Annotated[
-    Literal["nothing", "log", "shape"],
-    typer.Option(
-        "--felt",
-        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
-    ),
-]
-ForceOff = Annotated[
-    float,
-    typer.Option(
-        "--force-off-N",
-        min=0.0,
-        max=1000.0,
-        metavar="N",
-        help="By so much the robot's force is off, across it, and the log of --felt log, along it.",
-    ),
-]
-Hidden = Annotated[bool, typer.Option("--hidden", help="The camera never sees the point, nor a tag on it.")]
 Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
@@ -134,7 +146,7 @@ def reach(
         error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
         summary = reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
-            from onebend.report.figures.reaching import reaching  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import reaching  # here: Matplotlib is for pictures alone
 
             with workplace(output, REACH_FORMAT, overwrite) as place:
                 pictures = draw({"reach": lambda: reaching(found, error, _within(found))})
@@ -161,59 +173,313 @@ def _within(found: Reach) -> ReachableSet | None:
     )
 
 
-def loop(
+# What `onebend shape` and `onebend path` say.
+
+
+def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
+    """The actuators' loads, the residual, the distance from buckling, the uncertainty."""
+    table = facts_table()
+    for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
+        table.add_row(f"force at s = {pusher.at_s:.3g}", force_words(force))
+    if result.wrench is not None:
+        x, y, angle = result.pose
+        table.add_row("gripper", f"[bold]({1e3 * x:.3f}, {1e3 * y:.3f}) mm at {math.degrees(angle):.2f} deg[/]")
+        table.add_row(
+            "it puts on the beam", f"({result.wrench[0]:.4g}, {result.wrench[1]:.4g}) N and {result.wrench[2]:.4g} N m"
+        )
+    table.add_row("from the targets", f"{length_words(result.rms, 3)} rms: {_why(result)}")
+    table.add_row("from buckling", f"margin {result.margin:.3f} (1 without loads, 0 where it buckles)")
+    table.add_row("sure to within", _sureness_of_shape(result))
+    console.print(table, highlight=False)
+    for warning in result.warnings:
+        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
+    say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
+
+
+def _why(result: ShapeResult) -> str:
+    if result.limits:
+        return f"held back by {escape(', '.join(result.limits))}"
+    return "the closest that was found" if result.rms > 1e-9 else "they are met"
+
+
+def _sureness_of_shape(result: ShapeResult) -> str:
+    if result.spread is None:
+        return NO_BAND
+    return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
+
+
+def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None, *, bag: bool) -> None:
+    """Length, stretch, forces, misses, margin; `bag`: whether a ROS 2 bag was written with the other files."""
+    table = facts_table()
+    stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
+    table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
+    for pusher, force in zip(way.actuators.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
+        table.add_row(f"force at s = {pusher.at_s:.3g}", f"up to {significant(float(np.max(np.hypot(*force.T))))} N")
+    if way.wrench is not None:
+        table.add_row("gripper's force", f"up to {significant(float(np.max(np.hypot(*way.wrench[:, :2].T))))} N")
+    table.add_row("from the goals", f"at worst {length_words(float(np.max(way.miss)))} rms in the model")
+    table.add_row("sure to within", _path_sureness(sure))
+    table.add_row(
+        "from buckling", f"margin at least {float(np.min(way.margin)):.3f} (1 without loads, 0 where it buckles)"
+    )
+    console.print(table, highlight=False)
+    for warning in way.warnings:
+        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
+    messages = "YAML and bag" if bag else "YAML; for a bag: pip install 'onebend[ros]'"
+    say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
+
+
+def _path_sureness(sure: PathSpread | None) -> str:
+    if sure is None:
+        return NO_BAND
+    worst = int(np.argmax(sure.rms))
+    most = length_words(2.0 * float(sure.rms[worst]))
+    return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
+
+
+# Commands that hold a learned beam in a shape, and lead it along a path.
+
+TargetsFile = Annotated[
+    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
+]
+GoalsFile = Annotated[
+    Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
+]
+Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
+PushPlaces = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--push-at",
+        min=LEAST,
+        max=1.0,
+        metavar="S",
+        help="A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
+    ),
+]
+GoalPoint = Annotated[
+    float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
+]
+HandMaxForce = Annotated[
+    float | None,
+    typer.Option(
+        "--max-force-N", min=LEAST, max=MOST, metavar="N", help="Of every push and of the gripper; default: no bound."
+    ),
+]
+HandMaxMoment = Annotated[
+    float | None,
+    typer.Option("--max-moment-N-m", min=LEAST, max=MOST, metavar="N_M", help="Of the gripper; default: no bound."),
+]
+Arm = Annotated[
+    float | None,
+    typer.Option(
+        "--arm-m", min=0.0, max=MOST, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
+    ),
+]
+SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
+MaxForceRate = Annotated[
+    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, max=MOST, metavar="N/S", help="Of every push.")
+]
+MaxSpeed = Annotated[
+    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, max=MOST, metavar="M/S", help="Of the gripper.")
+]
+MaxTurnRate = Annotated[
+    float | None,
+    typer.Option("--max-turn-rate-deg-per-s", min=LEAST, max=MOST, metavar="DEG/S", help="Of the gripper."),
+]
+TooFast = Annotated[
+    Literal["stretch", "refuse"],
+    typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
+]
+BetweenGoals = Annotated[
+    Literal["force", "smooth", "monotone", "linear"] | None,
+    typer.Option(
+        "--between",
+        help="From goal to goal: the force goes evenly (default for one push and one point); or the point does: a "
+        "cubic spline (default otherwise), one that does not swing beyond, straight.",
+    ),
+]
+FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
+
+FAR = 0.5  # of the length, rms from the targets: no shape to be of use
+
+
+def shape(
     model: Model,
     *,
-    goal: Goal,
-    push_at: PushAt = 1.0,
-    point: Point = 1.0,
-    k_error: KError = 0.3,
-    draws: Draws = None,
-    delay_ms: Delay = 50.0,
-    fps: Rate = 30.0,
-    noise_mm: Noise = 0.05,
-    max_force: LoopMaxForce = None,
+    targets: TargetsFile,
+    grip: Gripped = False,
+    push_at: PushPlaces = None,
+    max_force: HandMaxForce = None,
+    max_moment: HandMaxMoment = None,
+    arm: Arm = None,
     gravity: Gravity = (0.0, 0.0),
-    felt: Feeling = "nothing",
-    force_off: ForceOff = 0.0,
-    hidden: Hidden = False,
-    duration: Duration = 8.0,
     output: Output = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
-    from onebend.forecast.sensed_force import felt_by  # here: learning and lab, which `reach` does without
-
+    """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
     with clean_errors():
         stored = read_trusted(model)
-        beam, delay = stored.beam, 1e-3 * delay_ms
-        beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
-        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
-        control = controller(
-            beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
+        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
+        wanted = read_targets(targets, stored.beam.length)
+        found = solve_shape(
+            stored.beam,
+            wanted,
+            pushes=pushes,
+            grip=holding,
+            gravity=gravity_on(stored.beam, gravity),
+            uncertain=stored.uncertain,
+            settings=ShapeSettings(arm=arm),
         )
-        feel = felt_by(
-            felt,
-            control,
-            stiffness=stored.uncertain,
-            instruments=stored.bench,
-            force_off=force_off,
-            hidden=hidden,
-        )
-        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm, hidden=((0.0, math.inf),) if hidden else ())
-        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration, force_off=force_off, feel=feel))
-        known = control.margins()
-        rehearsed: dict[str, object] = {"felt": felt, "force_off_N": force_off, "hidden": hidden}
-        summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
+        if found.rms > FAR * stored.beam.length:
+            raise ControlError(
+                f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
+                f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
+            )
+        summary = shape_summary(str(model), found, written_by=BY)
         if output is not None:
-            from onebend.report.figures.looping import looping  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import shaping  # here: Matplotlib is for pictures alone
 
-            with workplace(output, LOOP_FORMAT, overwrite) as place:
-                pictures = draw({"loop": lambda: looping(control, trials)})
-                inputs = inputs_of([model_file(model)])
-                put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
+            with workplace(output, SHAPE_FORMAT, overwrite) as place:
+                pictures = draw({"shape": lambda: shaping(stored.beam, found)})
+                inputs = inputs_of([model_file(model), targets])
+                put_in_place(place, shape_writer(found, pictures, summary), pictures, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
-        show_loop(screen(), control, known, trials, output, rehearsed)
+        show_shape(screen(), found, output)
+
+
+def path(
+    model: Model,
+    *,
+    goals: GoalsFile,
+    point: GoalPoint = 1.0,
+    grip: Gripped = False,
+    push_at: PushPlaces = None,
+    max_force: HandMaxForce = None,
+    max_moment: HandMaxMoment = None,
+    rate: SampleRate = 1000.0,
+    max_force_rate: MaxForceRate = None,
+    max_speed: MaxSpeed = None,
+    max_turn_rate: MaxTurnRate = None,
+    too_fast: TooFast = "stretch",
+    between: BetweenGoals = None,
+    arm: Arm = None,
+    gravity: Gravity = (0.0, 0.0),
+    frame: FrameName = FRAME,
+    output: Output = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
+    with clean_errors():
+        stored = read_trusted(model)
+        if not frame or not frame.isprintable():
+            raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
+        _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
+        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
+        if not pushes and max_force_rate is not None:
+            raise ControlError(
+                "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
+            )
+        turning = math.radians(or_unlimited(max_turn_rate))
+        limits = RateLimits(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
+        settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
+        weight = gravity_on(stored.beam, gravity)
+        by_points: Between = "smooth" if between is None or between == "force" else between
+        wanted = read_goals(goals, point_s=point, between=by_points)
+        if between == "force" or (between is None and _alone(wanted, pushes, holding)):
+            wanted = _led(stored.beam, wanted, pushes, holding, weight)
+        way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
+        sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
+        summary = path_summary(str(model), way, sure, written_by=BY)
+        bag = installed("rosbags")
+        if output is not None:
+            from onebend.report.control_figures import path_figure  # here: Matplotlib is for pictures alone
+
+            with workplace(output, PATH_FORMAT, overwrite) as place:
+                pictures = draw({"path": lambda: path_figure(way)})
+                inputs = inputs_of([model_file(model), goals])
+                put_in_place(place, path_writer(way, pictures, summary, frame=frame, bag=bag), pictures, inputs=inputs)
+    if as_json:
+        print_summary(summary, output)
+    else:
+        show_path(screen(), way, sure, output, bag=bag)
+
+
+def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
+    """Whether one push leads one point."""
+    return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
+
+
+def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None, weight: tuple[float, float]) -> Goals:
+    if grip is not None or len(pushes) != 1:
+        raise ControlError("--between force is for one push; with a grip or more pushes take smooth")
+    [one] = pushes
+    limit = one.max_force if math.isfinite(one.max_force) else None
+    return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
+
+
+def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
+    """A limit of a gripper that is not there would be kept by nobody."""
+    for name, limit in limits.items():
+        if limit is not None and not grip:
+            raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
+
+
+def _actuators(
+    grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
+) -> tuple[tuple[Pusher, ...], Grip | None]:
+    """Without a word a push at the tip; with a grip only the pushes that are named."""
+    _no_idle_limit(grip, {"--max-moment-N-m": max_moment})
+    places = push_at if push_at is not None else ([] if grip else [1.0])
+    pushes = tuple(Pusher(place, or_unlimited(max_force)) for place in places)
+    return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None
+
+
+# What `onebend loop` says.
+
+
+def show_loop(
+    console: Console,
+    control: Controller,
+    known: Margins,
+    trials: tuple[LoopTrial, ...],
+    output: Path | None,
+    rehearsed: Mapping[str, object],
+) -> None:
+    """Force, gains, margins, and how the rehearsals went; `rehearsed` as in the summary."""
+    table = facts_table()
+    x, y = control.reference.ends
+    table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
+                  f"{control.reference.rise:.2f} s")  # fmt: skip
+    table.add_row("gains", f"rate {control.gains.rate:.3g} 1/s, filters at {control.gains.corner:.3g} rad/s")
+    later = "no limit found" if math.isinf(known.delay) else f"{1e3 * known.delay:.0f} ms more"
+    turn = "any" if math.isinf(known.phase) else f"{math.degrees(known.phase):.0f} deg"
+    table.add_row("margins", f"gain {known.gain:.2f} times, phase {turn}, delay {later}")
+    table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
+    if rehearsed["felt"] != "nothing":
+        table.add_row("the force is felt", "by a log" if rehearsed["felt"] == "log" else "by the beam's shape")
+    if rehearsed["force_off_N"]:
+        table.add_row("the robot's force", f"off by {rehearsed['force_off_N']:.3g} N, across it")
+    if rehearsed["hidden"]:
+        table.add_row("the point", "never seen")
+    console.print(table, highlight=False)
+    runs = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for trial in trials:
+        steady = "the beam snapped away" if trial.run is None else f"{1e3 * trial.steady:.2f}"
+        settled = trial.settled(SETTLED)
+        runs.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
+    console.print()
+    console.print(runs, highlight=False)
+    say_written(console, output, "loop.csv, loop.png, summary.json")
+
+
+def trial_name(trial: LoopTrial) -> str:
+    """Which beam a rehearsal was made on."""
+    share = 100.0 * abs(trial.factor - 1.0)
+    way = "lower" if trial.factor < 1.0 else "higher"
+    if trial.beam.drawn:
+        return f"drawn, {significant(share)} % {way} on average"
+    return "as the model" if trial.factor == 1.0 else f"{share:.0f} % {way}"

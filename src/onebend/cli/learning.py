@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 import onebend
 from onebend.cli import BY
 from onebend.cli.common import (
+    LEAST,
+    MOST,
+    Json,
+    LogAxis,
+    Model,
+    Output,
+    Overwrite,
+    Quiet,
+    Threads,
     clean_errors,
     made_from_files,
     open_in_browser,
@@ -23,35 +37,76 @@ from onebend.cli.common import (
     workplace,
 )
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, MOST, Json, LogAxis, Model, Output, Overwrite, Quiet, Threads
-from onebend.learning.design.candidates import Limits
-from onebend.learning.design.planning import PlanSettings
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.parameters import Priors
-from onebend.learning.paper.selection import RegressionSettings
-from onebend.pipeline import Run, compare, plan_next
-from onebend.pipeline import learn as learn_from
+from onebend.cli.screens import show_run, show_times, show_validation
+from onebend.learning.design import Limits, Plan, PlanSettings, Proposal, direction_words, identified_words
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.paper import RegressionSettings
+from onebend.learning.parameters import Priors
+from onebend.pipeline import Run, compare, learn as learn_from, plan_next
 from onebend.progress import Progress
 from onebend.recording.folder import folder_of
-from onebend.recording.kept_frames import KeptFrames
 from onebend.recording.observe import ObserveSettings
+from onebend.recording.video import KeptFrames
 from onebend.records import CLAMP_SD
-from onebend.report.figures.pictures import Pictures, draw
+from onebend.report.pictures import Pictures, draw
+from onebend.report.wording import significant
 from onebend.results.detection_cache import detection_cache
-from onebend.results.learned_files import learned_writer, tables_writer, validation_writer
-from onebend.results.model import model_file
-from onebend.results.observations_file import observations_beside
-from onebend.results.provenance import inputs_of
-from onebend.results.recording_files import recording_files
-from onebend.results.summary import (
+from onebend.results.learned_files import (
     LEARN_FORMAT,
     PLAN_FORMAT,
     VALIDATE_FORMAT,
+    learned_writer,
     summary_of,
+    tables_writer,
     validation_summary,
+    validation_writer,
 )
-from onebend.terminal.plans import show_plan
-from onebend.terminal.screens import show_run, show_times, show_validation
+from onebend.results.model import model_file
+from onebend.results.observations_file import observations_beside
+from onebend.results.provenance import inputs_of, recording_files
+
+# What `onebend plan` says.
+
+
+def plan_table(plan: Plan) -> Table:
+    """The proposals of a plan: what costs nothing first."""
+    table = Table(
+        title="What to do next: what costs nothing first, then by how well k(s) would be known on average",
+        title_justify="left",
+        box=None,
+    )
+    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "k(s) then"):
+        table.add_column(name, justify="left" if name in ("force", "needs") else "right")
+    for i, proposal in enumerate(plan.proposals):
+        needs = proposal.needs or ("the same once more" if proposal.repeats else "nothing new")
+        cells = (
+            f"{proposal.push.at_s:.2f}",
+            direction_words(proposal.push.direction),
+            significant(proposal.push.largest),
+        )
+        table.add_row(str(i + 1), *cells, f"{1e3 * proposal.tip_moves:.0f}", needs, proposal.after.mean_words)
+    return table
+
+
+def show_plan(console: Console, plan: Plan) -> None:
+    """All that `onebend plan` says."""
+    before = plan.before
+    console.print(
+        f"Now k(s) is known to {before.mean_words} (95 %) on average over the whole beam, to {before.worst_words} at "
+        "worst "
+        f"(s = {before.worst_s:.2f}); {identified_words(before)}.\n",
+        highlight=False,
+    )
+    console.print(plan_table(plan))
+    console.print("\n[bold]best:[/]", Text(plan.proposals[0].text))
+    console.print("[bold]best two with what there is:[/]", Text(_pair(plan.pair)))
+    for reason in plan.left_out:
+        console.print(f"[yellow]![/] {escape(reason)}")
+
+
+def _pair(pair: Sequence[Proposal]) -> str:
+    return "; then ".join(proposal.text for proposal in pair)
+
 
 Recordings = Annotated[
     list[Path], typer.Argument(metavar="REC...", help="Folders with recording.toml (or these files), of one beam.")
@@ -199,7 +254,7 @@ def learn(
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
     """Every figure of a report."""
-    from onebend.report.figures import drawing  # here: Matplotlib takes a third of a second to load
+    from onebend.report import figures as drawing  # here: Matplotlib takes a third of a second to load
 
     return drawing.draw_all(run, frames=frames, progress=progress)
 
@@ -233,7 +288,7 @@ def validate(
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)
             summary = validation_summary(str(model), pairs, written_by=BY)
         else:
-            from onebend.report.figures.drawing import validation_figures  # here, as above
+            from onebend.report.figures import validation_figures  # here, as above
 
             with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
                 inputs = inputs_of([model_file(model), *recording_files(recordings)])

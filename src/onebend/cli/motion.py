@@ -11,31 +11,42 @@ import typer
 
 import onebend
 from onebend.cli import BY
-from onebend.cli.common import clean_errors, print_json, print_summary, progress_of, put_in_place, screen, workplace
+from onebend.cli.common import (
+    LEAST,
+    MOST,
+    Json,
+    Model,
+    Output,
+    Overwrite,
+    Quiet,
+    Recording,
+    Threads,
+    clean_errors,
+    print_json,
+    print_summary,
+    progress_of,
+    put_in_place,
+    screen,
+    workplace,
+)
 from onebend.cli.models import read_trusted
-from onebend.cli.options import LEAST, MOST, Json, Model, Output, Overwrite, Quiet, Recording, Threads
+from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.errors import ResultsError
-from onebend.export.force_bag import force_bag
 from onebend.files.publish import OutputFolder, amend
 from onebend.files.single_file import check_name_free, write_file
-from onebend.learning.sensing.sense import sense as sense_force
-from onebend.learning.sensing.sensed import Sensed, SenseSettings
-from onebend.learning.swing.damping import DampingSettings, learn_damping
-from onebend.learning.swing.free_swing import FilmPart
-from onebend.learning.swing.swing_frequencies import frequencies_of
+from onebend.learning.sensing.sense import Sensed, SenseSettings, sense as sense_force
+from onebend.learning.swing import DampingSettings, FilmPart, learn_damping
+from onebend.learning.swing_frequencies import frequencies_of
 from onebend.progress import Progress
-from onebend.recording.folder import read_recording
+from onebend.recording.folder import check_same_length, read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
-from onebend.recording.toml.same_beam import check_same_length
 from onebend.records import Observations
-from onebend.report.figures.pictures import draw
+from onebend.report.pictures import draw
 from onebend.results.detection_cache import detection_cache
+from onebend.results.learned_files import damp_summary, frequencies_summary
 from onebend.results.model import StoredModel, model_file, model_text
-from onebend.results.provenance import inputs_of
-from onebend.results.recording_files import recording_files
-from onebend.results.sensing import SENSE_FORMAT, sense_summary, sense_writer
-from onebend.results.summary import damp_summary, frequencies_summary
-from onebend.terminal.damping import show_damping, show_frequencies, show_sensed
+from onebend.results.provenance import inputs_of, recording_files
+from onebend.results.sensing import SENSE_FORMAT, force_bag, sense_summary, sense_writer
 
 FromS = Annotated[
     float | None,
@@ -248,7 +259,7 @@ def _observed(stored: StoredModel, recording: Path, threads: int | None, progres
 def _write(
     work: OutputFolder, model: Path, recording: Path, found: Sensed, summary: dict[str, object], *, bag: bool
 ) -> None:
-    from onebend.report.figures.sensing import sensed_regions, sensing  # here: Matplotlib is for pictures alone
+    from onebend.report.control_figures import sensed_regions, sensing  # here: Matplotlib is for pictures alone
 
     messages = force_bag(found.time, found.force, found.covariance) if bag else None
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})

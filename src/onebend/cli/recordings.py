@@ -3,23 +3,95 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
+import re
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
+import numpy as np
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from onebend.cli.common import clean_errors, percent, print_json, say, screen, stderr_screen, stopped_by_hand
-from onebend.cli.options import Json, Overwrite, Quiet, Recording
+from onebend.cli import BY
+from onebend.cli.common import (
+    Json,
+    Overwrite,
+    Quiet,
+    Recording,
+    clean_errors,
+    print_json,
+    progress_of,
+    remarks_list,
+    say,
+    screen,
+)
 from onebend.errors import ObservationError, RecordingError
 from onebend.files.kept import VARIABLE, users_folder
-from onebend.files.single_file import check_replaceable, write_file
-from onebend.recording.bags.force_topic import FIELDS
-from onebend.recording.bags.topics import BagContents, bag_contents
-from onebend.recording.folder import FILE_NAME, folder_of
-from onebend.recording.template import Kind, write_template
-from onebend.strict_json import to_json
-from onebend.terminal.recordings import show_bag, show_overview
+from onebend.files.single_file import check_name_free, check_replaceable, write_file
+from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_contents
+from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
+from onebend.recording.folder import Kind, write_template
+from onebend.report.wording import significant
+from onebend.text_files import to_json
+
+if TYPE_CHECKING:
+    from onebend.report.overview import Overview
+
+
+# What `onebend check`, `onebend topics` and `onebend record` say.
+
+
+def show_bag(console: Console, bag: BagContents) -> None:
+    """A table of the topics, and a warning where the bag breaks off."""
+    first = min((row.start for row in bag.rows if not math.isnan(row.start)), default=math.nan)
+    console.print(f"[bold]{escape(str(bag.path))}[/]{begins(first)}", soft_wrap=True)
+    table = Table()
+    for name in ("topic", "type"):
+        table.add_column(name, overflow="fold", min_width=20)
+    for name in ("count", "lost", "Hz", "from, s", "to, s"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in bag.rows:
+        table.add_row(*cells(row, first))
+    console.print(table)
+    bare = [row.topic for row in bag.rows if row.count and row.by == "receipt"]
+    if bare:
+        console.print(f"Without header stamps, by when they were received: {escape(', '.join(bare))}.")
+    if bag.fault:
+        console.print(f"[red]The bag is damaged:[/] {escape(bag.fault)}. The table counts what comes before that.")
+
+
+def begins(first: float) -> str:
+    """When the first message was, in words."""
+    if math.isnan(first):
+        return ""
+    return f", from {datetime.fromtimestamp(first, UTC).strftime('%Y-%m-%d %H:%M:%S')} UTC ({first:.6f} s)"
+
+
+def cells(row: TopicRow, first: float) -> tuple[str, ...]:
+    """One row of the table, in words; times count from `first`."""
+    kind = row.type.replace("/msg/", "/")
+    if not row.count:
+        return escape(row.topic), escape(kind), "0", "", "", "", ""
+    rate = "" if math.isnan(row.rate) else significant(row.rate)
+    span = (f"{row.start - first:.3f}", f"{row.end - first:.3f}")
+    return escape(row.topic), escape(kind), f"{row.count}", f"{row.gaps or ''}", rate, *span
+
+
+def show_overview(console: Console, overview: Overview) -> None:
+    """What `onebend check` understood."""
+    table = Table(title=escape(overview.name), title_justify="left", box=None, show_header=False)
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column(overflow="fold")
+    for what, understood in overview.rows:
+        table.add_row(what, escape(understood))
+    console.print(table)
+    console.print()
+    console.print(remarks_list([(overview.name, remark) for remark in overview.remarks]))
+
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
@@ -34,42 +106,6 @@ Definitions = Annotated[
 
 PICTURE = "check.png"
 
-RecordFolder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
-]
-CameraSpec = Annotated[
-    str | None, typer.Option("--camera", metavar="SPEC", help="/dev/video0, film:REC (played) ...: docs/record.md.")
-]
-ForceSpec = Annotated[
-    str | None,
-    typer.Option(
-        "--force",
-        metavar="SPEC",
-        help="ati:ADDRESS, serial:/dev/ttyUSB0, ur:HOST, log:REC (played) ...; none: film alone.",
-    ),
-]
-Like = Annotated[
-    Path | None,
-    typer.Option("--like", metavar="REC", help="Another push of this recording's beam: begin with its recording.toml."),
-]
-Play = Annotated[
-    Path | None,
-    typer.Option(
-        "--play", metavar="REC", help="Play film and log of REC as camera and sensor: to try it without them."
-    ),
-]
-Until = Annotated[
-    str | None,
-    typer.Option("--until", metavar="PERCENT", help="Push until k(s) is known to ± this; else once."),
-]
-AtOnce = Annotated[bool, typer.Option("--now", help="Film at once, whatever is wrong with the picture.")]
-FilmAlone = Annotated[bool, typer.Option("--no-learning", help="Learn no k(s) meanwhile: for slow computers.")]
-Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
-Longest = Annotated[
-    float, typer.Option("--longest-s", min=1.0, max=1e5, metavar="S", help="The film ends then at the latest.")
-]
-Crf = Annotated[int, typer.Option("--crf", min=0, max=40, metavar="N", help="Of H.264: less is larger and finer.")]
-Replace = Annotated[bool, typer.Option("--overwrite", help="Replace film and log of an earlier recording in DIR.")]
 Clear = Annotated[bool, typer.Option("--clear", help="Drop all that is kept.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
@@ -140,7 +176,7 @@ def check(
     with clean_errors():
         check_replaceable(output, SOFTWARE, overwrite=overwrite)
         found = overview(recording)
-        from onebend.report.figures.checking import check_png  # here: matplotlib takes a third of a second to load
+        from onebend.report.figures import check_png  # here: matplotlib takes a third of a second to load
 
         drawn = check_png(found)
         if drawn is not None:
@@ -156,65 +192,6 @@ def check(
     if found.faults:
         with clean_errors():
             raise ObservationError("\n".join(found.faults))
-
-
-def record(
-    folder: RecordFolder,
-    *,
-    camera: CameraSpec = None,
-    force: ForceSpec = None,
-    play: Play = None,
-    like: Like = None,
-    until: Until = None,
-    now: AtOnce = False,
-    no_learning: FilmAlone = False,
-    fast: Fast = False,
-    longest: Longest = 600.0,
-    crf: Crf = 18,
-    overwrite: Replace = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
-    from onebend import capture  # here: `new` and `topics` need no camera
-    from onebend.terminal.recordings import RecordingView
-
-    with clean_errors():
-        settings = capture.CaptureSettings(
-            until=percent(until),
-            begin_at_once=now,
-            follow=not no_learning,
-            longest=longest,
-            crf=crf,
-            overwrite=overwrite,
-        )
-        if play is not None:
-            if not (folder_of(play) / FILE_NAME).is_file():
-                raise RecordingError(
-                    f"--play {play}: this is no recording, it holds no {FILE_NAME}. A film alone is played by --camera "
-                    "film:FILE, a log by --force log:FILE."
-                )
-            camera, force = camera or f"film:{play}", force or f"log:{play}"
-            like = like if (folder / FILE_NAME).exists() else like or play
-        if camera is None:
-            raise RecordingError(
-                "--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording."
-            )
-        sources = capture.camera_of(camera), None if force in (None, "none") else capture.force_of(force)
-        if like is not None:
-            capture.copy_description(like, folder)
-        with stopped_by_hand() as (stop, begin), RecordingView(None if quiet or as_json else stderr_screen()) as view:
-            clock = capture.PlayedClock() if fast else None
-            outcome = capture.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
-        if outcome.film is None or outcome.fault:
-            kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
-            if outcome.film is None and not outcome.fault:
-                kept += " To film whatever is wrong with the picture, add --now."
-            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
-    if as_json:
-        print_json(capture.outcome_data(outcome))
-        return
-    say(capture.outcome_words(outcome))
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:
@@ -271,3 +248,98 @@ def show_cache(*, clear: Clear = False, as_json: Json = False) -> None:
         say(f"{'Dropped' if clear else 'Kept'}: {films}, in {folder.path}")
         if not clear:
             say(f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off).")
+
+
+# What `onebend calibrate` says.
+
+
+def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:
+    """All that `onebend calibrate` says."""
+    table = Table(title="The camera", title_justify="left", box=None)
+    for name in ("", "value", "sd"):
+        table.add_column(name, justify="right" if name else "left")
+    for name, value, sd in zip(NAMES, calibration.values, calibration.sd, strict=True):
+        if name != "k3" or value != 0.0:
+            unit = " \\[px]" if name in NAMES[:4] else ""
+            table.add_row(f"{name}{unit}", f"{value:.2f}" if unit else f"{value:.5f}", f"{sd:.2g}")
+    console.print(table)
+    console.print(
+        f"\n{len(calibration.frames)} views; corners {calibration.error:.3f} px from the model (RMS), worst view "
+        f"{calibration.view_error.max():.3f} px; corners in {100 * calibration.coverage:.0f} % of the picture; the "
+        f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n",
+        highlight=False,
+    )
+    console.print(remarks_list([("camera", remark) for remark in calibration.remarks]))
+    console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, highlight=False, soft_wrap=True)
+    typer.echo(calibration.camera_table())
+
+
+# The command that calibrates a camera.
+
+Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, or a bag, taken as the beam is.")]
+BoardOption = Annotated[
+    tuple[str, str],
+    typer.Option(
+        "--board",
+        metavar="KIND SIZE",
+        help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares).",
+    ),
+]
+SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]
+MarkerMm = Annotated[
+    float | None,
+    typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
+]
+Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
+ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="Of the images, where VIDEO is a bag.")]
+MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
+
+CALIBRATE_FORMAT = "onebend-calibrate-1"
+
+
+def calibrate(
+    video: Film,
+    *,
+    board: BoardOption,
+    square: SquareMm,
+    marker: MarkerMm = None,
+    dictionary: Dictionary = "5x5_100",
+    topic: ImageTopic = "",
+    views: MostViews = 30,
+    output: CameraFile = Path("camera.toml"),
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
+    with clean_errors():
+        wanted = _board(board, square, marker, dictionary)
+        check_name_free(output, overwrite=overwrite)
+        with progress_of(quiet) as progress:
+            found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
+        write_file(output, found.camera_table(), overwrite=overwrite)
+    if as_json:
+        said = {
+            "format": CALIBRATE_FORMAT,
+            "written_by": BY,
+            "video": str(video),
+            "topic": topic or None,
+            **found.as_dict(),
+        }
+        print_json({**said, "output": str(output)})
+    else:
+        show_calibration(screen(), found, output)
+
+
+def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:
+    """From what was typed."""
+    kind, size = board
+    kinds: dict[str, BoardKind] = {one: one for one in get_args(BoardKind)}
+    if kind not in kinds:
+        raise RecordingError(f"There is no board {kind!r}. Known: {', '.join(kinds)}")
+    sides = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)
+    if sides is None:
+        raise RecordingError(f"The board's size is written as 9x6, got {size!r}")
+    side = float("nan") if marker is None else marker / 1000.0
+    return Board(kinds[kind], int(sides[1]), int(sides[2]), square / 1000.0, side, dictionary)

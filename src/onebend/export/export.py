@@ -4,22 +4,432 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Literal, get_args
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pyarrow as pa
+from numpy.polynomial.legendre import leggauss
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.blas import one_blas_thread
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import ExportError
-from onebend.export.chain import chain_of
-from onebend.export.function import function
-from onebend.export.mujoco import mjcf
-from onebend.export.pyelastica import pyelastica
-from onebend.export.robot import sdf, urdf
-from onebend.export.table import columns
-from onebend.files.arrow import as_parquet
+from onebend.files.single_file import as_parquet
+from onebend.progress import one_blas_thread
+from onebend.records import Array
+
+# What every export asks of a beam, and how it writes numbers.
+
+MASSES = (1e-9, 1e6)  # kg, that a beam may have
+TIMES = (1e-9, 1e6)  # s, of damping over stiffness
+
+
+def plain(value: float) -> str:
+    """Enough digits to read the very same number back."""
+    return repr(float(value))
+
+
+def checked_damping(damping_time: float) -> float:
+    """The damping time, or an `ExportError` where it is none."""
+    if not TIMES[0] <= damping_time <= TIMES[1]:
+        raise ExportError(
+            f"the damping time must be a positive number of seconds ({TIMES[0]:g} to {TIMES[1]:g}), got "
+            f"{damping_time}; without damping a chain of light links and stiff hinges rings for ever"
+        )
+    return damping_time
+
+
+def checked_stiffness(beam: Beam, s: Array) -> Array:
+    """k at `s` [N m], or an `ExportError` where it is not positive."""
+    k = np.asarray(beam.stiffness(s))
+    if not np.all(k > 0.0):
+        raise ExportError(f"k(s) is not positive at s = {s[~(k > 0.0)][0]:.3f}; no simulator can bend such a beam")
+    return k
+
+
+def refuse_masses(beam: Beam, what: str) -> None:
+    """Raises `ExportError` where something rides on the beam that an export does not carry."""
+    if beam.masses:
+        raise ExportError(f"{what} holds a mass per metre only, and {len(beam.masses)} masses ride on this beam")
+
+
+def checked_mass(beam: Beam, mass: float | None, s: Array) -> Array:
+    """Mass per metre at `s` [kg/m], `mass` [kg] spread evenly where given; or an `ExportError` where none is known."""
+    if mass is not None:
+        if not MASSES[0] <= mass <= MASSES[1]:
+            raise ExportError(f"the mass must be a positive number of kg ({MASSES[0]:g} to {MASSES[1]:g}), got {mass}")
+        return np.full(np.shape(s), mass / beam.length)
+    out = np.asarray(beam.mass_per_length(s))
+    if not np.all(out > 0.0):
+        raise ExportError(
+            "the beam's mass is not known, and a simulator in time needs it: weigh the beam and give --mass-kg "
+            "(mass in Python), or write mass_kg under [beam] into recording.toml and learn again"
+        )
+    return out
+
+
+# A beam as a chain of rigid links with springs at the hinges, the common tongue of rigid-body simulators.
+#
+# The beam is cut into `hinges` cells of equal length. The bending of a cell is gathered in one hinge at its middle
+# (springs in series: `1 / stiffness = int ds / k`), so that the chain's shape is off by the square of a cell's
+# length.
+
+_NODES, _WEIGHTS = leggauss(8)  # of each half of a cell
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Links 0 to n: link 0 is fixed to the clamp, link i hangs on hinge i - 1. All straight."""
+
+    hinge_s: Array  # (n,) place of each hinge along the beam
+    stiffness: Array  # (n,) N m / rad
+    rest: Array  # (n,) rad, turn of each hinge where the beam carries nothing
+    link_length: Array  # (n + 1,) m
+    link_mass: Array  # (n + 1,) kg
+    link_centre: Array  # (n + 1,) m, centre of mass from the link's beginning
+    link_inertia: Array  # (n + 1,) kg m^2 about that centre, of a thin rod
+    clamp_angle: float  # rad, of link 0 against the clamp's x axis
+
+    def link_of(self, s: float) -> tuple[int, float]:
+        """The link that holds the place `s`, and how far along it [m]."""
+        link = int(np.searchsorted(self.hinge_s, s, side="left"))
+        begins = 0.0 if link == 0 else float(self.hinge_s[link - 1])
+        return link, (s - begins) * float(self.link_length.sum())
+
+
+def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chain:
+    """The chain that bends as `beam` does.
+
+    Args:
+        hinges: more bend more finely and simulate more slowly.
+        mass: kg, spread evenly along the beam; None takes the beam's own. What rides on it comes on top.
+
+    Raises:
+        ExportError: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
+    """
+    if hinges < 2:
+        raise ExportError(f"a chain needs 2 hinges or more, got {hinges}")
+    edges = np.linspace(0.0, 1.0, 2 * hinges + 1)  # halves of the cells: links begin and end in their middles
+    places = 0.5 * (edges[:-1] + edges[1:])[:, None] + 0.5 * np.diff(edges)[:, None] * _NODES
+    weights = 0.5 * np.diff(edges)[:, None] * _WEIGHTS
+    k = checked_stiffness(beam, places)
+    compliance = np.sum(weights / k, axis=1).reshape(-1, 2).sum(axis=1)
+    rest = np.sum(weights * beam.rest_curvature(places), axis=1).reshape(-1, 2).sum(axis=1)
+    starts = np.concatenate([[0], np.arange(1, 2 * hinges, 2)])  # first half-cell of every link
+    begins = np.concatenate([edges[starts], [1.0]])
+    per_metre = checked_mass(beam, mass, places)
+    halves = beam.length * weights * per_metre  # kg at every node
+    away = beam.length * (places - np.repeat(begins[:-1], np.diff([*starts, 2 * hinges]))[:, None])
+    link_mass, first, second = (np.add.reduceat((halves * away**i).sum(axis=1), starts) for i in range(3))
+    for one in beam.masses:
+        link = int(np.searchsorted(edges[1::2], one.s, side="left"))
+        lever = beam.length * (one.s - begins[link])
+        link_mass[link] += one.mass
+        first[link] += one.mass * lever
+        second[link] += one.mass * lever**2
+    centre = first / link_mass
+    return Chain(
+        hinge_s=edges[1::2],
+        stiffness=1.0 / compliance,
+        rest=rest,
+        link_length=beam.length * np.diff(begins),
+        link_mass=link_mass,
+        link_centre=centre,
+        link_inertia=second - link_mass * centre**2,
+        clamp_angle=beam.clamp_angle,
+    )
+
+
+# The beam as a MuJoCo model (MJCF): a chain of hinges with springs, in the plane z = 0.
+
+COLOUR = "0.85 0.45 0.25 1"
+
+
+def mjcf(
+    chain: Chain, *, damping_time: float = 0.02, sites: tuple[float, ...] = (), radius: float | None = None
+) -> str:
+    """An MJCF document; the beam is the body `link_0` and lies along x, bending in the x-y plane.
+
+    Args:
+        damping_time: s, `d / k` of Kelvin-Voigt damping: every hinge's damping over its stiffness.
+        sites: places along the beam that get a site, named `s_0.333`; the tip has one, `tip`.
+        radius: m, of the drawn capsules alone; None draws a slim beam.
+
+    Raises:
+        ExportError: the damping time is not positive (the integrator needs it: the links are light, the hinges stiff).
+    """
+    checked_damping(damping_time)
+    places = [chain.link_of(s) for s in sites]
+    root = Xml.Element("mujoco", model="onebend")
+    root.append(Xml.Comment(" x along the clamp, y to its left; the spring of a hinge rests at its springref "))
+    Xml.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="true")
+    Xml.SubElement(root, "option", timestep=plain(min(0.002, damping_time / 2)), integrator="implicitfast")
+    parent = Xml.SubElement(root, "worldbody")
+    for i in range(len(chain.link_length)):
+        parent = _link(parent, chain, i, damping_time, radius or 0.02 * float(chain.link_length.sum()))
+        for s, (link, along) in zip(sites, places, strict=True):
+            if link == i:
+                Xml.SubElement(parent, "site", name=f"s_{s:.3f}", pos=f"{plain(along)} 0 0")
+    Xml.SubElement(parent, "site", name="tip", pos=f"{plain(chain.link_length[-1])} 0 0")
+    Xml.indent(root)
+    return Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _link(parent: Xml.Element, chain: Chain, i: int, damping_time: float, radius: float) -> Xml.Element:
+    """Link `i`, with the hinge that carries it."""
+    place = "0 0 0" if i == 0 else f"{plain(chain.link_length[i - 1])} 0 0"
+    body = Xml.SubElement(parent, "body", name=f"link_{i}", pos=place)
+    if i == 0:
+        half = chain.clamp_angle / 2
+        body.set("quat", f"{plain(np.cos(half))} 0 0 {plain(np.sin(half))}")
+    else:
+        stiffness = float(chain.stiffness[i - 1])
+        Xml.SubElement(
+            body,
+            "joint",
+            name=f"hinge_{i - 1}",
+            type="hinge",
+            axis="0 0 1",
+            stiffness=plain(stiffness),
+            springref=plain(chain.rest[i - 1]),
+            damping=plain(damping_time * stiffness),
+        )
+    inertia = plain(chain.link_inertia[i])
+    Xml.SubElement(
+        body,
+        "inertial",
+        pos=f"{plain(chain.link_centre[i])} 0 0",
+        mass=plain(chain.link_mass[i]),
+        diaginertia=f"{plain(1e-3 * chain.link_inertia[i])} {inertia} {inertia}",
+    )
+    Xml.SubElement(
+        body,
+        "geom",
+        type="capsule",
+        fromto=f"0 0 0 {plain(chain.link_length[i])} 0 0",
+        size=plain(radius),
+        rgba=COLOUR,
+        contype="0",
+        conaffinity="0",
+    )
+    return body
+
+
+# The beam as a chain in the two robot descriptions: URDF and SDF. Both lie along x and bend in the x-y plane.
+
+
+def sdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None) -> str:
+    """An SDF 1.9 document; the hinges' springs stand in the joints' axes.
+
+    Args:
+        damping_time: s, every hinge's damping over its stiffness.
+        radius: m, of the drawn cylinders alone.
+
+    Raises:
+        ExportError: the damping time is not positive.
+    """
+    checked_damping(damping_time)
+    root = Xml.Element("sdf", version="1.9")
+    model = Xml.SubElement(root, "model", name="onebend")
+    begins = 0.0
+    for i, length in enumerate(chain.link_length):
+        link = Xml.SubElement(model, "link", name=f"link_{i}")
+        pose = Xml.SubElement(link, "pose")
+        if i == 0:
+            pose.text = f"0 0 0 0 0 {plain(chain.clamp_angle)}"
+        else:
+            pose.set("relative_to", "link_0")
+            pose.text = f"{plain(begins)} 0 0 0 0 0"
+        inertial = Xml.SubElement(link, "inertial")
+        Xml.SubElement(inertial, "pose").text = f"{plain(chain.link_centre[i])} 0 0 0 0 0"
+        Xml.SubElement(inertial, "mass").text = plain(chain.link_mass[i])
+        inertia = Xml.SubElement(inertial, "inertia")
+        for name, value in _inertia(chain, i).items():
+            Xml.SubElement(inertia, name).text = value
+        visual = Xml.SubElement(link, "visual", name="visual")
+        Xml.SubElement(visual, "pose").text = f"{plain(length / 2)} 0 0 0 1.5707963267948966 0"
+        _cylinder(Xml.SubElement(visual, "geometry"), chain, i, radius)
+        begins += float(length)
+    clamp = Xml.SubElement(model, "joint", name="clamp", type="fixed")
+    Xml.SubElement(clamp, "parent").text = "world"
+    Xml.SubElement(clamp, "child").text = "link_0"
+    for i, stiffness in enumerate(chain.stiffness):
+        joint = Xml.SubElement(model, "joint", name=f"hinge_{i}", type="revolute")
+        Xml.SubElement(joint, "parent").text = f"link_{i}"
+        Xml.SubElement(joint, "child").text = f"link_{i + 1}"
+        axis = Xml.SubElement(joint, "axis")
+        Xml.SubElement(axis, "xyz").text = "0 0 1"
+        dynamics = Xml.SubElement(axis, "dynamics")
+        Xml.SubElement(dynamics, "damping").text = plain(damping_time * stiffness)
+        Xml.SubElement(dynamics, "spring_reference").text = plain(chain.rest[i])
+        Xml.SubElement(dynamics, "spring_stiffness").text = plain(stiffness)
+    return _document(root)
+
+
+def urdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None) -> str:
+    """A URDF document. URDF itself knows no springs: they stand in `<gazebo>` elements, one a joint.
+
+    A program that reads plain URDF must take `springStiffness` and `springReference` from there, or the chain is limp.
+    Arguments and errors as for `sdf`.
+    """
+    checked_damping(damping_time)
+    robot = Xml.Element("robot", name="onebend")
+    robot.append(Xml.Comment(" N m / rad and rad of every hinge's spring: springStiffness, springReference below "))
+    Xml.SubElement(robot, "link", name="clamp")
+    for i in range(len(chain.link_length)):
+        link = Xml.SubElement(robot, "link", name=f"link_{i}")
+        inertial = Xml.SubElement(link, "inertial")
+        Xml.SubElement(inertial, "origin", xyz=f"{plain(chain.link_centre[i])} 0 0")
+        Xml.SubElement(inertial, "mass", value=plain(chain.link_mass[i]))
+        Xml.SubElement(inertial, "inertia", _inertia(chain, i))
+        visual = Xml.SubElement(link, "visual")
+        half = plain(chain.link_length[i] / 2)
+        Xml.SubElement(visual, "origin", xyz=f"{half} 0 0", rpy="0 1.5707963267948966 0")
+        geometry = Xml.SubElement(visual, "geometry")
+        Xml.SubElement(geometry, "cylinder", radius=plain(_radius(chain, radius)), length=plain(chain.link_length[i]))
+    held = Xml.SubElement(robot, "joint", name="clamp_joint", type="fixed")
+    Xml.SubElement(held, "parent", link="clamp")
+    Xml.SubElement(held, "child", link="link_0")
+    Xml.SubElement(held, "origin", xyz="0 0 0", rpy=f"0 0 {plain(chain.clamp_angle)}")
+    for i, stiffness in enumerate(chain.stiffness):
+        joint = Xml.SubElement(robot, "joint", name=f"hinge_{i}", type="revolute")
+        Xml.SubElement(joint, "parent", link=f"link_{i}")
+        Xml.SubElement(joint, "child", link=f"link_{i + 1}")
+        Xml.SubElement(joint, "origin", xyz=f"{plain(chain.link_length[i])} 0 0")
+        Xml.SubElement(joint, "axis", xyz="0 0 1")
+        Xml.SubElement(joint, "limit", lower="-3.14159", upper="3.14159", effort="1000", velocity="1000")
+        Xml.SubElement(joint, "dynamics", damping=plain(damping_time * stiffness), friction="0")
+    for i, stiffness in enumerate(chain.stiffness):
+        spring = Xml.SubElement(robot, "gazebo", reference=f"hinge_{i}")
+        Xml.SubElement(spring, "springStiffness").text = plain(stiffness)
+        Xml.SubElement(spring, "springReference").text = plain(chain.rest[i])
+    return _document(robot)
+
+
+def _inertia(chain: Chain, i: int) -> dict[str, str]:
+    """Of a slim link: about its own axis a thousandth of that about the others."""
+    across, along = plain(chain.link_inertia[i]), plain(1e-3 * chain.link_inertia[i])
+    return {"ixx": along, "ixy": "0", "ixz": "0", "iyy": across, "iyz": "0", "izz": across}
+
+
+def _cylinder(geometry: Xml.Element, chain: Chain, i: int, radius: float | None) -> None:
+    cylinder = Xml.SubElement(geometry, "cylinder")
+    Xml.SubElement(cylinder, "radius").text = plain(_radius(chain, radius))
+    Xml.SubElement(cylinder, "length").text = plain(chain.link_length[i])
+
+
+def _radius(chain: Chain, radius: float | None) -> float:
+    return radius or 0.02 * float(chain.link_length.sum())
+
+
+def _document(root: Xml.Element) -> str:
+    Xml.indent(root)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+# The beam as one Python file with a function `shape`, which needs neither onebend nor any other package.
+
+PLACES = 401
+_FENCE = "# ---"  # around the lines of `alone.py` that hold the beam
+
+
+def function(beam: Beam) -> str:
+    """Python source: the module `onebend.export.alone` with this beam in it.
+
+    Raises:
+        ExportError: k(s) is not positive somewhere, or masses ride on the beam.
+    """
+    refuse_masses(beam, "the Python function")
+    s = np.linspace(0.0, 1.0, PLACES)
+    k = checked_stiffness(beam, s)
+    return with_beam(
+        "alone.py",
+        [
+            f"LENGTH_M = {beam.length!r}",
+            f"CLAMP_ANGLE_RAD = {beam.clamp_angle!r}",
+            "# Tables at equidistant places from the clamp to the tip:",
+            table("K_N_M", k, "  # bending stiffness k = E I / L"),
+            table("Q0_RAD", np.asarray(beam.rest_curvature(s)), "  # curvature at rest, per unit of s"),
+            table("MU_KG_M", np.asarray(beam.mass_per_length(s)), "  # mass per metre"),
+        ],
+    )
+
+
+def with_beam(module: str, lines: list[str]) -> str:
+    """The source of a module of this folder, with `lines` in place of those that hold its own beam."""
+    source = files("onebend.export").joinpath(module).read_text(encoding="utf-8").splitlines()
+    first, last = (i for i, line in enumerate(source) if line.startswith(_FENCE))
+    return "\n".join([*source[: first + 1], *lines, *source[last:]]) + "\n"
+
+
+def table(name: str, values: Array, comment: str) -> str:
+    """A tuple of numbers as Python source, eight a line."""
+    rows = [", ".join(f"{value:.12g}" for value in values[i : i + 8]) for i in range(0, len(values), 8)]
+    inside = "".join(f"    {row},\n" for row in rows)
+    return f"{name} = ({comment}\n{inside})"
+
+
+# The beam as one Python file that makes a PyElastica rod, with the bending stiffness of every element.
+
+
+def pyelastica(beam: Beam, *, mass: float | None = None) -> str:
+    """Python source: the module `onebend.export.rod` with this beam in it.
+
+    Args:
+        mass: kg, spread evenly along the beam; None takes the beam's own.
+
+    Raises:
+        ExportError: k(s) is not positive somewhere, no mass is known, or masses ride on the beam.
+    """
+    refuse_masses(beam, "the PyElastica rod")
+    s = np.linspace(0.0, 1.0, PLACES)
+    k = checked_stiffness(beam, s)
+    return with_beam(
+        "rod.py",
+        [
+            f"LENGTH_M = {beam.length!r}",
+            f"CLAMP_ANGLE_RAD = {beam.clamp_angle!r}",
+            table("S", s, ""),
+            table("EI_N_M2", beam.length * k, "  # bending stiffness"),
+            table("CURVATURE_1_M", np.asarray(beam.rest_curvature(s)) / beam.length, "  # at rest"),
+            table("MU_KG_M", checked_mass(beam, mass, s), "  # mass per metre"),
+        ],
+    )
+
+
+# The beam as a table along s: CSV-like columns for NumPy (.npz) and Parquet.
+
+TABLE_PLACES = 201
+
+
+def columns(beam: Beam, uncertain: UncertainStiffness | None = None) -> dict[str, Array]:
+    """Name, with unit, to (201,) values: s, k and its 95 % band, EI and its band, curvature at rest, mass per metre.
+
+    The band is NaN where none was learned; `identified` is then 0, as it is where the data did not tell or the band
+    is not to be trusted.
+    """
+    s = np.linspace(0.0, 1.0, TABLE_PLACES)
+    k = np.asarray(beam.stiffness(s))
+    low = high = np.full(TABLE_PLACES, np.nan)
+    identified = np.zeros(TABLE_PLACES)
+    if uncertain is not None:
+        band = uncertain.band(s)
+        low, high, identified = band.low, band.high, band.identified.astype(float)
+    return {
+        "s": s,
+        "s_m": beam.length * s,
+        "k_N_m": k,
+        "k_lo_N_m": low,
+        "k_hi_N_m": high,
+        "EI_N_m2": beam.length * k,
+        "EI_lo_N_m2": beam.length * low,
+        "EI_hi_N_m2": beam.length * high,
+        "identified": identified,
+        "rest_curvature_1_m": np.asarray(beam.rest_curvature(s)) / beam.length,
+        "mass_per_length_kg_m": np.asarray(beam.mass_per_length(s)),
+    }
+
 
 DAMPING_TIME = 0.02  # s, where no swing was filmed
 

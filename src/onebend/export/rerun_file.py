@@ -14,11 +14,11 @@ import numpy as np
 from PIL import Image
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.extras import package
 from onebend.learning.outcome import Comparison
 from onebend.learning.validation import solved_frames
-from onebend.recording.camera.lens import project
+from onebend.recording.camera import project
 from onebend.recording.video import FilmFrame
 from onebend.records import Array, Observations
 

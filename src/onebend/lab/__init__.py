@@ -4,88 +4,154 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from onebend.lazy import lazy_names
+from onebend.lazy import Place, lazy_names
 
 if TYPE_CHECKING:
-    from onebend.lab.design_file import read_design as read_design
-    from onebend.lab.designs import DESIGNS as DESIGNS
-    from onebend.lab.designs import Design as Design
-    from onebend.lab.designs import design_named as design_named
-    from onebend.lab.designs import width_table as width_table
-    from onebend.lab.direct_observation import observe_from_truth as observe_from_truth
-    from onebend.lab.effects.real_bench import RealBench as RealBench
-    from onebend.lab.effects.rod_march import RodMotion as RodMotion
-    from onebend.lab.expected import Expected as Expected
-    from onebend.lab.expected import TipBend as TipBend
-    from onebend.lab.expected import expect as expect
-    from onebend.lab.fabrication.clamp import TagSeat as TagSeat
-    from onebend.lab.fabrication.clamp import carriers as carriers
-    from onebend.lab.fabrication.clamp import clamp as clamp
-    from onebend.lab.fabrication.mould import Mould as Mould
-    from onebend.lab.fabrication.mould import MouldSettings as MouldSettings
-    from onebend.lab.fabrication.mould import PrintedPart as PrintedPart
-    from onebend.lab.fabrication.mould import mould as mould
-    from onebend.lab.fabrication.page import Fill as Fill
-    from onebend.lab.fabrication.page import Line as Line
-    from onebend.lab.fabrication.page import Page as Page
-    from onebend.lab.fabrication.page import Text as Text
-    from onebend.lab.fabrication.page import write_pages as write_pages
-    from onebend.lab.fabrication.sheet import Sheet as Sheet
-    from onebend.lab.fabrication.sheet import tag_pages as tag_pages
-    from onebend.lab.fabrication.solids import write_mesh as write_mesh
-    from onebend.lab.film_request import FilmRequest as FilmRequest
-    from onebend.lab.film_request import filming_of as filming_of
-    from onebend.lab.filming.film import film as film
-    from onebend.lab.filming.film_setup import Filming as Filming
-    from onebend.lab.filming.scene import Scene as Scene
-    from onebend.lab.filming.viewpoint import Camera as Camera
-    from onebend.lab.materials import ModulusEstimate as ModulusEstimate
-    from onebend.lab.materials import Silicone as Silicone
-    from onebend.lab.materials import silicone as silicone
-    from onebend.lab.pushes import PushProfile as PushProfile
-    from onebend.lab.random_beams import force_that_bends as force_that_bends
-    from onebend.lab.random_beams import random_stiffness as random_stiffness
-    from onebend.lab.sensors import FRANKA as FRANKA
-    from onebend.lab.sensors import WRIST as WRIST
-    from onebend.lab.sensors import ForceSensor as ForceSensor
-    from onebend.lab.tag_errors import TagNoise as TagNoise
-    from onebend.lab.virtual import DeclaredValues as DeclaredValues
-    from onebend.lab.virtual import TrueStiffness as TrueStiffness
-    from onebend.lab.virtual import VirtualBench as VirtualBench
-    from onebend.lab.virtual import VirtualClock as VirtualClock
-    from onebend.lab.virtual import VirtualRecording as VirtualRecording
-    from onebend.lab.virtual import VirtualTag as VirtualTag
-    from onebend.lab.virtual import observe_virtual as observe_virtual
-    from onebend.lab.virtual import true_stiffness as true_stiffness
-    from onebend.lab.virtual import virtual_recording as virtual_recording
+    from onebend.lab.bench import (
+        FRANKA as FRANKA,
+        WRIST as WRIST,
+        ForceSensor as ForceSensor,
+        PushProfile as PushProfile,
+        RealBench as RealBench,
+        TagNoise as TagNoise,
+    )
+    from onebend.lab.designs import (
+        DESIGNS as DESIGNS,
+        Design as Design,
+        Expected as Expected,
+        ModulusEstimate as ModulusEstimate,
+        Silicone as Silicone,
+        TipBend as TipBend,
+        design_named as design_named,
+        expect as expect,
+        force_that_bends as force_that_bends,
+        random_stiffness as random_stiffness,
+        read_design as read_design,
+        silicone as silicone,
+        width_table as width_table,
+    )
+    from onebend.lab.fabrication import (
+        Mould as Mould,
+        MouldSettings as MouldSettings,
+        PrintedPart as PrintedPart,
+        TagSeat as TagSeat,
+        carriers as carriers,
+        clamp as clamp,
+        mould as mould,
+        write_mesh as write_mesh,
+    )
+    from onebend.lab.filming import Filming as Filming, film as film
+    from onebend.lab.forecast import (
+        BudgetEntry as BudgetEntry,
+        KnownBeam as KnownBeam,
+        PredictedBand as PredictedBand,
+        Setup as Setup,
+        SetupChange as SetupChange,
+        known_beam as known_beam,
+        setup_of as setup_of,
+    )
+    from onebend.lab.random_bench import FilmRequest as FilmRequest, filming_of as filming_of
+    from onebend.lab.rehearsal import (
+        Obtained as Obtained,
+        Rehearsal as Rehearsal,
+        SimulatedRun as SimulatedRun,
+        rehearse as rehearse,
+    )
+    from onebend.lab.rendering import Camera as Camera, Scene as Scene
+    from onebend.lab.rod import RodMotion as RodMotion
+    from onebend.lab.sensed_force import (
+        SensedForce as SensedForce,
+        SensedTags as SensedTags,
+        drawn_tags as drawn_tags,
+        felt_by as felt_by,
+    )
+    from onebend.lab.sheet import (
+        Fill as Fill,
+        Line as Line,
+        Page as Page,
+        Sheet as Sheet,
+        Text as Text,
+        tag_pages as tag_pages,
+        write_pages as write_pages,
+    )
+    from onebend.lab.virtual import (
+        DeclaredValues as DeclaredValues,
+        TrueStiffness as TrueStiffness,
+        VirtualBench as VirtualBench,
+        VirtualClock as VirtualClock,
+        VirtualRecording as VirtualRecording,
+        VirtualTag as VirtualTag,
+        observe_from_truth as observe_from_truth,
+        observe_virtual as observe_virtual,
+        true_stiffness as true_stiffness,
+        virtual_recording as virtual_recording,
+    )
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
-            "onebend.lab.design_file": "read_design",
-            "onebend.lab.designs": "DESIGNS Design design_named width_table",
-            "onebend.lab.direct_observation": "observe_from_truth",
-            "onebend.lab.effects.real_bench": "RealBench",
-            "onebend.lab.effects.rod_march": "RodMotion",
-            "onebend.lab.expected": "Expected TipBend expect",
-            "onebend.lab.fabrication.clamp": "TagSeat carriers clamp",
-            "onebend.lab.fabrication.mould": "Mould MouldSettings PrintedPart mould",
-            "onebend.lab.fabrication.page": "Fill Line Page Text write_pages",
-            "onebend.lab.fabrication.sheet": "Sheet tag_pages",
-            "onebend.lab.fabrication.solids": "write_mesh",
-            "onebend.lab.film_request": "FilmRequest filming_of",
-            "onebend.lab.filming.film": "film",
-            "onebend.lab.filming.film_setup": "Filming",
-            "onebend.lab.filming.scene": "Scene",
-            "onebend.lab.filming.viewpoint": "Camera",
-            "onebend.lab.materials": "ModulusEstimate Silicone silicone",
-            "onebend.lab.pushes": "PushProfile",
-            "onebend.lab.random_beams": "force_that_bends random_stiffness",
-            "onebend.lab.sensors": "FRANKA WRIST ForceSensor",
-            "onebend.lab.tag_errors": "TagNoise",
+            "onebend.lab.bench": "FRANKA ForceSensor PushProfile RealBench TagNoise WRIST",
+            "onebend.lab.designs": (
+                "DESIGNS Design Expected ModulusEstimate Silicone TipBend design_named expect force_that_bends "
+                "random_stiffness read_design silicone width_table"
+            ),
+            "onebend.lab.fabrication": "Mould MouldSettings PrintedPart TagSeat carriers clamp mould write_mesh",
+            "onebend.lab.filming": "Filming film",
+            "onebend.lab.forecast": "BudgetEntry KnownBeam PredictedBand Setup SetupChange known_beam setup_of",
+            "onebend.lab.random_bench": "FilmRequest filming_of",
+            "onebend.lab.rehearsal": "Obtained Rehearsal SimulatedRun rehearse",
+            "onebend.lab.rendering": "Camera Scene",
+            "onebend.lab.rod": "RodMotion",
+            "onebend.lab.sensed_force": "SensedForce SensedTags drawn_tags felt_by",
+            "onebend.lab.sheet": "Fill Line Page Sheet Text tag_pages write_pages",
             "onebend.lab.virtual": (
                 "DeclaredValues TrueStiffness VirtualBench VirtualClock VirtualRecording VirtualTag "
-                "observe_virtual true_stiffness virtual_recording"
+                "observe_from_truth observe_virtual true_stiffness virtual_recording"
             ),
         },
     )
+
+COMMANDS = {
+    "loop": Place(
+        "onebend.lab.rehearsal_commands",
+        "loop",
+        "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
+        "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
+    ),
+    "design": Place(
+        "onebend.lab.commands",
+        "design",
+        "Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration.",
+        "linear",
+    ),
+    "mould": Place(
+        "onebend.lab.commands",
+        "mould",
+        "Make the mould of a design, the clamp and the carriers of its tags, as files to print.",
+        "linear -o out/mould",
+    ),
+    "tags": Place(
+        "onebend.lab.commands",
+        "tags",
+        "Draw a sheet of tags at exact size, with rulers to check the printer by.",
+        "examples/linear-beam/train -o out/tags.pdf",
+    ),
+    "film": Place(
+        "onebend.lab.commands",
+        "film",
+        "Film a known beam that is pushed: a recording folder to learn from, with the truth beside it.",
+        "linear --push free --sensor wrist -o out/released",
+    ),
+    "reproduce": Place(
+        "onebend.lab.rehearsal_commands",
+        "reproduce",
+        "Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report.",
+        "-o out/paper --quick --without-video",
+    ),
+    "rehearse": Place(
+        "onebend.lab.rehearsal_commands",
+        "rehearse",
+        "Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change.",
+        "linear --runs 0",
+    ),
+}

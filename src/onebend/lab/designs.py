@@ -8,20 +8,165 @@ and third order, weakest at the base, in the middle and near the tip. The paper 
 from __future__ import annotations
 
 import difflib
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import make_lsq_spline
+from scipy.linalg import eigvals
+from scipy.optimize import brentq
 
+from onebend.beam.continuation import equilibrium
+from onebend.beam.loads import follow_push, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.section import Material, Rectangle, SectionPart, SectionProfiles, along
-from onebend.beam.profiles.stiffness import Powers, Profile, Table, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.errors import MechanicsError
-from onebend.lab.materials import TYPICAL_DENSITY, ModulusEstimate, from_shore_a
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.section import Material, Rectangle, SectionPart, SectionProfiles, along
+from onebend.beam.statics import tangent
+from onebend.beam.stiffness import Powers, Profile, Steps, Table, UncertainStiffness, Uniform, broken_line
+from onebend.beam.vibration import vibration
+from onebend.errors import MechanicsError, ResultsError
+from onebend.files.single_file import write_file
+from onebend.progress import one_blas_thread
+from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown, text
 from onebend.records import Array, Remark
+from onebend.text_files import read_toml
+
+# Young's modulus of castable silicones: from a hardness, or from what the maker measured.
+#
+# Neither is a measurement of the batch in the mould. Each way states how far off it is likely to be, as one standard
+# deviation of log E, from its scatter against the makers' figures listed here and from the usual tolerance of a
+# hardness.
+
+PSI = 6894.757  # Pa
+HARDNESS_SD = 2.5  # points; makers allow +-5
+GENT_FIT, HERTZ_FIT, STRESS_FIT = 0.25, 0.5, 0.2  # sd of log E of the three relations where they hold
+GENT_RANGE, SHORE_A_RANGE, SHORE_00_RANGE = (20.0, 80.0), (5.0, 95.0), (5.0, 95.0)
+BEYOND_GENT = 0.5  # sd of log E outside GENT_RANGE
+TYPICAL_DENSITY = 1080.0  # kg/m^3 of unfilled castable silicone
+BALL_RADIUS, TRAVEL = 1.19e-3, 2.54e-3  # m, the indenter of type 00 and its way (ASTM D2240)
+
+
+@dataclass(frozen=True)
+class ModulusEstimate:
+    """A modulus and how sure it is."""
+
+    modulus: float  # E at small strain, Pa
+    log_sd: float  # sd of log E
+    source: str  # one line: where it comes from
+
+
+@dataclass(frozen=True)
+class Silicone:
+    """A product, by its maker's data sheet."""
+
+    name: str
+    shore: float
+    scale: str  # "A" or "00"
+    stress_100: float  # Pa, stress over first area at 100 % stretch; NaN where the maker gives none
+    density: float  # kg/m^3
+    maker: str
+
+    @property
+    def stiffness(self) -> ModulusEstimate:
+        """E from the stress at 100 % stretch where the maker gives it, else from the hardness."""
+        if math.isfinite(self.stress_100):
+            return from_stress_100(self.stress_100, f"{self.name}, stress at 100 % stretch by {self.maker}")
+        by = from_shore_a if self.scale == "A" else from_shore_00
+        estimate = by(self.shore)
+        return ModulusEstimate(estimate.modulus, estimate.log_sd, f"{self.name}: {estimate.source}")
+
+
+def _silicone(name: str, shore: float, scale: str, psi: float, density: float, maker: str = "Smooth-On") -> Silicone:
+    return Silicone(name, shore, scale, psi * PSI, density, maker)
+
+
+# Makers' technical bulletins: hardness, "100 % modulus" [psi], specific gravity.
+SILICONES = {
+    silicone.name: silicone
+    for silicone in (
+        _silicone("Ecoflex 00-10", 10.0, "00", 8.0, 1040.0),
+        _silicone("Ecoflex 00-20", 20.0, "00", 8.0, 1070.0),
+        _silicone("Ecoflex 00-30", 30.0, "00", 10.0, 1070.0),
+        _silicone("Ecoflex 00-50", 50.0, "00", 12.0, 1070.0),
+        _silicone("Dragon Skin 10", 10.0, "A", 22.0, 1070.0),
+        _silicone("Dragon Skin 20", 20.0, "A", 49.0, 1080.0),
+        _silicone("Dragon Skin 30", 30.0, "A", 86.0, 1080.0),
+        _silicone("Elastosil M 4601", 28.0, "A", math.nan, 1130.0, "Wacker"),
+        _silicone("Sylgard 184", 43.0, "A", math.nan, 1030.0, "Dow"),
+    )
+}
+
+
+def silicone(name: str) -> Silicone:
+    """A named silicone, whatever the case of the letters. Raises `MechanicsError` on an unknown one."""
+    known = {each.lower(): each for each in SILICONES}
+    if name.lower() not in known:
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
+        hint = f"Did you mean {known[near[0]]!r}? " if near else ""
+        raise MechanicsError(
+            f"no data of a silicone named {name!r}. {hint}Known: {', '.join(SILICONES)}. "
+            "For another give its Shore hardness or its modulus."
+        )
+    return SILICONES[known[name.lower()]]
+
+
+def from_shore_a(shore: float) -> ModulusEstimate:
+    """E from a Shore A hardness: A. N. Gent, Rubber Chem. Technol. 31 (1958) 896, a rigid flat punch on a half-space.
+
+    Its derivation holds from 20 to 80; it is taken from 5 to 95 with a wider band.
+
+    Raises:
+        MechanicsError: a hardness outside 5 to 95.
+    """
+    _check(shore, SHORE_A_RANGE, "A")
+    modulus = 0.0981e6 * (56.0 + 7.62336 * shore) / (0.137505 * (254.0 - 2.54 * shore))
+    per_point = 7.62336 / (56.0 + 7.62336 * shore) + 1.0 / (100.0 - shore)
+    fit = GENT_FIT if GENT_RANGE[0] <= shore <= GENT_RANGE[1] else BEYOND_GENT
+    return ModulusEstimate(modulus, math.hypot(fit, per_point * HARDNESS_SD), f"Shore A {shore:g} by Gent (1958)")
+
+
+def from_shore_00(shore: float) -> ModulusEstimate:
+    """E from a Shore 00 hardness: Hertz (1882), the ball and spring of ASTM D2240 on an incompressible half-space.
+
+    The ball sinks in by more than Hertz's small depth, so that this is good to a factor of about 1.6 only.
+
+    Raises:
+        MechanicsError: a hardness outside 5 to 95.
+    """
+    _check(shore, SHORE_00_RANGE, "00")
+    force, depth = 0.203 + 0.00908 * shore, TRAVEL * (1.0 - shore / 100.0)
+    modulus = force / (16.0 / 9.0 * math.sqrt(BALL_RADIUS) * depth**1.5)
+    per_point = 0.00908 / force + 1.5 / (100.0 - shore)
+    return ModulusEstimate(
+        modulus, math.hypot(HERTZ_FIT, per_point * HARDNESS_SD), f"Shore 00-{shore:g} by Hertz and ASTM D2240"
+    )
+
+
+def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> ModulusEstimate:
+    """E at small strain from the nominal stress at 100 % stretch ("100 % modulus") [Pa] of a neo-Hookean rubber.
+
+    `stress = E / 3 (stretch - stretch^-2)` at stretch 2, hence E = 12/7 of it (Treloar 1975).
+
+    Raises:
+        MechanicsError: a stress that is not positive.
+    """
+    if not (math.isfinite(stress) and stress > 0.0):
+        raise MechanicsError(f"a stress at 100 % stretch must be positive, got {stress} Pa")
+    return ModulusEstimate(12.0 / 7.0 * stress, STRESS_FIT, source)
+
+
+def _check(shore: float, allowed: tuple[float, float], scale: str) -> None:
+    if not allowed[0] <= shore <= allowed[1]:
+        raise MechanicsError(
+            f"Shore {scale} {shore:g}: the relation to a modulus holds from {allowed[0]:g} to {allowed[1]:g}. "
+            "Give the modulus, or the hardness on the scale that fits"
+        )
+
 
 PLACES = 2001  # where a width is checked
 INTERVALS = 48  # of the spline of log k
@@ -154,3 +299,433 @@ def width_table(s: tuple[float, ...], width: tuple[float, ...]) -> Table:
     if not s or s[0] != 0.0 or s[-1] != 1.0:
         raise MechanicsError(f"the places of a width must run from 0 to 1, got {list(s)}")
     return Table(s, width)
+
+
+# A design of the user's own: a TOML file with sizes, a width along the beam, and a material.
+
+FORMAT = 1
+TABLES = ("beam", "width", "material")
+NO_NAME = ""
+
+
+def _numbers(least: int, item: Check) -> Check:
+    def check(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) < least:
+            raise ValueError(f"a list of at least {least} numbers")
+        try:
+            return tuple(float(item(entry)) for entry in value)
+        except ValueError as wrong:
+            raise ValueError(f"a list in which each entry is {wrong}") from None
+
+    return check
+
+
+@dataclass(frozen=True)
+class SizeEntry:
+    """[beam]: its outer sizes."""
+
+    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
+    depth: float = key("depth_m", number(above=0), "its size across the plane of bending, m", example="0.03")
+
+
+@dataclass(frozen=True)
+class WidthEntry:
+    """[width]: the size in the plane of bending, as a polynomial or a table."""
+
+    polynomial: tuple[float, ...] = key(
+        "polynomial_m",
+        _numbers(1, number()),
+        "the width's coefficients of s^0, s^1, ..., m",
+        example="[0.010, 0.010]",
+        default=(),
+    )
+    s: tuple[float, ...] = key(
+        "s",
+        _numbers(2, number(least=0, most=1)),
+        "places from 0 (clamp) to 1 (tip)",
+        example="[0.0, 0.5, 1.0]",
+        default=(),
+    )
+    width: tuple[float, ...] = key(
+        "width_m",
+        _numbers(2, number(above=0)),
+        "the width at each place of s, m",
+        example="[0.02, 0.01, 0.02]",
+        default=(),
+    )
+    between: Literal["smooth", "straight"] = key(
+        "between",
+        one_of("smooth", "straight"),
+        'between the places: "smooth" (monotone cubic) or "straight" lines',
+        example='"smooth"',
+        default="smooth",
+    )
+
+
+@dataclass(frozen=True)
+class MaterialEntry:
+    """[material]: one of a named silicone, a hardness, or a modulus."""
+
+    silicone: str = key("silicone", text, "a named silicone", example='"Dragon Skin 30"', default=NO_NAME)
+    shore_a: float = key("shore_a", number(), "its hardness on scale A", example="30", default=math.nan)
+    shore_00: float = key("shore_00", number(), "its hardness on scale 00", example="30", default=math.nan)
+    modulus: float = key(
+        "modulus_Pa", number(above=0), "Young's modulus at small strain, Pa", example="7.0e5", default=math.nan
+    )
+    modulus_log_sd: float = key(
+        "modulus_log_sd",
+        number(least=0),
+        "how sure the modulus is: one sd of its logarithm (0.1 = 10 %)",
+        example="0.1",
+        default=math.nan,
+    )
+    density: float = key("density_kg_m3", number(above=0), "its density, kg/m^3", example="1080", default=math.nan)
+
+
+def read_design(path: Path | str) -> Design:
+    """The design in a TOML file (docs/lab.md lists its keys).
+
+    Raises:
+        MechanicsError: the file cannot be read, or everything that is wrong in it, each with its line.
+    """
+    path = Path(path)
+    content, data = _load(path)
+    mistakes = Mistakes(str(path), content)
+    report_unknown(data, ["format", "name", *TABLES], (), mistakes)
+    if data.get("format") != FORMAT:
+        mistakes.add(("format",), f"format must be {FORMAT}. Add `format = {FORMAT}` at the top.")
+    name = data.get("name", path.stem)
+    if not isinstance(name, str) or not name.strip():
+        mistakes.add(("name",), 'name must be text in quotes, such as "my beam".')
+    for table in TABLES:
+        if table not in data:
+            mistakes.add((), f"the file lacks the table [{table}]. `onebend design --new FILE` writes a whole one.")
+    sizes = read_table(SizeEntry, data.get("beam", {}), ("beam",), mistakes) if "beam" in data else None
+    width = _width(data["width"], mistakes) if "width" in data else None
+    material = _material(data["material"], mistakes) if "material" in data else None
+    if mistakes.found or sizes is None or width is None or material is None:
+        raise MechanicsError(str(mistakes))
+    stiffness, density = material
+    try:
+        return Design(
+            name, sizes.length, sizes.depth, width, stiffness.modulus, stiffness.log_sd, density, stiffness.source
+        )
+    except MechanicsError as wrong:
+        raise MechanicsError(f"{path}: {wrong}") from None
+
+
+def find_design(name_or_path: str) -> Design:
+    """A named design, or the one in a TOML file."""
+    path = Path(name_or_path)
+    return read_design(path) if path.suffix == ".toml" or path.is_file() else design_named(name_or_path)
+
+
+def write_design_template(path: Path | str) -> Path:
+    """Write a commented design to fill in, and return its path.
+
+    Raises:
+        MechanicsError: the file exists already, or cannot be written.
+    """
+    path = Path(path)
+    if path.exists():
+        raise MechanicsError(f"{path} exists already. Edit it, or name another file.")
+    try:
+        write_file(path, template())
+    except ResultsError as wrong:
+        raise MechanicsError(str(wrong)) from None
+    return path
+
+
+def template() -> str:
+    """The text of a design file; valid TOML that keeps the schema."""
+    head = [
+        "# A beam to cast, for onebend. Fill in your own values; lines that start with # are another way to say it.",
+        "# It bends in the plane of its width; its depth is the size across that plane.",
+        "",
+        f"format = {FORMAT}",
+        '# name = "my beam"',
+    ]
+    return "\n".join(
+        [
+            *head,
+            *_section("[beam]", SizeEntry, {"length_m", "depth_m"}),
+            *_section("[width]", WidthEntry, {"s", "width_m", "between"}),
+            *_section("[material]", MaterialEntry, {"shore_a"}),
+            "",
+        ]
+    )
+
+
+def _section(title: str, record: type, written: set[str]) -> list[str]:
+    rows = ["", title]
+    for entry, _ in keys_of(record).values():
+        row = f"{entry.name} = {entry.example}"
+        rows.append(f"{row if entry.name in written else '# ' + row}  # {entry.says}")
+    return rows
+
+
+def _load(path: Path) -> tuple[str, dict[str, Any]]:
+    if not path.exists():
+        raise MechanicsError(f"{path} does not exist. Write one with `onebend design --new {path}`.")
+    return read_toml(path, MechanicsError)
+
+
+def _width(table: Any, mistakes: Mistakes) -> Profile | None:
+    entry = read_table(WidthEntry, table, ("width",), mistakes)
+    if entry is None:
+        return None
+    tabled = bool(entry.s or entry.width)
+    if tabled == bool(entry.polynomial):
+        mistakes.add(("width",), "[width] needs either polynomial_m, or s and width_m, not both.")
+    elif tabled and (len(entry.s) != len(entry.width) or entry.s[0] != 0.0 or entry.s[-1] != 1.0):
+        mistakes.add(("width", "s"), "[width] s must run from 0 to 1, with one width_m a place.")
+    elif any(b <= a for a, b in pairwise(entry.s)):
+        mistakes.add(("width", "s"), "[width] s must rise from place to place.")
+    else:
+        make = broken_line if entry.between == "straight" else width_table
+        return make(entry.s, entry.width) if tabled else Powers(entry.polynomial)
+    return None
+
+
+def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] | None:
+    entry = read_table(MaterialEntry, table, ("material",), mistakes)
+    if entry is None:
+        return None
+    given = [
+        name
+        for name, there in (
+            ("silicone", entry.silicone != NO_NAME),
+            ("shore_a", math.isfinite(entry.shore_a)),
+            ("shore_00", math.isfinite(entry.shore_00)),
+            ("modulus_Pa", math.isfinite(entry.modulus)),
+        )
+        if there
+    ]
+    if len(given) != 1:
+        said = f"not {' and '.join(given)}" if given else "and has none"
+        mistakes.add(("material",), f"[material] needs one of silicone, shore_a, shore_00 or modulus_Pa, {said}.")
+        return None
+    ways: dict[str, Callable[[], ModulusEstimate]] = {
+        "silicone": lambda: silicone(entry.silicone).stiffness,
+        "shore_a": lambda: from_shore_a(entry.shore_a),
+        "shore_00": lambda: from_shore_00(entry.shore_00),
+        "modulus_Pa": lambda: ModulusEstimate(entry.modulus, 0.0, "given"),
+    }
+    try:
+        estimate = ways[given[0]]()
+    except MechanicsError as wrong:
+        mistakes.add(("material", given[0]), f"[material] {wrong}.")
+        return None
+    log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else estimate.log_sd
+    usual = silicone(entry.silicone).density if entry.silicone else TYPICAL_DENSITY
+    return ModulusEstimate(estimate.modulus, log_sd, estimate.source), entry.density if math.isfinite(
+        entry.density
+    ) else usual
+
+
+# What a beam of a design will do on the bench: forces, deflections, buckling, vibration, sag. Exact statics.
+
+TURNS_DEG = (30.0, 60.0, 90.0)
+GRAVITY = 9.81  # m/s^2
+FINE = Resolution(order=16, widest=0.25)
+DENSE = np.linspace(0.0, 1.0, 1001)
+MOST_FORCE, GROWTH = 8.0, 1.15  # times the small-angle one, and from try to try
+
+
+@dataclass(frozen=True)
+class TipBend:
+    """The tip turned by a tool that presses squarely on the beam at its tip."""
+
+    turn: float  # rad, of the tip
+    force: float  # N, perpendicular to the beam where it acts
+    tip: Array  # (2,) m
+    strain: float  # largest strain at the surface
+
+    def as_dict(self) -> dict[str, float]:
+        """For JSON."""
+        return {
+            "turn_deg": math.degrees(self.turn),
+            "force_N": self.force,
+            "tip_x_m": float(self.tip[0]),
+            "tip_y_m": float(self.tip[1]),
+            "surface_strain": self.strain,
+        }
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Figures of one design. All forces and the stiffness scale with the modulus; shapes do not depend on it."""
+
+    design: Design
+    bends: tuple[TipBend, ...]
+    compliance: float  # m/N, of the tip to a small force across
+    buckling: float  # N, on the tip along the beam
+    frequency: tuple[float, ...]  # Hz, the two slowest vibrations in the plane of bending
+    sag: float  # m, how far the weight lowers the tip where the plane of bending lies flat
+    droop: float  # m, the same where that plane is upright and the beam level
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        design, bending = self.design, self.design.bending(DENSE)
+        return {
+            "name": design.name,
+            "length_m": design.length,
+            "depth_m": design.depth,
+            "modulus_Pa": design.modulus,
+            "modulus_log_sd": design.modulus_log_sd,
+            "modulus_source": design.source,
+            "mass_kg": design.mass,
+            "bending_stiffness_N_m2": [float(bending.min()), float(bending.max())],
+            "softest_s": float(DENSE[bending.argmin()]),
+            "bends": [bend.as_dict() for bend in self.bends],
+            "tip_compliance_m_N": self.compliance,
+            "buckling_force_N": self.buckling,
+            "frequencies_Hz": list(self.frequency),
+            "sag_flat_m": self.sag,
+            "droop_upright_m": self.droop,
+        }
+
+
+@one_blas_thread
+def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
+    """What to expect of a design on the bench.
+
+    Raises:
+        MechanicsError: an equilibrium was not found.
+    """
+    beam = design.beam()
+    still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
+    slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency
+    return Expected(
+        design=design,
+        bends=tuple(bend(design, math.radians(turn)) for turn in turns_deg),
+        compliance=tip_compliance(beam),
+        buckling=buckling_force(beam),
+        frequency=tuple(float(f) for f in slowest),
+        sag=-_lowered(across_depth(design)),
+        droop=-_lowered(beam),
+    )
+
+
+def bend(design: Design, turn: float) -> TipBend:
+    """The force at the tip, square to the beam there, that turns the tip by `turn` [rad].
+
+    Raises:
+        MechanicsError: no such force.
+    """
+    beam = design.beam()
+
+    def turned(force: float) -> float:
+        solved = equilibrium(beam, follow_push((0.0, force)), resolution=FINE)
+        return float(solved.angle(np.array([1.0]))[0, 0]) if solved.converged[0] else math.nan
+
+    first = turn / _turn_compliance(beam)
+    largest = first
+    while turned(largest) < turn and largest < MOST_FORCE * first:
+        largest *= GROWTH
+    if not turned(largest) >= turn:
+        raise MechanicsError(f"no force on the tip of {design.name!r} turns it by {math.degrees(turn):.0f} degrees")
+    force = float(brentq(lambda f: turned(f) - turn, 0.0, largest, xtol=1e-10 * first, rtol=1e-10))
+    solved = equilibrium(beam, follow_push((0.0, force)), resolution=FINE)
+    nodes = solved.problem.grid.nodes
+    strain = 0.5 * np.asarray(design.width(nodes)) * np.abs(solved.q[0]) / design.length
+    return TipBend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))
+
+
+def tip_compliance(beam: Beam) -> float:
+    """m/N: how far a small force across moves the tip, `L^2 int (1 - s)^2 / k ds`."""
+    grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
+    return float(beam.length**2 * np.sum(grid.weights * (1.0 - grid.nodes) ** 2 / beam.stiffness(grid.nodes)))
+
+
+def _turn_compliance(beam: Beam) -> float:
+    """rad/N: how far a small force across turns the tip, `L int (1 - s) / k ds`."""
+    grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
+    return float(beam.length * np.sum(grid.weights * (1.0 - grid.nodes) / beam.stiffness(grid.nodes)))
+
+
+def buckling_force(beam: Beam) -> float:
+    """N: the least axial push on the tip under which the straight beam is no longer stable.
+
+    The tangent of the straight shape is affine in that force: its root is an eigenvalue.
+    """
+    problem = make_problem(beam, push((-1.0, 0.0)), FINE)
+    free, pushed = (tangent(problem, np.zeros((1, problem.k.shape[-1])), factor)[0] for factor in (0.0, 1.0))
+    softened = eigvals(np.linalg.solve(free, free - pushed)).real
+    return float(1.0 / np.max(softened))
+
+
+def across_depth(design: Design) -> Beam:
+    """The same bar, bending across its depth: out of the plane that it is made to bend in."""
+    material = Material(design.modulus, design.density)
+    turned = along((SectionPart(Rectangle(design.width, Uniform(design.depth)), material),), design.length)
+    return Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)
+
+
+def _lowered(beam: Beam) -> float:
+    """m, the tip's y under the weight of a level beam."""
+    solved = equilibrium(beam, weight((0.0, -GRAVITY)), resolution=FINE)
+    return float(solved.xy(np.array([1.0]))[0, 0, 1]) if solved.converged[0] else math.nan
+
+
+# Random beams whose stiffness is known: smooth, stepped, or with a soft joint.
+
+Kind = Literal["smooth", "stepped", "joint"]
+DRAWN_PLACES = 401
+RESOLUTION = Resolution(order=12, widest=0.1)  # carries a table of k(s) and a narrow joint to 1e-9 L
+FORCE_GROWTH, BATCH, MOST_BATCHES = 1.12, 10, 10  # of the forces tried
+LARGEST_RATIO = 6.0  # of the stiffest to the softest place of a smooth beam
+
+
+def random_stiffness(kind: Kind, rng: np.random.Generator, *, level: float = 0.02) -> Profile:
+    """k(s) [N m] around `level`, of one kind."""
+    s = np.linspace(0.0, 1.0, DRAWN_PLACES)
+    size = level * np.exp(0.3 * rng.standard_normal())
+    if kind == "stepped":
+        jumps = np.sort(rng.uniform(0.15, 0.85, rng.integers(1, 3)))
+        if len(jumps) == 2 and jumps[1] - jumps[0] < 0.15:
+            jumps = jumps[:1]
+        signs = rng.choice([-1.0, 1.0], len(jumps))
+        log_k = np.concatenate([[0.0], np.cumsum(signs * np.log(rng.uniform(1.3, 3.0, len(jumps))))])
+        values = size * np.exp(log_k - log_k.mean())
+        return Steps((0.0, *jumps.tolist(), 1.0), tuple(values.tolist()))
+    log_k = smooth_log(s, rng)
+    if kind == "joint":
+        centre, width, left = rng.uniform(0.2, 0.7), rng.uniform(0.02, 0.05), rng.uniform(0.2, 0.6)
+        log_k = log_k + np.log1p((left - 1.0) * np.exp(-0.5 * ((s - centre) / width) ** 2))
+    return Table(tuple(s.tolist()), tuple((size * np.exp(log_k)).tolist()))
+
+
+def smooth_log(s: Array, rng: np.random.Generator) -> Array:
+    """A taper plus up to three broad bumps, scaled to a range of 1:1 to 6:1; mean zero."""
+    taper, bow = rng.normal(0.0, 1.0), rng.normal(0.0, 1.5)
+    log_k = taper * (s - 0.5) + bow * (s - rng.uniform(0.3, 0.7)) ** 2
+    for _ in range(int(rng.integers(0, 4))):
+        centre, width = rng.uniform(0.0, 1.0), rng.uniform(0.12, 0.4)
+        log_k = log_k + rng.normal(0.0, 0.5) * np.exp(-0.5 * ((s - centre) / width) ** 2)
+    wanted = rng.uniform(0.0, np.log(LARGEST_RATIO))
+    log_k = log_k * (wanted / max(float(np.ptp(log_k)), 1e-9))
+    return np.asarray(log_k - log_k.mean())
+
+
+@one_blas_thread
+def force_that_bends(beam: Beam, bend: float, direction: float, at_s: float = 1.0) -> float:
+    """N: the force at angle `direction` [rad] that turns the place where it acts by `bend` [rad].
+
+    Where the beam would snap through before that, nine tenths of the largest force that it carries on this branch.
+    """
+    unit = np.array([np.cos(direction), np.sin(direction)])
+    softest = float(np.min(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, DRAWN_PLACES)))))
+    last, turned = 0.0, 0.0
+    sizes = 0.2 * bend * softest / (beam.length * at_s**2) * FORCE_GROWTH ** np.arange(BATCH)
+    for _ in range(MOST_BATCHES):
+        solved = equilibrium(beam, push(sizes[:, None] * unit, at_s), resolution=RESOLUTION)
+        for size, stands, shape in zip(sizes, solved.converged, solved.angle(np.array([0.0, at_s])), strict=True):
+            if not stands:
+                return 0.9 * last
+            now = abs(float(shape[1] - shape[0]))
+            if now >= bend:
+                return float(last + (size - last) * (bend - turned) / (now - turned))
+            last, turned = float(size), now
+        sizes = sizes * FORCE_GROWTH**BATCH
+    return last

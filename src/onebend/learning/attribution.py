@@ -18,10 +18,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from onebend.learning.inference.fit_problem import FitProblem, log_k_map
-from onebend.learning.inference.optimizer import Optimum
-from onebend.learning.model.allowed import secant_of
-from onebend.learning.model.parameters import Block
+from onebend.learning.linear import FitProblem, log_k_map
+from onebend.learning.optimizer import Optimum
+from onebend.learning.parameters import Block
+from onebend.learning.prediction import secant_of
 from onebend.records import Array, IntArray
 
 FORCE_SCALE, LEFT = "force's scale", "remaining discrepancy"

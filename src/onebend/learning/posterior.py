@@ -15,57 +15,248 @@ from typing import Literal
 
 import numpy as np
 
+from onebend.beam.grid import Modes
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Profile
-from onebend.beam.profiles.uncertain import SHAPE_PLACES, Band, UncertainStiffness
-from onebend.blas import one_blas_thread
+from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances.mounting import BETWEEN, BETWEEN_SD
+from onebend.learning.allowances import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
-from onebend.learning.criticism.criticism import Criticism, criticise
-from onebend.learning.criticism.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
-from onebend.learning.frequencies.compared import GROSS, worst_off
-from onebend.learning.frequencies.modes import with_modes
-from onebend.learning.frequencies.predicted import PredictedFrequencies
-from onebend.learning.inference.fit_problem import FitProblem
-from onebend.learning.inference.joint_covariance import JointCovariance
-from onebend.learning.inference.misfit import Miss, doubts_of, misses
-from onebend.learning.inference.nuisances import quantities
-from onebend.learning.inference.optimizer import (
-    Optimum,
-    estimate_at,
-    laplace_posterior,
-)
-from onebend.learning.inference.pose_branches import find_on_branches
-from onebend.learning.inference.stages import (
+from onebend.learning.condensed import condensed
+from onebend.learning.criticism import Criticism, criticise
+from onebend.learning.fit_data import FitData, following
+from onebend.learning.frames import check_same_beam, mass_profile
+from onebend.learning.frequencies import GROSS, PredictedFrequencies, with_modes, worst_off
+from onebend.learning.hyperparameters import SPREAD
+from onebend.learning.linear import FitProblem, log_k_map
+from onebend.learning.normal import JointCovariance
+from onebend.learning.optimizer import (
     FitSettings,
+    Miss,
+    Optimum,
     carried_over,
+    doubts_of,
+    estimate_at,
+    find_on_branches,
     first_problem,
     first_recordings,
+    laplace_posterior,
+    misses,
     shared_among,
     whole_problem,
     with_mass_found,
 )
-from onebend.learning.known_shape import with_shared_shape
-from onebend.learning.learned_mass import (
-    from_legendre,
-    leans,
-    learned_mass,
-    mass_per_length,
-    riding_masses,
-    weight_doubts,
-)
-from onebend.learning.model.allowed import secant_of
-from onebend.learning.model.condensed import condensed
-from onebend.learning.model.fit_data import FitData
-from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.frames import check_same_beam
-from onebend.learning.model.mass import LearnedMass
-from onebend.learning.model.parameters import Layout
+from onebend.learning.parameters import KNOWN, TOLD, Block, Layout, LearnedMass, with_shared_shape
+from onebend.learning.prediction import Prediction, predict, secant_of
+from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
 from onebend.learning.start import start_of
-from onebend.learning.stiffness_band import prior_part, stiffness_of
-from onebend.progress import Progress, Silent
-from onebend.records import Array, BoolArray, Observations
+from onebend.progress import Progress, Silent, one_blas_thread
+from onebend.records import Array, BoolArray, Observations, PointMass
+
+# k(s) and its band, from the parameters' posterior.
+
+
+def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
+    """k(s) and its band at an optimum, with what stiffens the beam under its tags, and with the unknown place of a step
+    between two knots of the spline."""
+    layout = problem.layout
+    fine, (index, onto) = layout.spline.finer, log_k_map(problem)
+    covariance = onto @ optimum.covariance.of_shared[np.ix_(index, index)] @ onto.T
+    covariance += np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
+    known = layout.known
+    offset = None if known is None else known.offset
+    nominal = None
+    if offset is not None:
+        p, on_finer, variances = layout.spline.count, layout.spline.on_finer, optimum.hyperparameters.part_variances
+        found = optimum.x[:p] - problem.level, optimum.covariance.of_shared[:p, :p]
+        log_k, spread = without_section_errors(layout, variances, *found)
+        of_modulus = _symmetric(on_finer @ spread @ on_finer.T)
+        nominal = UncertainStiffness(fine.knots, on_finer @ (problem.level + log_k), of_modulus, gain_sd, offset=offset)
+    return UncertainStiffness(
+        fine.knots,
+        onto @ optimum.x[index],
+        _symmetric(covariance),
+        gain_sd,
+        shape=optimum.shape,
+        offset=offset,
+        nominal=nominal,
+    )
+
+
+def prior_part(problem: FitProblem, optimum: Optimum, s: Array) -> Array:
+    """(S, S) the part of log k's covariance at `s` that comes from the prior, and not from errors of the data.
+
+    The fit's log k is off by `C P^-1 (m - k)`, drawn towards the prior's mean m, plus what errors of the data do; C is
+    the covariance, P the prior's. Over the beams that the prior expects, the first has the covariance `C P^-1 C`. A
+    second recording of this beam, or of one like it, is off by the same. P is that of the mean sizes of the prior's
+    parts; the part is never more than the covariance of the spline's coefficients.
+    """
+    layout = problem.layout
+    p, fine = layout.spline.count, layout.spline.finer
+    own = _symmetric(optimum.covariance.of_shared[:p, :p])
+    values, vectors = np.linalg.eigh(own)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    inner = np.linalg.solve(layout.stiffness_root(optimum.hyperparameters.part_variances), root)
+    share, turned = np.linalg.eigh(inner.T @ inner)
+    drawn = layout.spline.on_finer @ root @ (turned * np.sqrt(np.clip(share, 0.0, 1.0)))
+    covariance = drawn @ drawn.T + np.tensordot(optimum.jumps**2, layout.spline.unseen, 1)
+    return UncertainStiffness(
+        fine.knots, np.zeros(len(covariance)), _symmetric(covariance), shape=optimum.shape
+    ).log_covariance(s)
+
+
+def without_section_errors(layout: Layout, variances: Array, log_k: Array, covariance: Array) -> tuple[Array, Array]:
+    """Mean (p,) and covariance (p, p) of log k's coefficients less what the stated section is off by, from those of the
+    coefficients c, over the prior's mean; `variances` (n,) are of the prior's parts.
+
+    Before the data c has covariance S, of which P comes from the section. So its share in c is `P S^-1 c`, give or take
+    `P - P S^-1 P`: what the data say of c is passed on, and what they leave open stays open.
+    """
+    off, root = layout.section_errors, layout.stiffness_root(variances)
+    share = np.linalg.solve(root @ root.T, off).T
+    kept = np.eye(len(log_k)) - share
+    return kept @ log_k, kept @ covariance @ kept.T + off - share @ off
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)
+
+
+# The mass of the fitted beam: what was written down, and what the fit changed of it.
+
+# Of the pull of an even beam of the written mass on its clamp: a cone on its base has 0.5, a mass at the tip 2.
+LEAST_PULL, MOST_PULL = 0.42, 2.2
+LEANS = 4.0  # sds of gravity's written direction, beyond which it is another one
+
+
+def weight_doubts(mass: LearnedMass | None, leaning: Sequence[float]) -> tuple[str, ...]:
+    """What contradicts the weight as written, given the mass after the fit and `leans`; empty as a rule."""
+    doubts = []
+    if mass is not None and np.isfinite(mass.written) and not LEAST_PULL < mass.even / mass.written < MOST_PULL:
+        doubts.append("the beam's weight and the force contradict each other")
+    if max((abs(lean) for lean in leaning), default=0.0) > LEANS:
+        doubts.append("gravity does not pull where [gravity] says")
+    return tuple(doubts)
+
+
+def leans(recordings: Sequence[FitData], layout: Layout, mean: Array) -> list[float]:
+    """How far off its written direction gravity came out in each recording in which it bends the beam, in sds."""
+    found = []
+    for recording in recordings:
+        block = layout.index.get(("gravity direction", recording.number))
+        if block is not None and block.start >= 0:
+            found.append(float(mean[block.where][0] / block.prior_sd[0]))
+    return found
+
+
+def learned_mass(
+    recordings: Sequence[FitData],
+    layout: Layout,
+    mean: Array,
+    covariance: JointCovariance,
+    stiffness: UncertainStiffness,
+    gain_sd: float,
+) -> LearnedMass | None:
+    """The mass after the fit, from mean (P,) and covariance of its parameters; None where nothing weighs or the
+    mass was held as written."""
+    block, weighed = layout.index["mass", -1], _weighed(recordings)
+    if block.start < 0 or weighed is None:
+        return None
+    change, spread = mean[block.where], covariance.among(block.where)
+    written = np.nan if np.isfinite(weighed.stated.mass_sd) else weighed.stated.mass
+    lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
+    value, s = weighed.stated.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
+    line = mass_per_length(recordings, layout, mean, stiffness)
+    pull = 2.0 * weighed.length * float(np.trapezoid(s * line(s), s))
+    if weighed.stated.mass_along != "unknown":
+        lever = np.array([pull / value, 0.0, 0.0, 0.0])
+    gain = gain_sd if np.isnan(written) else 0.0  # an unknown mass is weighed against the force
+    sd = np.sqrt(np.diag(spread)[0] + gain**2)
+    even_sd = float(np.sqrt(lever @ spread @ lever + (lever[0] * gain) ** 2))
+    return LearnedMass(
+        value=value,
+        sd=float(weighed.stated.mass * sd),
+        even=pull,
+        even_sd=weighed.stated.mass * even_sd,
+        written=written,
+        identified=even_sd < _largest_sd(written, block),
+        along=weighed.stated.mass_along,
+    )
+
+
+def mass_per_length(
+    recordings: Sequence[FitData], layout: Layout, mean: Array, stiffness: UncertainStiffness
+) -> Profile:
+    """kg/m, at parameters (P,)."""
+    weighed, change = _weighed(recordings), layout.get(mean, "mass")
+    if weighed is None:
+        return Uniform(0.0)
+    along = following(weighed, stiffness, weighed.stated.mass * (1.0 + float(change[0])))
+    if along is not None:
+        return along
+    even = weighed.stated.mass / weighed.length
+    if weighed.stated.mass_along in ("section", "table"):
+        return Scaled(1.0 + float(change[0]), mass_profile(weighed))
+    if weighed.stated.mass_line is None:
+        return from_legendre(even * (np.array([1.0, 0.0, 0.0, 0.0]) + change))
+    s = np.unique(np.concatenate([np.linspace(0.0, 1.0, 101), weighed.stated.mass_line.s]))
+    value = mass_profile(weighed)(s) + even * Modes(len(change)).curvature(s) @ change
+    return Table(tuple(s.tolist()), tuple(value.tolist()))
+
+
+def riding_masses(recordings: Sequence[FitData]) -> tuple[PointMass, ...]:
+    """What rides on the beam in every recording of it."""
+    first, *others = (recording.observations.stated.masses for recording in recordings)
+    return tuple(one for one in first if all(one in masses for masses in others))
+
+
+def from_legendre(states: Array) -> Profile:
+    """The profile with these Legendre coefficients."""
+    if np.all(states[1:] == 0.0):
+        return Uniform(float(states[0]))
+    return Powers(tuple(np.linalg.solve(Modes(len(states), "powers").to_legendre, states).tolist()))
+
+
+def _weighed(recordings: Sequence[FitData]) -> Observations | None:
+    """The recording whose mass the fit changes."""
+    return next((r.observations for r in recordings if np.isfinite(r.observations.stated.mass)), None)
+
+
+def _largest_sd(written: float, block: Block) -> float:
+    """One sd over the mass itself, below which the mass counts as learned."""
+    if np.isnan(written):
+        return KNOWN
+    return TOLD * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
+
+
+# The parameters beside k(s) as they are reported: each by itself, and of a force log's slow error mean and drift.
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """Numbers that are linear in a block's parameters."""
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    weights: Array  # (N, parameters of the block)
+    prior_sd: Array  # (N,) before the data, the sizes of a force error integrated out
+
+
+def quantities(block: Block, recordings: Sequence[FitData]) -> Quantities:
+    """A block's parameters; of a force log's error (a spline in time) mean and drift over the frames of the push."""
+    if block.name != "force":
+        return Quantities(block.labels, (block.unit,) * len(block.labels), np.eye(len(block.labels)), block.prior_sd)
+    recording = recordings[block.recording]
+    time = recording.observations.time[recording.frames]
+    time = time - np.mean(time)
+    weights = recording.error.weights[: len(time)]
+    rows = np.stack([np.mean(weights, axis=0), time @ weights / max(float(time @ time), 1e-300)])
+    whose = block.labels[0].rpartition(": ")[0]
+    names = tuple(f"{whose}: {what} {axis}" for what in ("mean force error", "force drift") for axis in "xy")
+    coloured, _, walk, load = np.exp(SPREAD**2).tolist()  # root mean squares of log-normal factors
+    prior = recording.error.covariance(coloured, 1.0, walk, load)
+    before = np.sqrt(np.einsum("rk,kl,rl->r", rows, prior, rows))
+    return Quantities(names, ("N", "N", "N/s", "N/s"), np.kron(rows, np.eye(2)), np.repeat(before, 2))
+
 
 _HOPELESS_ROUNDS, _HOPELESS_STEPS = 2, 10  # with all frames, where the first ones show that the model cannot be right
 
@@ -309,3 +500,76 @@ def _fit(
     left_out = tuple(a.frames & ~b.frames for a, b in zip(every.recordings, whole.recordings, strict=True))
     optimum = with_places(whole, optimum, place, found.log_at(SHAPE_PLACES)[1])
     return Posterior(whole, optimum, gain_sd, critic, left_out, place)
+
+
+# What the data cannot tell apart: the largest correlations of the posterior.
+#
+# Two quantities that are strongly correlated trade off: the data fix a combination of them, and what one is depends
+# on the prior of the other. The quantities are the nuisances, mean and drift of each force log's error, and the mean
+# level of log k over the places where k(s) is identified.
+
+LEVEL = "mean log k(s)"
+_PLACES = 201
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Two quantities that the data hardly tell apart."""
+
+    first: str
+    second: str
+    correlation: float  # of the posterior, in [-1, 1]
+
+
+def tradeoffs(posterior: Posterior, *, most: int = 5, least: float = 0.5) -> tuple[Tradeoff, ...]:
+    """The strongest pairs, strongest first: at most `most`, none weaker than `least`.
+
+    Every quantity is named once, with what it trades off against most.
+    """
+    names, correlation = correlations(posterior)
+    first, second = np.triu_indices(len(names), k=1)
+    strength = np.abs(correlation[first, second])
+    found: list[Tradeoff] = []
+    named: set[int] = set()
+    for i in np.argsort(-strength, kind="stable"):
+        if strength[i] < least or len(found) == most:
+            break
+        if not named & {int(first[i]), int(second[i])}:
+            found.append(Tradeoff(names[first[i]], names[second[i]], float(correlation[first[i], second[i]])))
+            named |= {int(first[i]), int(second[i])}
+    return tuple(found)
+
+
+def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tuple[Tradeoff, ...]:
+    """What the level of k(s) itself trades off against, strongest first."""
+    names, correlation = correlations(posterior)
+    order = [i for i in np.argsort(-np.abs(correlation[0, 1:])) + 1 if abs(correlation[0, i]) >= least][:most]
+    return tuple(Tradeoff(LEVEL, names[i], float(correlation[0, i])) for i in order)
+
+
+def correlations(posterior: Posterior) -> tuple[list[str], Array]:
+    """Names (N,) and correlations (N, N) of the quantities; the mean of log k(s) comes first."""
+    names, rows = [LEVEL], [(slice(0, posterior.layout.shared), _level(posterior)[None])]
+    left_out = {"stiffness"} | {
+        a.name for one in posterior.recordings for a in one.allowances if a.enters == "poses" and a.sized
+    }
+    for block in posterior.layout.blocks:
+        if block.start < 0 or block.name in left_out:
+            continue
+        these = quantities(block, posterior.recordings)
+        names += these.labels
+        rows.append((block.where, these.weights))
+    covariance = posterior.covariance.of_functionals(rows)
+    sd = np.sqrt(np.diag(covariance))
+    return names, np.asarray(covariance / np.outer(sd, sd))
+
+
+def _level(posterior: Posterior) -> Array:
+    """(n,) weights of the shared parameters in the mean of log k, over the identified places if there are any."""
+    s = np.linspace(0.0, 1.0, _PLACES)
+    identified = posterior.band(s).identified
+    index, onto = log_k_map(posterior.problem)
+    basis = posterior.layout.spline.finer.basis(s[identified] if np.any(identified) else s) @ onto
+    out = np.zeros(posterior.layout.shared)
+    out[index] = np.mean(basis, axis=0)
+    return out

@@ -8,26 +8,33 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Profile, Scaled, Uniform
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.blas import one_blas_thread
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.errors import LearningError
-from onebend.learning.frequencies.level import stiffness_level, swinging_mass
-from onebend.learning.frequencies.modes import with_modes
-from onebend.learning.known_shape import known_shape
-from onebend.learning.model.frames import distances, evenly_spread, loads_of, mass_profile, nothing_moves, usable_frames
-from onebend.learning.model.held_ends import is_held, resolution_of, sets_no_scale, shapes_of
-from onebend.learning.model.mass import (
+from onebend.learning.frames import (
+    distances,
+    evenly_spread,
+    from_the_clamp,
+    loads_of,
+    mass_profile,
+    nothing_moves,
+    points_of,
+    usable_frames,
+)
+from onebend.learning.frequencies import stiffness_level, swinging_mass, with_modes
+from onebend.learning.outcome import Learned
+from onebend.learning.parameters import (
     NEEDS_MASS,
     check_mass_can_be_learned,
     forced,
+    known_shape,
     mass_is_open,
     needs_mass,
     shared_mass,
     weighs,
 )
-from onebend.learning.model.readings import from_the_clamp, points_of
-from onebend.learning.outcome import Learned
+from onebend.learning.static_poses import is_held, resolution_of, sets_no_scale, shapes_of
+from onebend.progress import one_blas_thread
 from onebend.records import BoolArray, Observations
 
 _FRAMES = 40  # of each recording

@@ -6,25 +6,41 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from onebend.beam.continuation import follow, refine
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow, refine
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import make_problem
-from onebend.beam.statics.rod import has_mass
-from onebend.beam.statics.sensitivity import of_force, respond
-from onebend.blas import one_blas_thread
+from onebend.beam.problem import has_mass, make_problem
+from onebend.beam.sensitivity import of_force, respond
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.frequencies.compared import validated_frequencies
-from onebend.learning.model.frames import loads_of, marker_rms, nothing_moves, push_places, usable_frames
-from onebend.learning.model.held_ends import RESOLUTION, is_held, resolution_of, shapes_of
-from onebend.learning.model.mass import NEEDS_MASS, weighs
-from onebend.learning.model.prediction_error import few_frames, variances
-from onebend.learning.model.readings import from_the_clamp, points_of
-from onebend.learning.model.rest import AtRest
+from onebend.learning.fit_data import AtRest
+from onebend.learning.frames import (
+    from_the_clamp,
+    loads_of,
+    marker_rms,
+    nothing_moves,
+    points_of,
+    push_places,
+    usable_frames,
+)
+from onebend.learning.frequencies import validated_frequencies
 from onebend.learning.outcome import Comparison
-from onebend.learning.pose_equilibria import SeenPoses, elsewhere, pose_names, pose_rms, seen_poses, unexplained
+from onebend.learning.parameters import NEEDS_MASS, weighs
+from onebend.learning.prediction import few_frames, variances
+from onebend.learning.static_poses import (
+    RESOLUTION,
+    SeenPoses,
+    elsewhere,
+    is_held,
+    pose_names,
+    pose_rms,
+    resolution_of,
+    seen_poses,
+    shapes_of,
+    unexplained,
+)
+from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
 _MOST_NAMED = 6  # poses

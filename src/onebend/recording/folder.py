@@ -6,34 +6,205 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
-from onebend.errors import RecordingError
-from onebend.recording.bags.reader import is_bag
-from onebend.recording.bags.recorded_topics import check_bag, with_bags
-from onebend.recording.camera.bag_calibration import known_camera
-from onebend.recording.toml.description import (
+import numpy as np
+
+from onebend.errors import LearningError, ObservationError, RecordingError, ResultsError
+from onebend.files.single_file import FILMS, LOGS, write_file
+from onebend.recording.bag_topics import CameraInfo, bag_camera, check_bag, picture_size, with_bags
+from onebend.recording.bags import is_bag
+from onebend.recording.camera import equidistant, nearest_lens, rational
+from onebend.recording.description import (
+    FORMAT,
     HOMES,
     SECTIONS,
     camera_record,
     check_together,
     check_top,
     empty_values,
+    entry_remarks,
     read_beam,
     read_tags,
     remarks_on,
+    spread_remarks,
+    unit_remarks,
 )
-from onebend.recording.toml.entries import Recording, TagEntry, TagsEntry
-from onebend.recording.toml.frequency_entry import read_frequencies
-from onebend.recording.toml.implausible_entries import entry_remarks, spread_remarks, unit_remarks
-from onebend.recording.toml.schema import Mistakes, Place, place_name, read_table
-from onebend.recording.toml.source_entries import CameraInfoEntry, MarkersEntry, UncalibratedEntry, VideoEntry
-from onebend.records import Remark
-from onebend.text_files import MOST_TOML, ascii_only, read_text, read_toml, toml_data
+from onebend.recording.entries import (
+    BeamEntry,
+    CameraEntry,
+    CameraInfoEntry,
+    ForceEntry,
+    FrequencyEntry,
+    GravityEntry,
+    MarkersEntry,
+    PhotosEntry,
+    PosesEntry,
+    PushEntry,
+    Recording,
+    TagEntry,
+    TagsEntry,
+    UncalibratedEntry,
+    VideoEntry,
+    read_frequencies,
+)
+from onebend.recording.schema import Mistakes, Place, keys_of, place_name, read_table
+from onebend.records import Array, Remark
+from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, to_json, toml_data
+
+# Recordings of one beam: what their files alone say against it.
+
+SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
+SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
+
+
+def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
+    """Raises `LearningError` where the recordings cannot be learned from together, read from their files alone;
+    `jointly`: by a method that takes several."""
+    first = wanted[0]
+    if not jointly and len(wanted) > 1:
+        raise LearningError("the regression learns from one recording; give one, or learn from all with the fit")
+    for i, one in enumerate(wanted[1:], start=1):
+        if any(one.folder.resolve() == other.folder.resolve() for other in wanted[:i]):
+            raise LearningError(f"{one.folder} is given twice: the same data would count as two pushes. Give it once")
+        if abs(one.beam.length - first.beam.length) > 1e-9 or _ids(one) != _ids(first):
+            raise LearningError(
+                f"{one.folder} is not of the beam of {first.folder}: {1000 * one.beam.length:.4g} mm with tags "
+                f"{_ids(one)}, against {1000 * first.beam.length:.4g} mm with tags {_ids(first)}. Learn from "
+                "recordings of one beam, or correct length_m and the tags"
+            )
+        for tag, same in zip(one.tags.on_beam, first.tags.on_beam, strict=True):
+            away = abs(tag.s - same.s) * first.beam.length
+            if away > SAME_PLACE * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
+                raise LearningError(
+                    f"tag {tag.id} is at s = {tag.s:.4g} in {one.folder} and at s = {same.s:.4g} in {first.folder}. "
+                    "Recordings that are learned from together need the same tags in the same places"
+                )
+
+
+def _ids(one: Recording) -> list[int]:
+    return [tag.id for tag in one.tags.on_beam]
+
+
+def check_same_length(length: float, recording: Recording) -> None:
+    """Raises `ObservationError` where the recording is not of a beam of that length [m]."""
+    if abs(recording.beam.length - length) > SAME_LENGTH * length:
+        raise ObservationError(
+            f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
+            f"{1000 * length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
+        )
+
+
+# [camera] from a bag: the camera's calibration as its driver published it.
+
+NEAR_ENOUGH = 0.1  # px: a lens of another model that ours meets so nearly is taken as ours
+RECTIFIED = "image_rect"  # how the name of a topic of rectified pictures begins
+POLYNOMIAL, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", ("equidistant", "fisheye")
+OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the camera is inferred from the tags."
+
+
+def known_camera(
+    camera: CameraEntry | CameraInfoEntry | None, video: VideoEntry | None, mistakes: Mistakes
+) -> tuple[CameraEntry | None, tuple[Remark, ...]]:
+    """The camera of `recording.toml`, from the film's bag where it names a topic of it; what is wrong goes to
+    `mistakes`."""
+    if not isinstance(camera, CameraInfoEntry):
+        return camera, ()
+    if mistakes.found:
+        return None, ()
+    try:
+        return camera_in_bag(camera, video)
+    except RecordingError as wrong:
+        mistakes.add(("camera", "camera_info"), str(wrong))
+        return None, ()
+
+
+def camera_in_bag(entry: CameraInfoEntry, video: VideoEntry | None) -> tuple[CameraEntry, tuple[Remark, ...]]:
+    """The calibration that `entry` names, for the pictures of `video`, and what is to be said of it.
+
+    Raises:
+        RecordingError: the film is in no bag, the camera is not calibrated, its lens has no place in our model, or the
+            calibration is of pictures of another size.
+    """
+    if video is None or not video.topic:
+        raise RecordingError(
+            "[camera] camera_info names a topic, and the film is in no bag. Write width, height, fx, fy, cx, cy, dist."
+        )
+    info = bag_camera(video, entry.topic)
+    rectified = video.topic.removesuffix("/compressed").rpartition("/")[2].startswith(RECTIFIED)
+    matrix = checked_matrix(info, video, info.rectified if rectified else info.matrix)
+    if rectified:
+        dist, words = np.zeros(5), f"{video.topic} is taken as rectified: its matrix P, and no lens"
+    else:
+        dist, words = lens_of(info, video)
+    matrix, changed = of_part(info, matrix)
+    width, height = (info.part[0] // info.binning[0], info.part[1] // info.binning[1])
+    shown = picture_size(video)
+    if shown != (width, height):
+        raise RecordingError(
+            f"[camera] camera_info: {info.topic} is of pictures of {width} x {height}, {video.topic} of {video.file} "
+            f"has {shown[0]} x {shown[1]}. Record the picture that was calibrated. {OTHERWISE}"
+        )
+    remark = Remark("note", f"The camera is that of {info.topic}: {words}{changed}.")
+    (fx, fy), (cx, cy) = np.diag(matrix)[:2].tolist(), matrix[:2, 2].tolist()
+    return CameraEntry(width, height, fx, fy, cx, cy, tuple(dist.tolist()), entry.scale_sd), (remark,)
+
+
+def checked_matrix(info: CameraInfo, video: VideoEntry, matrix: Array) -> Array:
+    """The matrix, if it is one of a camera."""
+    place = f"[camera] camera_info: {info.topic} of {video.file}"
+    if not matrix[0, 0] > 0.0 or not matrix[1, 1] > 0.0 or info.width < 1 or info.height < 1:
+        raise RecordingError(f"{place} is not calibrated: its focal length or size is zero. {OTHERWISE}")
+    if abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
+        raise RecordingError(f"{place} has oblique axes (K[1] = {matrix[0, 1]:g}), which are not modelled. {OTHERWISE}")
+    return matrix
+
+
+def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
+    """k1, k2, p1, p2, k3, and words on where they come from."""
+    place, count = f"[camera] camera_info: {info.topic} of {video.file}", len(info.lens)
+    if info.model in (POLYNOMIAL, "") and count == 0:
+        return np.zeros(5), "it says nothing of a lens, and none is assumed"
+    counts = {POLYNOMIAL: (4, 5), RATIONAL: (8,)} | dict.fromkeys(FISHEYE, (4,))
+    if info.model not in counts:
+        raise RecordingError(
+            f"{place}: the lens model {quoted(info.model)} is not known; {', '.join(counts)} are. {OTHERWISE}"
+        )
+    if count not in counts[info.model]:
+        wanted = " or ".join(map(str, counts[info.model]))
+        raise RecordingError(f"{place}: D has {count} numbers; {info.model} has {wanted}. {OTHERWISE}")
+    if info.model == POLYNOMIAL:
+        return np.append(info.lens, 0.0)[:5], f"lens {info.model}"
+    if info.model == RATIONAL and not info.lens[5:].any():
+        return info.lens[:5], f"lens {info.model}, without k4 to k6"
+    lens = rational(info.lens) if info.model == RATIONAL else equidistant(info.lens)
+    dist, worst = nearest_lens(lens, info.matrix, (info.width, info.height))
+    if not worst <= NEAR_ENOUGH:
+        how = f"miss it by up to {worst:.2g} px" if np.isfinite(worst) else "cannot follow it to the picture's edges"
+        raise RecordingError(
+            f"{place}: its lens is {info.model}, and k1, k2, p1, p2, k3 {how}. Record rectified pictures (image_rect), "
+            f"or take a lens that bends less. {OTHERWISE}"
+        )
+    return dist, f"lens {info.model} as k1, k2, p1, p2, k3, which meet it to {worst:.2g} px"
+
+
+def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
+    """The matrix for the part of the sensor that was recorded and its binning, and words on both."""
+    bins, corner = np.array(info.binning, dtype=float), np.array(info.corner, dtype=float)
+    made = matrix.copy()
+    made[:2, 2] = (matrix[:2, 2] - corner + 0.5) / bins - 0.5
+    made[[0, 1], [0, 1]] = np.diag(matrix)[:2] / bins
+    words = ""
+    if info.part != (info.width, info.height) or corner.any():
+        words += f"; the part of {info.part[0]} x {info.part[1]} px from {info.corner[0]}, {info.corner[1]} on"
+    if info.binning != (1, 1):
+        words += f"; {info.binning[0]} x {info.binning[1]} pixels binned"
+    return made, words
+
 
 FILE_NAME = "recording.toml"
 BAGS = ("video", "force")  # whose file may be a bag
@@ -216,3 +387,141 @@ def _no_file(path: Path) -> str:
         "a socket": path.is_socket,
     }
     return next((kind for kind, stands in kinds.items() if stands()), "")
+
+
+# The commented `recording.toml` that `onebend new` writes, made from the keys' own declarations.
+
+Kind = Literal["video", "ros", "photos", "weights", "mocap"]
+INTRODUCTION = f"""\
+# {{what}}, for onebend. Fill in what is empty; lines that start with # are optional and show an example.
+# Units are in the names.{{hint}}
+
+format = {FORMAT}
+"""
+WHAT: dict[Kind, tuple[str, str]] = {
+    "video": (
+        "What was filmed",
+        " Film so that all tags face the camera; start and stop with nothing touching the beam.",
+    ),
+    "ros": ("What was filmed and logged in a bag", " Start and stop with nothing touching the beam."),
+    "photos": ("What was photographed", " One picture a pose, one of them with no load."),
+    "weights": ("What was measured by hand", " One pose a load, one of them with no load."),
+    "mocap": ("What was tracked", " Start and stop with nothing touching the beam."),
+}
+TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one that looks right
+CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
+GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
+
+FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for each frequency."
+
+
+def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[str, str]) -> Path:
+    """Write a `recording.toml` to fill in into `folder` (made if need be) and return its path.
+
+    Where the folder holds one film, or one table that may be a log, it is named.
+
+    Args:
+        filled: by table, what is known already: keys with their values as TOML.
+
+    Raises:
+        RecordingError: the folder holds one already, or cannot be written.
+    """
+    path = Path(folder) / FILE_NAME
+    if path.exists():
+        raise RecordingError(f"{path} exists already. Edit it, or name another folder.")
+    if kind == "video":
+        filled = {**files_beside(path.parent), **filled}
+    try:
+        write_file(path, template(kind, **filled))
+    except ResultsError as wrong:
+        raise RecordingError(str(wrong)) from None
+    return path
+
+
+def files_beside(folder: Path) -> dict[str, dict[str, str]]:
+    """What the files in a folder tell of [video] and [force]; nothing where there are several that it may be."""
+    found: dict[str, dict[str, str]] = {}
+    for table, endings in (("video", FILMS), ("force", LOGS)):
+        names = [one.name for one in folder.glob("[!.]*") if one.suffix.lower() in endings and one.is_file()]
+        if len(names) == 1 and names[0].isprintable():
+            found[table] = {"file": to_json(names[0])}
+    return found
+
+
+def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:
+    """The text of the template: it keeps the schema once what is empty is filled in."""
+    what, hint = WHAT[kind]
+    known = {name: dict(values) for name, values in filled.items()}
+    seen_by_camera = kind in ("video", "ros", "photos")
+    parts = [
+        INTRODUCTION.format(what=what, hint=hint),
+        table("[beam]", BeamEntry, length_m=TO_FILL_IN, **({"mass_kg": TO_FILL_IN} if kind == "weights" else {})),
+        table("[tags]", TagsEntry, **({"size_m": TO_FILL_IN} if seen_by_camera else {})),
+        *([tag("[[tags.on_base]]", "0.0")] if seen_by_camera else []),
+        *(tag("[[tags.on_beam]]", TO_FILL_IN) for _ in range(3)),
+        *_SOURCES[kind](known),
+    ]
+    if kind != "weights":
+        parts.append(optional(GRAVITY, table("[gravity]", GravityEntry)))
+    parts.append(optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry)))
+    return "\n".join(parts)
+
+
+def _filmed(known: dict[str, dict[str, str]]) -> list[str]:
+    video = {"file": '"video.mp4"'} | known.get("video", {})
+    camera = optional(CAMERA, table("[camera]", CameraEntry))
+    return [table("[video]", VideoEntry, **video), *_pushed(known), camera]
+
+
+def _tracked(known: dict[str, dict[str, str]]) -> list[str]:
+    return [table("[markers]", MarkersEntry, file='"markers.csv"'), *_pushed(known)]
+
+
+def _photographed(_: dict[str, dict[str, str]]) -> list[str]:
+    photos = table("[photos]", PhotosEntry, folder='"photos"', loads='"loads.csv"', axes=TO_FILL_IN)
+    return [photos, optional(CAMERA, table("[camera]", CameraEntry))]
+
+
+def _weighed(_: dict[str, dict[str, str]]) -> list[str]:
+    poses = table("[poses]", PosesEntry, file='"poses.csv"', loads='"loads.csv"', axes=TO_FILL_IN)
+    return [poses, table("[gravity]", GravityEntry, **WEIGHT)]
+
+
+def _pushed(known: dict[str, dict[str, str]]) -> list[str]:
+    force = {"file": '"force.csv"', "acts_on": TO_FILL_IN, "rotation_deg": TO_FILL_IN} | known.get("force", {})
+    return [table("[force]", ForceEntry, **force), table("[push]", PushEntry, at_s=TO_FILL_IN)]
+
+
+WEIGHT = {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN}
+_SOURCES: dict[Kind, Callable[[dict[str, dict[str, str]]], list[str]]] = {
+    "video": _filmed,
+    "ros": _filmed,
+    "photos": _photographed,
+    "weights": _weighed,
+    "mocap": _tracked,
+}
+
+
+def tag(header: str, s: str) -> str:
+    """One tag to fill in; more of them are more such tables."""
+    return table(header, TagEntry, id=TO_FILL_IN, s=s)
+
+
+def table(header: str, record: type, **values: str) -> str:
+    """One table with every key it may have and what each says; those without a value here are commented out."""
+    lines = [header]
+    for entry, _ in keys_of(record).values():
+        value = values.get(entry.name)
+        if value is None:
+            assignment, says = f"# {entry.name} = {entry.example}", entry.says
+        else:
+            says = entry.says if value else f"{entry.says}; such as {entry.example}"
+            assignment = f"{entry.name} = {value}"
+        lines.append(f"{assignment:<40}  # {says}")
+    return "\n".join(lines) + "\n"
+
+
+def optional(why: str, lines: str) -> str:
+    """A whole table commented out."""
+    commented = [line if line.startswith("#") else f"# {line}" for line in lines.splitlines()]
+    return "\n".join([f"# {why}", *commented]) + "\n"

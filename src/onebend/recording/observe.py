@@ -9,18 +9,14 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from onebend.blas import one_blas_thread
 from onebend.errors import ObservationError, RecordingError
-from onebend.progress import Progress, Silent
-from onebend.recording.beam_frame import RestShape, rest_shape, to_beam_frame
-from onebend.recording.camera.projection import measure_markers
-from onebend.recording.camera.tag_turns import check_turns
-from onebend.recording.clock.offset import ClockFit, ClockSettings
+from onebend.progress import Progress, Silent, one_blas_thread
+from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
+from onebend.recording.camera import check_turns, measure_markers
+from onebend.recording.clock import ClockFit, ClockSettings
+from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.force.cleaning import ForceSettings
-from onebend.recording.force.contact import Contact, ContactSettings, find_contact
-from onebend.recording.gravity import BaseLog, gravity_in_frame, read_base_log
-from onebend.recording.kept_frames import KeptFrames, spacing_of
+from onebend.recording.force import Contact, ContactSettings, ForceSettings, find_contact
 from onebend.recording.pairing import (
     check_direction,
     check_place,
@@ -31,23 +27,22 @@ from onebend.recording.pairing import (
     usable,
     without_slow_sensor,
 )
-from onebend.recording.photos import photo_observations
+from onebend.recording.poses import photo_observations, pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import Recording, TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.tool.film import tool_checked, tool_in_film
-from onebend.recording.tracks.chords import with_angles
-from onebend.recording.tracks.marker_tracks import track_markers
-from onebend.recording.tracks.measured_frequencies import frequency_observations, with_frequencies
-from onebend.recording.tracks.pose_tables import pose_observations
-from onebend.recording.tracks.swing_signals import (
+from onebend.recording.tags import detect_tags
+from onebend.recording.tool import tool_checked, tool_in_film
+from onebend.recording.tracks import (
     SwingSignals,
+    frequency_observations,
     signals_of_markers,
     signals_of_table,
     signals_of_tracks,
+    track_markers,
+    with_angles,
+    with_frequencies,
 )
+from onebend.recording.video import KeptFrames, spacing_of
 from onebend.records import (
     Array,
     BoolArray,

@@ -14,18 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from onebend.errors import OnebendError, told
-from onebend.recording.camera.projection import measure_markers
-from onebend.recording.camera.tag_turns import check_turns
-from onebend.recording.tags.detection import refuse_doubles, refuse_unseen, unseen_remarks
-from onebend.recording.tags.finder import Finder, Sighting
-from onebend.recording.tags.tracking import sure_doubles
-from onebend.recording.toml.entries import Recording
-from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.tool.film import tool_in, tool_remarks
-from onebend.recording.tool.place import ToolPlace, not_seen
+from onebend.progress import available_cores
+from onebend.recording.camera import check_turns, measure_markers
+from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording.tag_finder import Finder, Sighting
+from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, unseen_remarks
+from onebend.recording.tool import ToolPlace, not_seen, tool_in, tool_remarks
 from onebend.recording.video import FilmFrame, picture_in, timed
 from onebend.records import Array, BoolArray, Detections, Markers, Remark
-from onebend.workers import available_cores
 
 LOOKS = 20  # frames that are searched for tags
 MOST_READ = 4000  # frames that are read at most, two minutes of a usual film

@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from onebend.errors import RecordingError
+from onebend.recording.entries import LONGEST, Recording
 from onebend.recording.tables import Columns, read_columns
-from onebend.recording.toml.beam_entry import LONGEST
-from onebend.recording.toml.entries import Recording
 from onebend.records import GRAVITY_SD, Array, MassLine, PointMass, SectionShapeName, Stated, StatedSection
 
 # recording.toml's width lies in the plane of bending

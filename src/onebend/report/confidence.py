@@ -8,21 +8,31 @@ from itertools import pairwise
 
 import numpy as np
 
-from onebend.beam.profiles.uncertain import IDENTIFIED_SD, UncertainStiffness, half_width
-from onebend.learning.criticism.criticism import ALARM_WRITTEN
-from onebend.learning.criticism_messages import supposed_words
-from onebend.learning.posterior import Nuisance, Posterior
-from onebend.learning.tradeoffs import Tradeoff, tradeoffs, with_level
-from onebend.learning.verdict import possible
+from onebend.beam.model import Beam
+from onebend.beam.section import ModulusBand, one_modulus
+from onebend.beam.stiffness import IDENTIFIED_SD, UncertainStiffness, half_width, half_width_words
+from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
+from onebend.learning.criticism import ALARM_WRITTEN
+from onebend.learning.outcome import modulus_along, modulus_unit, shown_places, size_words, stated_section
+from onebend.learning.posterior import Nuisance, Posterior, Tradeoff, tradeoffs, with_level
+from onebend.learning.verdict import possible, supposed_words
 from onebend.recording.signals import runs
-from onebend.records import Observations
-from onebend.report.findings import Findings
-from onebend.report.kinds import is_forced, only_frequencies, only_static
-from onebend.report.wording import change_words, millimetres, significant
+from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection
+from onebend.report.wording import (
+    ANOTHER,
+    Findings,
+    change_words,
+    is_forced,
+    millimetres,
+    only_frequencies,
+    only_static,
+    significant,
+    span,
+)
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
-_PLACES = 401
+_BAND_PLACES = 401
 NARROW = 0.03  # of the beam: a gap between identified stretches that is as wide as the edge of a tag's patch
 _SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
 _SHOWN = {
@@ -51,7 +61,7 @@ class NuisanceRow:
 
 def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
     """First and last s of every stretch where k(s) is identified, to 1/400."""
-    s = np.linspace(0.0, 1.0, _PLACES)
+    s = np.linspace(0.0, 1.0, _BAND_PLACES)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
 
@@ -271,3 +281,165 @@ def _odds(log10_p: float) -> str:
     count = 10.0 ** min(-log10_p, 9.0)
     whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
     return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")
+
+
+# What the allowances do to k(s), in words: each with its share, and what would narrow the band.
+
+_MOST_TOLD = 2
+_MOST_HIDING = 3
+
+
+def share_words(share: Attribution) -> str:
+    """`relaxation (left out, k(s) would be 9.8 % off)`: what the data show of it, else what it costs."""
+    does = []
+    if share.sure and share.shift > SHIFTS:
+        change = change_words(share.shift)
+        does.append(f"left out, {change} k(s)" if change == ANOTHER else f"left out, k(s) would be {change} off")
+    if share.widening > WIDENS:
+        does.append(f"band {share.widening:.2f} times as wide")
+    if not does:
+        does.append(f"left out, k(s) might be {change_words(share.size)} off")
+    return f"{share.name} ({', '.join(does)})"
+
+
+def narrower_words(posterior: Posterior) -> str:
+    """What would narrow the band, at most two things, and by how many times at most; empty where nothing that a person
+    can do would by much."""
+    shares = sorted((one for one in posterior.attributions if one.matters), key=lambda one: -one.widening)
+    seen = [recording.observations for recording in posterior.recordings]
+    every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
+    told = [f"{what} (up to {widening:.2f} times)" for widening, what in every if what]
+    return ", ".join(told[:_MOST_TOLD])
+
+
+def why_words(posterior: Posterior) -> str:
+    """Why k(s) is identified nowhere: what hides it, or that the tags would not tell it were all else known."""
+    s, count = np.linspace(0.0, 1.0, 101), sum(len(one.force) for one in posterior.recordings)
+    alone, with_one = hidden_by(posterior.problem, posterior.optimum, posterior.gain_sd, s)
+    static = all(one.observations.static for one in posterior.recordings)
+    told = "one pose does" if static and count == 1 else "the poses do" if static else "the push does"
+    if np.min(alone) >= IDENTIFIED_SD:
+        more = "bend the beam further, and read the points more exactly" if static else "push further"
+        return f"{told} not tell it even were all else known: {more}"
+    best = int(np.argmin(alone))
+    enough = {name: float(np.min(sd)) for name, sd in with_one.items() if np.min(sd) >= IDENTIFIED_SD}
+    each = enough or {name: float(sd[best]) for name, sd in with_one.items() if sd[best] > WIDENS * alone[best]}
+    names = sorted(each, key=lambda name: -each[name])[:_MOST_HIDING]
+    one = "" if len(names) == 1 else ", each enough to hide it" if enough else ", which hide it together"
+    mends = "state more of that, or add poses under other loads" if static else "state more of that"
+    return (
+        f"{told} not tell it from {', '.join(names)}{one}. Were all else known, k would be known to "
+        f"{half_width_words(float(half_width(alone[best])))} at s = {s[best]:.2g}: {mends}"
+    )
+
+
+def mounting_words(posterior: Posterior) -> str:
+    """What differs between recordings, and whether the band holds it."""
+    if len(posterior.recordings) == 1:
+        return "What would differ were the beam mounted anew is not in the band: one recording cannot show it."
+    likely, low, high = posterior.mountings
+    if np.isnan(likely):
+        return ""
+    some = f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)" if high > low else ""
+    return (
+        f"Between the recordings k(s) differs by about {100.0 * likely:.2g} %{some}, one sd: the band is that of the "
+        "beam's own k(s), around which each recording has its own."
+    )
+
+
+def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
+    """To know more about it; empty where nothing can be done, or where it is stated already."""
+    stated = [one.stated for one in recordings]
+    by_hand = any(one.place_sd >= PLACE_SD for one in stated)
+    uncalibrated = any(one.gain_sd >= GAIN_SD for one in stated)
+    ways = {
+        "place of the push": ("measure where the push acts: `at_sd_m`", by_hand),
+        "stretch and shear": ("measure the thickness: `width_m`", any(np.isnan(one.thickness) for one in stated)),
+        "stiff tags": ("thinner tags", True),
+        FORCE_SCALE: ("calibrate the sensor with a weight: `gain_sd`", uncalibrated),
+        "rest shape": ("measure the beam at rest: `rest_curvature_sd_deg`", True),
+    }
+    way, is_open = ways.get(name, ("", False))
+    return way if is_open else ""
+
+
+# Young's modulus as people read it, where the beam's section was measured.
+
+_MODULUS_PLACES = 201
+
+
+@dataclass(frozen=True)
+class ModulusRows:
+    """E and its band at some places in one unit, as shown; `low` and `high` are empty where k(s) has no band."""
+
+    unit: str
+    values: tuple[str, ...]
+    low: tuple[str, ...]
+    high: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MeasuredBeam:
+    """A learned beam, k(s) with its band where it has one, and its section where that is known."""
+
+    beam: Beam
+    uncertain: UncertainStiffness | None
+    section: StatedSection | None
+
+    def band(self, s: Array) -> ModulusBand | None:
+        """E at places `s` (S,); None where the section is not known."""
+        return modulus_along(self.beam, self.uncertain, self.section, s)
+
+
+def measured_beam(findings: Findings) -> MeasuredBeam:
+    """The beam of the findings, with the section that its recordings state."""
+    uncertain = None if findings.posterior is None else findings.posterior.stiffness
+    return MeasuredBeam(findings.beam, uncertain, stated_section(findings.recordings))
+
+
+def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
+    """E at places `s` (S,); None where the section is not known."""
+    band = measured.band(s)
+    if band is None:
+        return None
+    factor, unit = modulus_unit(band.modulus[shown_places(band)])
+    columns = [
+        tuple(significant(float(value)) for value in edge / factor) for edge in (band.modulus, band.low, band.high)
+    ]
+    return ModulusRows(unit, *(columns if measured.uncertain is not None else (columns[0], (), ())))
+
+
+def one_modulus_words(measured: MeasuredBeam) -> str:
+    """E as one number with its band: "50.5 GPa (49.8 to 51.2)"; empty where k(s) was not learned as the section's shape
+    times a modulus."""
+    found = one_modulus(measured.uncertain or measured.beam.stiffness, measured.beam.length, measured.section)
+    if found is None:
+        return ""
+    factor, unit = modulus_unit(np.array(found[:1]))
+    middle, low, high = (significant(value / factor) for value in found)
+    return f"{middle}\u00a0{unit} ({low} to {high})"
+
+
+def modulus_range(measured: MeasuredBeam) -> str:
+    """Smallest and largest E where k(s) is identified, of all that is known where it is nowhere: "0.68 … 0.73 MPa";
+    empty where the section is not known, or at no place."""
+    band = measured.band(np.linspace(0.0, 1.0, _MODULUS_PLACES))
+    if band is None or not np.any(shown := shown_places(band)):
+        return ""
+    found = band.modulus[shown]
+    factor, unit = modulus_unit(found)
+    return f"{span(float(found.min()) / factor, float(found.max()) / factor, ' … ')}\u00a0{unit}"
+
+
+def modulus_words(measured: MeasuredBeam) -> list[str]:
+    """E in a sentence, with the sizes that it rests on; empty where the section is not known."""
+    section = measured.section
+    if section is None:
+        return []
+    known = f"known to {significant(1e3 * section.sd, 2)} mm (sd)" if section.sd > 0.0 else "taken as exact"
+    if section.moment_sd > 0.0:
+        known = f"known to {significant(100.0 * section.moment_sd, 2)} % (sd)"
+    found = modulus_range(measured) or "not known at any place"
+    one = one_modulus_words(measured)
+    found = f"{one}, 95 %, mean along the beam; {found} at its places" if one else found
+    return [f"Young's modulus E = k L / I: {found}, by {', '.join(size_words(section))}, {known}"]

@@ -11,25 +11,21 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from onebend.errors import ObservationError, OnebendError, told
-from onebend.learning.modulus import size_words
-from onebend.recording.bags.recorded_topics import bag_span
-from onebend.recording.beam_frame import rest_shape
-from onebend.recording.clock.offset import ClockSettings
-from onebend.recording.clock.offset_prior import reach_of
+from onebend.learning.outcome import size_words
+from onebend.recording.bag_topics import bag_span
+from onebend.recording.beam_frame import read_base_log, rest_shape
+from onebend.recording.clock import ClockSettings, reach_of
+from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.force.cleaning import to_beam
-from onebend.recording.force.implausible_force import refuse_other_unit, size_remarks
-from onebend.recording.gravity import read_base_log
+from onebend.recording.force import to_beam
+from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.observe import FEWEST_FRAMES, observe
 from onebend.recording.pairing import check_direction, check_pace, read_log
+from onebend.recording.poses import read_loads, read_points
 from onebend.recording.preview import Preview, bent, displacement, look_at
 from onebend.recording.signals import outliers, step
 from onebend.recording.stated import stated_in
-from onebend.recording.toml.entries import Recording
-from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.tracks.marker_tracks import read_tracks
-from onebend.recording.tracks.pose_loads import read_loads
-from onebend.recording.tracks.pose_tables import read_points
+from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
 from onebend.records import Array, ForceLog, Markers, Observations, Remark
 from onebend.report.wording import significant

@@ -12,21 +12,35 @@ from typing import Any, Literal
 
 import numpy as np
 
-from onebend.beam.profiles.uncertain import half_width_words
+from onebend.beam.stiffness import half_width_words
 from onebend.errors import section
-from onebend.learning.criticism.alternatives import Suspect
-from onebend.learning.criticism_messages import cause_words
-from onebend.learning.frequencies.compared import compared_frequencies, worst_off
+from onebend.learning.criticism import Suspect
+from onebend.learning.frequencies import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison
 from onebend.learning.posterior import Grade, Posterior
-from onebend.learning.verdict import fitted_rms, possible
+from onebend.learning.verdict import cause_words, fitted_rms, possible
 from onebend.records import Array, Observations
-from onebend.report.allowance_words import narrower_words, share_words, why_words
-from onebend.report.confidence import identified_ranges, identified_words, stiffness_range, typical_half_width
-from onebend.report.findings import Findings, another_beam, poor_fit
-from onebend.report.kinds import only_frequencies
-from onebend.report.modulus import measured_beam, one_modulus_words
-from onebend.report.wording import millimetres, significant, span, tag_words
+from onebend.report.confidence import (
+    identified_ranges,
+    identified_words,
+    measured_beam,
+    narrower_words,
+    one_modulus_words,
+    share_words,
+    stiffness_range,
+    typical_half_width,
+    why_words,
+)
+from onebend.report.wording import (
+    Findings,
+    another_beam,
+    millimetres,
+    only_frequencies,
+    poor_fit,
+    significant,
+    span,
+    tag_words,
+)
 
 AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
 _MOST_NAMED = 4  # allowances, tests

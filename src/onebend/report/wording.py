@@ -3,15 +3,216 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning.attribution import GROUPS
-from onebend.learning.outcome import Comparison
-from onebend.records import CleanForce, ClockOffset, Observations
-from onebend.report.findings import Findings
-from onebend.report.kinds import is_forced, kind_of, only_frequencies, words_of
+from onebend.learning.outcome import Comparison, Learned
+from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark
+
+if TYPE_CHECKING:
+    from onebend.learning.posterior import Posterior
+
+
+# What a report is written from: a run of the pipeline, or anything with the same fields.
+
+
+class Findings(Protocol):
+    """A beam, what it was learned from and how, and the recordings it was validated on."""
+
+    @property
+    def beam(self) -> Beam: ...
+
+    @property
+    def learned(self) -> Learned | None: ...
+
+    @property
+    def posterior(self) -> Posterior | None: ...
+
+    @property
+    def recordings(self) -> tuple[Observations, ...]: ...
+
+    @property
+    def trainings(self) -> tuple[Comparison, ...]: ...
+
+    @property
+    def validations(self) -> tuple[Comparison, ...]: ...
+
+    @property
+    def validation_observations(self) -> tuple[Observations, ...]: ...
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]: ...
+
+    @property
+    def stage_seconds(self) -> Mapping[str, float]: ...
+
+    @property
+    def video_seconds(self) -> float: ...
+
+
+def name_of(findings: Findings) -> str:
+    """The recordings that were learned from, in one line."""
+    return " + ".join(recording.source.name for recording in findings.recordings)
+
+
+POOR = 0.15  # of a marker's own motion: an RMS beyond is said to be poor
+LIKELY = 3.0  # times what the band of k(s) and the tolerances of the push let expect: an error up to that is no news
+MANY, SLIGHT = 5.0, 0.03  # times what the force's noise explains, of a marker's own motion: a validation has failed
+
+
+def poor_fit(comparison: Comparison, *, other: bool = False) -> list[Remark]:
+    """A warning where the simulated beam misses a marker by a large part of what the marker moves; `other`: it was not
+    learned from."""
+    motion = _motion(comparison)
+    worst = int(
+        np.argmax(np.nan_to_num(np.divide(comparison.rms, motion, out=np.zeros_like(motion), where=motion > 0.0)))
+    )
+    if not comparison.rms[worst] > POOR * motion[worst]:
+        return []
+    check = "the force, its clock, the tags' size and places, and that the push was slow"
+    if comparison.static:
+        check = "the loads' and the points' units, the directions of axes and gravity, and the clamp's angle"
+    if other:
+        check = f"that this is the beam that was learned, {check}"
+    text = (
+        f"the simulated beam misses tag {comparison.tag_id[worst]} by {1000 * comparison.rms[worst]:.3g} mm RMS where "
+        "it moves by "
+        f"{1000 * motion[worst]:.3g} mm: this is no good fit. Check {check}"
+    )
+    return [Remark("warning", text, about="tag missed")]
+
+
+def another_beam(comparison: Comparison) -> list[Remark]:
+    """A warning where a recording that was not learned from is missed by far more than its force's noise explains."""
+    ratio = np.divide(
+        comparison.rms, comparison.sensor_rms, out=np.zeros_like(comparison.rms), where=comparison.sensor_rms > 0.0
+    )
+    odd = (comparison.rms > SLIGHT * _motion(comparison)) & ~(comparison.rms <= LIKELY * comparison.likely_rms)
+    ratio = np.where(odd, ratio, 0.0)
+    worst = int(np.argmax(ratio))
+    if not ratio[worst] > MANY:
+        return []
+    text = (
+        f"tag {comparison.tag_id[worst]} is missed by {ratio[worst]:.2g} times the force noise: is this another beam "
+        "than the learned one, or are the clock, the force or the place of the push wrong in one of the two recordings?"
+    )
+    return [Remark("warning", text, about="another beam")]
+
+
+def _motion(comparison: Comparison) -> Array:
+    """(m,) m, how far each marker moves."""
+    motion = np.linalg.norm(np.fmax.reduce(comparison.measured) - np.fmin.reduce(comparison.measured), axis=-1)
+    if comparison.static:  # poses may be few, or alike: counted from the straight beam
+        motion = np.maximum(motion, np.nanmax(np.abs(comparison.measured[..., 1])))
+    return np.asarray(motion)
+
+
+def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
+    """Every remark once, with the name of the recording it belongs to; warnings first."""
+    found: dict[tuple[str, str], tuple[str, Remark]] = {}
+    groups = [(name_of(findings), list(findings.remarks))]
+    for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
+        said = [*recording.source.remarks, *comparison.remarks]
+        if not (comparison.static and findings.posterior):  # how far the fit stays from static poses is its own remark
+            said += poor_fit(comparison)
+        groups.append((comparison.name, said))
+    for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
+        groups.append((comparison.name, pair_remarks(comparison, recording)))
+    for whose, remarks in groups:
+        for remark in remarks:
+            found.setdefault((whose, remark.text), (whose, remark))
+    return sorted(found.values(), key=lambda pair: pair[1].level != "warning")
+
+
+def pair_remarks(comparison: Comparison, observations: Observations) -> list[Remark]:
+    """What is to be known of one validation."""
+    return [
+        *observations.source.remarks,
+        *comparison.remarks,
+        *(poor_fit(comparison, other=True) or another_beam(comparison)),
+    ]
+
+
+# What kind a recording is, and the words that go with it: who hung weights does not read of a film or a force log.
+
+Kind = Literal["film", "tracks", "photos", "poses", "frequencies"]
+
+
+@dataclass(frozen=True)
+class KindWords:
+    """How one kind of recording is spoken of."""
+
+    kind: Kind
+    frames: str  # several instants of it
+    under: str  # what the beam is simulated under without a fit's corrections
+    inputs: str  # the heading over what was read
+    gone_by: str  # what an hour of work is compared with; empty where nothing passed
+
+
+WORDS: dict[Kind, KindWords] = {
+    "film": KindWords("film", "frames", "under the force as logged", "Force and clock", "video"),
+    "tracks": KindWords("tracks", "frames", "under the force as logged", "Force and clock", "recording"),
+    "photos": KindWords("photos", "photos", "under the loads as written", "Loads and photos", ""),
+    "poses": KindWords("poses", "poses", "under the loads as written", "Loads and points", ""),
+    "frequencies": KindWords("frequencies", "frequencies", "as it swings", "Frequencies", ""),
+}
+
+
+def kind_of(observations: Observations) -> Kind:
+    """Film, marker tracks, photos of the loaded beam, a table of static poses, or natural frequencies alone."""
+    if observations.frequencies and observations.static and not np.any(observations.marker_s):
+        return "frequencies"
+    if observations.static:
+        return "poses" if observations.source.view is None else "photos"
+    return "tracks" if observations.source.view is None else "film"
+
+
+def words_of(observations: Observations) -> KindWords:
+    """How this recording is spoken of."""
+    return WORDS[kind_of(observations)]
+
+
+def is_forced(observations: Observations) -> bool:
+    """Whether a known force bends it, and not its weight alone."""
+    if not observations.static:
+        return observations.source.clean_force is not None
+    return observations.known_loads is not None or bool(np.any(observations.force != 0.0))
+
+
+def only_static(recordings: Sequence[Observations]) -> bool:
+    """Whether all of them are static poses or photos: nothing was logged over time."""
+    return all(one.static for one in recordings)
+
+
+def learned_from(observations: Observations) -> str:
+    """What of it was used: "440 loaded frames of a film (600 in all)", "6 poses under known loads"."""
+    swings = f"{len(observations.frequencies)} natural frequencies"
+    if kind_of(observations) == "frequencies":
+        return swings
+    return _shown(observations) + (f", and {swings}" if observations.frequencies else "")
+
+
+def only_frequencies(recordings: Sequence[Observations]) -> bool:
+    """Whether nothing was seen of the beam but how fast it swings."""
+    return all(kind_of(one) == "frequencies" for one in recordings)
+
+
+def _shown(observations: Observations) -> str:
+    count, used, kind = len(observations.time), int(observations.loaded.sum()), kind_of(observations)
+    if observations.static:
+        of = "photos of the beam" if kind == "photos" else "static poses"
+        return f"{count} {of} under {'known loads' if is_forced(observations) else 'its own weight'}"
+    of = "a film" if kind == "film" else "marker tracks"
+    if not is_forced(observations):
+        return f"{count} frames of {of}, under its own weight"
+    return f"{used} loaded frames of {of} ({count} in all)"
+
 
 UNKNOWN = "–"
 NOT_WORTH_A_ROW = 0.005  # s
@@ -217,3 +418,16 @@ def files_described(findings: Findings) -> list[tuple[str, str]]:
 def change_words(shift: float) -> str:
     """Of k(s), where log k changes by `shift`: in percent, or another k(s) where first order tells no more."""
     return f"{100.0 * np.expm1(shift):.2g} %" if shift < _LINEAR else ANOTHER
+
+
+# What the bands of k(s) look like, in pictures and on the page alike; without Matplotlib.
+
+LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # of the bands, and how strongly each is drawn
+_S = np.linspace(0.0, 1.0, 401)
+
+
+def highest_shown(uncertain: UncertainStiffness) -> float:
+    """N m, the top of an axis of k(s): the known part sets it, and k where it is not known may add three tenths."""
+    band = uncertain.band(_S)
+    known = float(np.max(band.high[uncertain.best_known(_S)]))
+    return max(known, min(float(np.max(band.k)), 1.3 * known))

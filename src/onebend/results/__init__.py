@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 from onebend.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from onebend.results.model import load_modulus as load_modulus
-    from onebend.results.origin import Origin as Origin
+    from onebend.results.model import (
+        Origin as Origin,
+        load_instruments as load_instruments,
+        load_modulus as load_modulus,
+    )
 else:
     __getattr__, __dir__, __all__ = lazy_names(
         __name__,
         {
-            "onebend.results.model": "load_modulus",
-            "onebend.results.origin": "Origin",
+            "onebend.results.model": "Origin load_instruments load_modulus",
         },
     )

@@ -23,10 +23,9 @@ import numpy as np
 from onebend import recording
 from onebend.files.kept import KeptFolder, users_folder
 from onebend.progress import Progress, Silent
-from onebend.recording.bags.reader import files_of
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.entries import TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.bags import files_of
+from onebend.recording.entries import TagsEntry, VideoEntry
+from onebend.recording.tags import detect_tags
 from onebend.recording.video import Keep
 from onebend.records import Detections, Remark
 from onebend.results.provenance import checksum_of, inputs_of

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from onebend.files.manifest import write_summary
-from onebend.learning.design.instruments import instruments_if_pushed
-from onebend.learning.modulus import stated_section
-from onebend.learning.outcome import Comparison
-from onebend.records import Observations
-from onebend.report.figures.pictures import Pictures
-from onebend.report.findings import Findings
-from onebend.report.page.made_from import shown_made_from
-from onebend.report.page.page import page
-from onebend.results.model import FILE_NAME, StoredModel, model_text
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.beam.section import one_modulus, section_as_dict
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.files.publish import write_summary
+from onebend.learning.instruments import instruments_if_pushed
+from onebend.learning.outcome import Comparison, Learned, modulus_along, stated_section
+from onebend.learning.posterior import Posterior, tradeoffs, with_level
+from onebend.learning.swing import SwingFit
+from onebend.learning.swing_frequencies import FoundFrequencies
+from onebend.learning.verdict import fitted_rms, possible
+from onebend.records import Observations, StatedSection
+from onebend.report.confidence import identified_ranges
+from onebend.report.page import page, shown_made_from
+from onebend.report.pictures import Pictures
+from onebend.report.verdict import verdict_of
+from onebend.report.wording import Findings, all_remarks, pair_remarks
+from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of
 from onebend.results.observations_file import save_observations
-from onebend.results.origin import origin_of
-from onebend.results.tables import (
-    write_markers,
-    write_nuisances,
-    write_selection,
-    write_stiffness,
-    write_validation,
-)
+from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 
 Writer = Callable[[Path], None]  # fills a folder
 
@@ -114,3 +117,209 @@ def validation_writer(
 def _write_figures(folder: Path, pictures: Pictures) -> None:
     (folder / "figures").mkdir()
     pictures.write(folder / "figures")
+
+
+# `summary.json`: the numbers for scripts, in SI units; `null` where a number is unknown or not finite.
+
+LEARN_FORMAT = "onebend-learn-1"
+VALIDATE_FORMAT = "onebend-validate-1"
+PLAN_FORMAT = "onebend-plan-1"
+DAMP_FORMAT = "onebend-damp-1"
+FREQUENCIES_FORMAT = "onebend-frequencies-1"
+
+
+def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
+    """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
+    learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
+    uncertain = None if posterior is None else posterior.stiffness
+    return {
+        "format": LEARN_FORMAT,
+        "written_by": written_by,
+        "recordings": [recording.source.name for recording in findings.recordings],
+        "length_m": first.length,
+        "method": "fit" if posterior is not None or learned is None else learned.method,
+        "verdict": verdict_of(findings).as_dict(),
+        "stiffness": _stiffness(findings.beam, uncertain, stated_section(findings.recordings)),
+        "fit": None if posterior is None else _fit(posterior),
+        "regression": None if learned is None else _regression(learned),
+        "training": [comparison_summary(comparison) for comparison in findings.trainings],
+        "validation": [comparison_summary(comparison) for comparison in findings.validations],
+        "observed": [_observed(recording) for recording in findings.recordings],
+        "remarks": [{"recording": whose, **remark.as_dict()} for whose, remark in all_remarks(findings)],
+        "stage_seconds": dict(findings.stage_seconds),
+        "video_seconds": findings.video_seconds,
+    }
+
+
+def validation_summary(
+    model: str, pairs: Sequence[tuple[Comparison, Observations]], *, written_by: str
+) -> dict[str, Any]:
+    """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
+    rows = []
+    for comparison, recording in pairs:
+        remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
+        rows.append(comparison_summary(comparison) | {"remarks": remarks})
+    return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
+
+
+def model_summary(stored: StoredModel) -> dict[str, Any]:
+    """What `onebend show --json` prints."""
+    origin = None if stored.origin is None else asdict(stored.origin)
+    damping = None if stored.damping is None else stored.damping.as_dict()
+    stiffness = _stiffness(stored.beam, stored.uncertain, stored.section)
+    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": stiffness, "damping": damping}
+
+
+def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any]:
+    """What `onebend damp --json` prints."""
+    return {
+        "format": DAMP_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "damping": fit.damping.as_dict(),
+        "k_over_mass": {"factor": fit.factor, "sd": fit.factor_sd, "model_sd": fit.model_sd}
+        if fit.mass_known
+        else None,
+        "mass_kg": fit.mass,
+        "mass_sd_kg": fit.mass_sd,
+        "from_s": fit.swing.begin,
+        "to_s": fit.swing.begin + float(fit.swing.time[-1]),
+        "frames": len(fit.swing.time),
+        "s": fit.swing.s,
+        "rms_m": fit.rms,
+        "remarks": [remark.as_dict() for remark in fit.remarks],
+    }
+
+
+def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str) -> dict[str, Any]:
+    """What `onebend frequencies --json` prints."""
+    names = {"frequency": "hz", "sd": "sd_hz", "multiple_of": "multiple_of_hz"}
+    return {
+        "format": FREQUENCIES_FORMAT,
+        "written_by": written_by,
+        "source": source,
+        "modes": [{names.get(name, name): value for name, value in asdict(one).items()} for one in found.modes],
+        "from_s": found.begin,
+        "to_s": found.end,
+        "samples": found.samples,
+        "samples_per_s": found.rate,
+        "left": found.left,
+        "remarks": [remark.as_dict() for remark in found.remarks],
+    }
+
+
+def comparison_summary(comparison: Comparison) -> dict[str, Any]:
+    """One recording's row of Tables IV to VI."""
+    return {
+        "recording": comparison.name,
+        "frames": len(comparison.frame),
+        "tag": comparison.tag_id,
+        "s": comparison.marker_s,
+        "rms_m": comparison.rms,
+        "sensor_rms_m": comparison.sensor_rms,
+        "likely_rms_m": comparison.likely_rms,
+        "all_stable": bool(np.all(comparison.stable)),
+        "remarks": [remark.as_dict() for remark in comparison.remarks],
+    }
+
+
+def _fit(posterior: Posterior) -> dict[str, Any]:
+    """The marker-space fit: nuisances, what trades off, scales, why it stopped."""
+    optimum, uncertain = posterior.optimum, posterior.stiffness
+    return {
+        "trusted": not uncertain.doubts,
+        "grade": posterior.grade,
+        "secant_shares": posterior.secant_shares,
+        "between_recordings": dict(zip(("sd", "low", "high"), posterior.mountings, strict=True)),
+        "allowances": [asdict(share) | {"matters": share.matters} for share in posterior.attributions],
+        "doubts": uncertain.doubts,
+        "identified": identified_ranges(uncertain),
+        "gain_sd": uncertain.gain_sd,
+        "nuisances": [asdict(nuisance) for nuisance in posterior.nuisances()],
+        "tradeoffs": [asdict(pair) for pair in tradeoffs(posterior)],
+        "tradeoffs_with_level": [asdict(pair) for pair in with_level(posterior)],
+        "hyperparameters": asdict(optimum.hyperparameters),
+        "fitted_rms_m": list(fitted_rms(posterior)),
+        "criticism": possible(posterior).criticism.as_dict() | {"trusted": posterior.criticism.trusted},
+        "log_evidence": optimum.log_evidence,
+        "steps": optimum.steps,
+        "converged": optimum.converged,
+        "stopped": optimum.stopped,
+    }
+
+
+def _regression(learned: Learned) -> dict[str, Any]:
+    """The paper's result on the first recording."""
+    return {
+        "method": learned.method,
+        "family": learned.family,
+        "chosen": _trial(learned, learned.chosen),
+        "trials": len(learned.trials),
+        "stiffness": _stiffness(learned.beam, None),
+        "training": comparison_summary(learned.training),
+    }
+
+
+def _observed(observations: Observations) -> dict[str, Any]:
+    """What one recording said."""
+    return {
+        "recording": observations.source.name,
+        "frames": {"all": len(observations.time), "loaded": int(observations.loaded.sum())},
+        "force": _force(observations),
+        "clock": _clock(observations),
+    }
+
+
+def _trial(learned: Learned, index: int) -> dict[str, Any]:
+    trial = learned.trials[index]
+    return {
+        "n": trial.n,
+        "m": trial.m,
+        "coefficients_N_m": trial.coefficients,
+        "rms_m": trial.rms,
+        "bic": trial.bic,
+        "lowest_k_N_m": trial.lowest_k,
+        "condition": trial.condition,
+        "why_out": trial.why_out,
+    }
+
+
+def _stiffness(
+    beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
+) -> dict[str, Any]:
+    """k at eleven places; with its 95 % band where one was learned, and Young's modulus where the section is known."""
+    s = np.linspace(0.0, 1.0, 11)
+    found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
+    if uncertain is not None:
+        band = uncertain.band(s)
+        found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
+        found |= {"doubts": uncertain.doubts}
+    modulus = modulus_along(beam, uncertain, section, s)
+    if modulus is not None and section is not None:
+        edges = {} if uncertain is None else {"E_lo_Pa": modulus.low, "E_hi_Pa": modulus.high}
+        found |= {"E_Pa": modulus.modulus, **edges, "section": section_as_dict(section)}
+    one = one_modulus(uncertain or beam.stiffness, beam.length, section)
+    if one is not None:
+        found |= dict(zip(("E_mean_Pa", "E_mean_lo_Pa", "E_mean_hi_Pa"), one, strict=True))
+    return found
+
+
+def _force(observed: Observations) -> dict[str, Any] | None:
+    clean = observed.source.clean_force
+    if clean is None:
+        return None
+    return {
+        "largest_N": float(np.max(np.linalg.norm(observed.force[observed.loaded], axis=1), initial=0.0)),
+        "noise_sd_N": clean.noise_sd,
+        "tare_N": clean.tare,
+        "drift_N_s": clean.drift,
+        "cutoff_Hz": clean.cutoff,
+        "outliers": clean.outliers,
+    }
+
+
+def _clock(observed: Observations) -> dict[str, Any] | None:
+    clock = observed.source.clock
+    if clock is None:
+        return None
+    return {"offset_s": clock.offset, "sd_s": clock.sd, "stated_s": clock.stated, "found": clock.found}

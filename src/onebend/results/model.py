@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,19 +12,57 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.measured_section import section_as_dict, section_from_dict
-from onebend.beam.profiles.modulus import ModulusBand, modulus_band
-from onebend.beam.profiles.stiffness import Profile
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.section import ModulusBand, modulus_band, section_as_dict, section_from_dict
+from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
-from onebend.files.manifest import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
+from onebend.files.publish import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
+from onebend.learning.outcome import Comparison, Learned
 from onebend.records import Array, StatedSection
-from onebend.results.origin import Origin
 from onebend.text_files import quoted, read_json
 
-if TYPE_CHECKING:  # for the types alone: the fit takes a quarter of a second to load
-    from onebend.learning.design.instruments import Instruments
-    from onebend.learning.swing.damping import Damping
+if TYPE_CHECKING:
+    from onebend.learning.instruments import Instruments
+    from onebend.learning.posterior import Posterior
+    from onebend.learning.swing import Damping
+
+
+# Where a learned beam comes from, as `model.json` says it.
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a model comes from. For people: nothing is computed from it."""
+
+    recording: str  # several: with " + " between them
+    method: str
+    family: str
+    n: int | None  # curvature modes; None where none were used
+    m: int  # stiffness functions
+    marker_s: tuple[float, ...]  # places of the tags
+    push_s: float | None  # furthest place pushed; what lies beyond was not loaded
+    training_rms_m: tuple[float | None, ...]  # per tag
+
+
+def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
+    """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
+    from onebend.learning.frames import marker_rms  # here: who reads a model loads no fit
+
+    pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in trainings])
+    rms = marker_rms(np.concatenate([comparison.measured - comparison.predicted for comparison in trainings]))
+    if posterior is not None:
+        made: tuple[str, str, int | None, int] = ("fit", "log-spline", None, posterior.layout.spline.count)
+    else:
+        assert learned is not None
+        trial = learned.trials[learned.chosen]
+        made = (learned.method, learned.family, trial.n, trial.m)
+    return Origin(
+        " + ".join(comparison.name for comparison in trainings),
+        *made,
+        marker_s=tuple(float(s) for s in trainings[0].marker_s),
+        push_s=float(pushed.max()) if pushed.size else None,
+        training_rms_m=tuple(float(r) if np.isfinite(r) else None for r in rms),
+    )
+
 
 FORMAT = "onebend-model"
 VERSION = 7
@@ -223,7 +262,7 @@ def _origin(file: Path, data: Any) -> Origin | None:
 def _bench(file: Path, data: Any) -> Instruments | None:
     if data is None:
         return None
-    from onebend.learning.design.instruments import Instruments  # here, and below: who reads a model loads no fit
+    from onebend.learning.instruments import Instruments  # here, and below: who reads a model loads no fit
 
     try:
         return Instruments.from_dict(data)
@@ -234,7 +273,7 @@ def _bench(file: Path, data: Any) -> Instruments | None:
 def _damping(file: Path, data: Any) -> Damping | None:
     if data is None:
         return None
-    from onebend.learning.swing.damping import Damping
+    from onebend.learning.swing import Damping
 
     try:
         return Damping.from_dict(data)

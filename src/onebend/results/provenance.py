@@ -12,7 +12,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from onebend.files.manifest import sha256_of
+from onebend.errors import OnebendError
+from onebend.files.publish import sha256_of
+from onebend.recording.entries import Recording
+from onebend.recording.folder import FILE_NAME, read_recording
 
 LIBRARIES = ("onebend", "numpy", "scipy", "av", "pyapriltags", "pyarrow", "rosbags", "matplotlib")
 
@@ -96,3 +99,35 @@ def _version(name: str) -> str | None:
         return version(name)
     except PackageNotFoundError:
         return None
+
+
+# Every file that a recording is read from.
+
+
+def recording_files(folders: Iterable[Path]) -> list[Path]:
+    """Every file of the recordings. One that cannot be read has none: to say why is its reader's part."""
+    found: list[Path] = []
+    for folder in folders:
+        try:
+            recording = read_recording(folder)
+        except (OnebendError, OSError):
+            continue
+        found += files_of(recording)
+    return found
+
+
+def files_of(recording: Recording) -> list[Path]:
+    """Every file of a recording that was read: its `recording.toml`, and those that it names."""
+    return [recording.folder / FILE_NAME, *_named(recording)]
+
+
+def _named(record: Any) -> list[Path]:
+    """Every path in a record of a recording, but for its folder."""
+    if isinstance(record, Path):
+        return [record]
+    if isinstance(record, tuple):
+        return [path for item in record for path in _named(item)]
+    if not is_dataclass(record):
+        return []
+    names = [item.name for item in fields(record) if not (isinstance(record, Recording) and item.name == "folder")]
+    return [path for name in names for path in _named(getattr(record, name))]

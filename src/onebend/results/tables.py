@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.modulus import modulus_band
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.escaping import csv_cell
+from onebend.beam.section import modulus_band
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning.outcome import Comparison, Learned
 from onebend.records import StatedSection
+from onebend.text_files import csv_cell
 
 if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to load
     from onebend.learning.posterior import Nuisance

@@ -1,1 +1,14 @@
 """A local page for one person: recordings, learning, and the learned beam to bend."""
+
+from __future__ import annotations
+
+from onebend.lazy import Place
+
+COMMANDS = {
+    "studio": Place(
+        "onebend.studio.commands",
+        "studio",
+        "Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.",
+        "out",
+    ),
+}

@@ -1,80 +1,43 @@
-"""The command lines that would do what the page does."""
+"""The command that opens the studio."""
 
 from __future__ import annotations
 
-import math
-import shlex
-from collections.abc import Mapping, Sequence
-from typing import Any
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+from threading import Thread
+from typing import Annotated
 
-MOST_DIGITS = 12  # behind the point, of a goal in metres
+import typer
 
+from onebend.cli.common import clean_errors, say
+from onebend.extras import require
 
-def line(*words: str) -> str:
-    """`onebend ...`, for a shell."""
-    return shlex.join(["onebend", *words])
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder with your recordings and results.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, metavar="N", help="Of 127.0.0.1; default: a free one.")]
+NoOpen = Annotated[bool, typer.Option("--no-open", help="Show the address, and open no browser.")]
 
-
-def number(value: float) -> str:
-    """Short, and exact to a micrometre or a millionth of the unit."""
-    return (f"{value:.6f}".rstrip("0").rstrip(".") or "0") if math.isfinite(value) else "inf"
-
-
-def rounded(value: float, digits: int) -> str:
-    """With so many digits behind the point, less the zeros at the end."""
-    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+NEEDED = ("starlette", "uvicorn", "websockets")
 
 
-def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
-    """What gives the force of a dragged point; `digits` of the goal in metres."""
-    places = [] if push_s == 1.0 else ["--push-at", number(push_s)]
-    places += [] if point_s == 1.0 else ["--point", number(point_s)]
-    goals = [rounded(one, digits) for one in goal[:2]]
-    return line("reach", model, "--goal", *goals, *places, "--max-force-N", number(max_force))
+def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) -> None:
+    """Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.
+
+    It is served on this computer alone, to whoever has the address with its token. Ctrl-C ends it; a film that is being
+    recorded then ends and is kept, and a recording that is being learned is stopped, and what was found of it is kept.
+    """
+    with clean_errors():
+        require(NEEDED, "studio")
+        from onebend.studio.server import serve  # here: it is an optional part
+
+        def ready(address: str) -> None:
+            say(f"The studio of {folder.resolve()} is at\n\n  {address}\n\nCtrl-C ends it.")
+            if not no_open:
+                Thread(target=_shown, args=(address,), daemon=True).start()  # some browsers hold on to who calls them
+
+        serve(folder, port=port, ready=ready)
 
 
-def hand_line(model: str, goal: Sequence[float]) -> str:
-    """What gives the wrench of a hand at the beam's end."""
-    angle = rounded(math.degrees(goal[2]), MOST_DIGITS - 2)
-    goals = [rounded(one, MOST_DIGITS) for one in goal[:2]]
-    return line("reach", model, "--goal", *goals, "--goal-angle-deg", angle, "--moment")
-
-
-def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, replace: bool) -> str:
-    """What learns the same."""
-    checks = [word for one in validate for word in ("--validate", one)]
-    return line("learn", *recordings, "--output", out, *checks, *(["--force"] if replace else []))
-
-
-def check_line(name: str) -> str:
-    """What checks the same."""
-    return line("check", plain_word(name), "--output", f"{plain_word(name)}/check.png")
-
-
-def loop_line(wanted: Mapping[str, Any]) -> str:
-    """What rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
-    places = [] if wanted["push_s"] == 1.0 else ["--push-at", number(wanted["push_s"])]
-    places += [] if wanted["point_s"] == 1.0 else ["--point", number(wanted["point_s"])]
-    beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
-    bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]
-    timing = ["--delay-ms", number(wanted["delay_ms"]), "--fps", number(wanted["fps"])]
-    timing += ["--noise-mm", number(wanted["noise_mm"]), "--duration-s", number(wanted["duration_s"])]
-    goal = [number(one) for one in wanted["goal_m"]]
-    return line("loop", plain_word(wanted["model"]), "--goal", *goal, *places, *beams, *timing, *bound)
-
-
-def plain_word(name: str) -> str:
-    """A name that no command takes for an option."""
-    return f"./{name}" if name.startswith("-") else name
-
-
-def record_line(wanted: Mapping[str, Any]) -> str:
-    """What records the same; `wanted` as from `filming.wanted_recording`."""
-    given = [(f"--{key}", wanted[key]) for key in ("camera", "force", "like") if wanted[key]]
-    if wanted["until_percent"] is not None:
-        given.append(("--until", f"{number(wanted['until_percent'])}%"))
-    given += [] if wanted["longest_s"] == 600.0 else [("--longest-s", number(wanted["longest_s"]))]
-    given += [] if wanted["crf"] == 18 else [("--crf", str(wanted["crf"]))]
-    flags = [f"--{key.replace('_', '-')}" for key in ("now", "no_learning", "fast", "overwrite") if wanted[key]]
-    return line("record", wanted["out"], *(word for pair in given for word in pair), *flags)
+def _shown(address: str) -> None:
+    with suppress(webbrowser.Error):  # the address stands in the terminal
+        webbrowser.open(address)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
+import json
 import multiprocessing
 import sys
 from collections.abc import Callable
@@ -20,14 +22,51 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from onebend.crash import words
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.clients import Client
+from onebend.progress import end_with_parent
 from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
-from onebend.workers import end_with_parent
+from onebend.text_files import plain
 
-if TYPE_CHECKING:  # and in `_load`: the page is there before the mechanics are loaded
+if TYPE_CHECKING:
     from onebend.studio.bending import Bending
+
+
+# The tabs that look on, and what is sent to each.
+
+_MOST_WAITING = 64
+_ENOUGH = 3  # messages that wait for a slow tab: it does without the next one that passes
+
+
+class Client:
+    """One tab."""
+
+    count = itertools.count(1)
+
+    def __init__(self, socket: WebSocket) -> None:
+        self.socket, self.number = socket, next(self.count)
+        self.waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+
+    def put(self, message: dict[str, Any], *, passing: bool = False) -> None:
+        """Send, soon; a tab that takes nothing any more misses it, and asks again when it is back. `passing`: a newer
+        one will take its place."""
+        size = self.waiting.qsize()
+        if size < _MOST_WAITING and not (passing and size > _ENOUGH):
+            self.waiting.put_nowait(message)
+
+    async def write(self) -> None:
+        while True:
+            message = await self.waiting.get()
+            await self.socket.send_text(text_of(message))
+
+
+def text_of(message: dict[str, Any]) -> str:
+    """JSON; a number that is not finite as null."""
+    try:
+        return json.dumps(message, allow_nan=False)
+    except ValueError:
+        return json.dumps(plain(message), allow_nan=False)
+
 
 _MOST_BEAMS = 8
 _TURN = 5e-4  # s that a thread keeps the interpreter while the mechanics are loaded
@@ -196,12 +235,12 @@ class Desk:
 
     async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
         """The outline of what forces up to `most` N can hold, of a beam as JSON."""
-        from onebend.studio import bending, mapping  # here and below: loaded beside the page's first picture
+        from onebend.studio import bending, bending as mapping  # here and below: loaded beside the page's first picture
 
         return bending.outline_of(await self._aside(mapping.make_map, beam, push_s, point_s, most))
 
     async def _map(self, model: str) -> None:
-        from onebend.studio import mapping
+        from onebend.studio import bending as mapping
 
         bending, version = self.beams[model], self.beams[model].version
         work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)
@@ -224,7 +263,7 @@ class Desk:
 
     async def _edge(self, model: str) -> None:
         """The hand's edge, again and again until the hand rests."""
-        from onebend.studio import mapping
+        from onebend.studio import bending as mapping
 
         if model in self._busy:
             return
@@ -248,7 +287,7 @@ class Desk:
         bending = self.beams.get(model)
         if bending is None or bending.stored.uncertain is None or self._moves.get(model) != moves:
             return
-        from onebend.studio import mapping
+        from onebend.studio import bending as mapping
 
         known, state = bending.stored.uncertain.as_dict(), bending.state
         work = (mapping.full_ellipse, bending.beam, known, bending.push_s, bending.point_s, state.q, state.load)

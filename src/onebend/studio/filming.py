@@ -13,9 +13,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.commands import plain_word, record_line
 from onebend.studio.jobs import asked_number, begun
-from onebend.studio.places import RECORDING, StudioFolder, is_file
+from onebend.studio.places import RECORDING, StudioFolder, is_file, plain_word, record_line
 
 _PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
 _KEPT = 8  # pictures
@@ -220,7 +219,7 @@ def check_source(places: StudioFolder, spec: str) -> None:
 
 def sources_data(places: StudioFolder) -> dict[str, Any]:
     """Kinds of cameras and force sensors, those that are plugged in, and the recordings that can be played."""
-    from onebend.capture.specs import CAMERAS, FORCES
+    from onebend.live.specs import CAMERAS, FORCES
     from onebend.recording.folder import read_recording
 
     films, logs, begun = [], [], []

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from onebend.errors import OnebendError, StudioError
-from onebend.strict_json import to_json
+from onebend.text_files import to_json
 
 _PATIENCE = 8.0  # s that a process has to end after an interrupt
 _LONGEST_LINE = 2**22  # bytes

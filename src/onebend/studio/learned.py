@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import StudioError
-from onebend.files.manifest import LARGEST, SUMMARY
+from onebend.files.publish import LARGEST, SUMMARY
 from onebend.results.model import StoredModel, read_model
 
 REPORT = "report.html"

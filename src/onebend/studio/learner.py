@@ -14,16 +14,14 @@ from typing import Any
 
 import onebend
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.paper.selection import RegressionSettings
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.paper import RegressionSettings
 from onebend.pipeline import Run, learn
 from onebend.recording.observe import ObserveSettings
-from onebend.report.figures.pictures import Pictures
+from onebend.report.pictures import Pictures
 from onebend.results.detection_cache import detection_cache
-from onebend.results.learned_files import learned_writer
-from onebend.results.provenance import inputs_of, provenance
-from onebend.results.recording_files import recording_files
-from onebend.results.summary import LEARN_FORMAT, summary_of
+from onebend.results.learned_files import LEARN_FORMAT, learned_writer, summary_of
+from onebend.results.provenance import inputs_of, provenance, recording_files
 from onebend.studio.jobs import Lines, process, tell
 
 
@@ -44,7 +42,7 @@ def work(wanted: Mapping[str, Any]) -> None:
         made_from = provenance(inputs, dict(wanted), settings)
         _put(place, run, Pictures(), made_from)  # the fit is safe before a picture is drawn
         tell({"published": True})
-        from onebend.report.figures.drawing import draw_all  # here: Matplotlib is for pictures alone
+        from onebend.report.figures import draw_all  # here: Matplotlib is for pictures alone
 
         _put(place, run, draw_all(run, progress=progress), made_from)
     except BaseException:

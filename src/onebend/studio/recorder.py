@@ -24,7 +24,8 @@ from typing import Any, BinaryIO
 
 from PIL import Image
 
-from onebend.capture import (
+from onebend.errors import OnebendError
+from onebend.live import (
     CaptureOutcome,
     CaptureSettings,
     CaptureState,
@@ -35,13 +36,12 @@ from onebend.capture import (
     outcome_data,
     record,
 )
-from onebend.errors import OnebendError
+from onebend.live.commands import STAGE_NAMES
 from onebend.recording.folder import read_recording
 from onebend.recording.video import Picture
 from onebend.report.overview import overview
-from onebend.strict_json import to_json
 from onebend.studio.learned import known_curve
-from onebend.terminal.recordings import STAGE_NAMES
+from onebend.text_files import to_json
 
 OFTEN = 0.2  # s between two pictures
 WIDEST = 800  # px of a picture that is shown

@@ -21,16 +21,13 @@ from PIL import Image
 
 from onebend.errors import RecordingError, ResultsError, StudioError
 from onebend.files.single_file import check_replaceable, replace_file, write_file
-from onebend.recording.folder import check_text
-from onebend.recording.tags.finder import Finder
-from onebend.recording.template import write_template
-from onebend.recording.toml.entries import FAMILIES
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.entries import FAMILIES, VideoEntry
+from onebend.recording.folder import check_text, write_template
+from onebend.recording.tag_finder import Finder
 from onebend.recording.video import pictures_at
 from onebend.report.overview import SOFTWARE, overview
-from onebend.studio.commands import check_line
 from onebend.studio.jobs import process, tell
-from onebend.studio.places import RECORDING, StudioFolder
+from onebend.studio.places import RECORDING, StudioFolder, check_line
 from onebend.text_files import MOST_TOML
 
 PICTURE = "check.png"
@@ -230,7 +227,7 @@ def work(wanted: Mapping[str, Any]) -> None:
     found = overview(folder)
     said = {"name": wanted["name"], **found.as_dict(), "faults": list(found.faults), "picture": False, "unwritten": ""}
     tell({"stage": "drawing the picture", "done": 0, "total": None})
-    from onebend.report.figures.checking import check_png  # here: Matplotlib is for pictures alone
+    from onebend.report.figures import check_png  # here: Matplotlib is for pictures alone
 
     drawn = check_png(found)
     try:

@@ -15,24 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.statics.rod import has_mass
-from onebend.control.loop.controller import Controller, controller
-from onebend.control.loop.robustness import (
+from onebend.beam.problem import has_mass
+from onebend.cli.control import trial_name
+from onebend.control.loop import Controller, controller
+from onebend.control.loop_simulation import (
+    AXIS_PLACES,
     SETTLED,
+    LoopCamera,
     LoopTrial,
     drawn_beams,
     simulate_trials,
     trial_settings,
     wrong_beams,
 )
-from onebend.control.loop.simulation import AXIS_PLACES, LoopCamera
 from onebend.errors import StudioError
 from onebend.results.model import read_model
-from onebend.studio.commands import loop_line
+from onebend.studio.bending import BEGIN_TURN, LARGEST_TIMES, bending_force
 from onebend.studio.jobs import asked_number, process, tell
-from onebend.studio.mapping import BEGIN_TURN, LARGEST_TIMES, bending_force
-from onebend.studio.places import StudioFolder
-from onebend.terminal.looping import trial_name
+from onebend.studio.places import StudioFolder, loop_line
 
 MOST_MOMENTS = 600  # of one beam that are shown
 MOST_DRAWN = 8  # beams on one picture

@@ -20,13 +20,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 
 from onebend.errors import OnebendError, StudioError
-from onebend.strict_json import to_json
-from onebend.studio.commands import learn_line, plain_word
 from onebend.studio.desk import Desk
 from onebend.studio.filming import asked_text, sources_data, wanted_recording
-from onebend.studio.guard import Guard
 from onebend.studio.jobs import Jobs
-from onebend.studio.places import StudioFolder
+from onebend.studio.places import Guard, StudioFolder, learn_line, plain_word
+from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
@@ -156,7 +154,7 @@ class Asked:
         return _said({"recording": self.desk.recorder.shown()})
 
     async def sources(self, _request: Request) -> Response:
-        await self.desk.load("onebend.capture.specs")
+        await self.desk.load("onebend.live.specs")
         return _said(await run_in_threadpool(sources_data, self.desk.places))
 
     async def picture(self, request: Request) -> Response:

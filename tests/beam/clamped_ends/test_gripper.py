@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.beam.modal import Modes
+from onebend.beam.dynamics import Actions, AppliedForce, Gripper, body, mass_matrix, momentum, spline_gripper
+from onebend.beam.grid import Modes
+from onebend.beam.integration import IntegrationSettings, Method, MotionState, simulate
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce, Gripper, spline_gripper
-from onebend.beam.motion.collocation import Method
-from onebend.beam.motion.dynamics import body, mass_matrix, momentum
-from onebend.beam.motion.integration import IntegrationSettings, MotionState, simulate
-from onebend.beam.motion.vibration import settle
-from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.stiffness import Uniform
+from onebend.beam.vibration import settle
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.moving import soft_body

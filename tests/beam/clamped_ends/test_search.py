@@ -6,17 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
-from onebend.beam.clamped_ends.end_pose import end_jacobian, end_pose, let_down
-from onebend.beam.clamped_ends.search import ClampedEquilibrium, hold, hold_along
+from onebend.beam.clamped_ends import ClampedEquilibrium, end_jacobian, end_pose, hold, hold_along, let_down
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.equilibrium import gradient, potential
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.statics import gradient, potential
+from onebend.beam.stiffness import Gaussians, Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.boundary import shoot

@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.clamped_ends import near_shape, search
-from onebend.beam.clamped_ends.end_pose import end_pose, stands
-from onebend.beam.clamped_ends.near_shape import hold_near
-from onebend.beam.clamped_ends.search import hold, hold_along
+from onebend.beam import clamped_ends as near_shape, clamped_ends as search
+from onebend.beam.clamped_ends import end_pose, hold, hold_along, hold_near, stands
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.sensitivity import of_force, of_moment, of_section_thickness, of_stiffness, respond
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.sensitivity import of_force, of_moment, of_section_thickness, of_stiffness, respond
+from onebend.beam.stiffness import Gaussians, Uniform
 from onebend.records import Array
 
 THICK = Beam(0.15, Gaussians((0.0, 0.5, 1.0), 0.4, (0.01, 0.03, 0.02)), mass_per_length=Uniform(0.1), thickness=0.02)

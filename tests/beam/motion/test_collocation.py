@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.beam.motion.collocation import Tableau
+from onebend.beam.integration import Tableau
 from onebend.errors import MechanicsError
 
 

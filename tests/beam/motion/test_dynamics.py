@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from onebend.beam.grid import make_grid
-from onebend.beam.modal import Modes, jacobians, places, positions
-from onebend.beam.model import Beam
-from onebend.beam.motion.dynamics import (
+from onebend.beam.dynamics import (
     body,
     coriolis_matrix,
     elastic_energy,
@@ -21,8 +17,10 @@ from onebend.beam.motion.dynamics import (
     momentum,
     weight_energy,
 )
-from onebend.beam.profiles.stiffness import Steps, Uniform
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.grid import Modes, jacobians, make_grid, places, positions
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.moving import ODD, SOFT, THICK, odd_body, soft_body

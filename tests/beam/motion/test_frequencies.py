@@ -10,13 +10,11 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from onebend.beam.dynamics import Actions, body_of_nodes
 from onebend.beam.grid import make_grid
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions
-from onebend.beam.motion.dynamics import body_of_nodes
-from onebend.beam.motion.frequencies import frequency_slopes, natural_frequencies, shear_share
-from onebend.beam.motion.vibration import Vibration, settle, vibration_of
-from onebend.beam.profiles.stiffness import Powers, Steps, Table, Uniform
+from onebend.beam.stiffness import Powers, Steps, Table, Uniform
+from onebend.beam.vibration import Vibration, frequency_slopes, natural_frequencies, settle, shear_share, vibration_of
 from onebend.errors import MechanicsError
 from onebend.records import Array, PointMass
 from tests.beam.slender import swinging_frequencies

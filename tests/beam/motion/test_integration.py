@@ -7,17 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium
+from onebend.beam.dynamics import Actions, AppliedForce, AppliedMoment, Body, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import IntegrationSettings, Method, Motion, MotionState, converged, simulate
 from onebend.beam.loads import push
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce, AppliedMoment
-from onebend.beam.motion.collocation import Method
-from onebend.beam.motion.dynamics import Body, body
-from onebend.beam.motion.integration import IntegrationSettings, Motion, MotionState, converged, simulate
-from onebend.beam.motion.vibration import settle, vibration_of
-from onebend.beam.profiles.stiffness import Scaled, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Scaled, Steps, Uniform
+from onebend.beam.vibration import settle, vibration_of
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.moving import ODD, SOFT, by_the_matrices, odd_body, soft_body

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from onebend.beam.continuation import equilibrium, follow
+from onebend.beam.dynamics import Actions, AppliedForce, body, mass_matrix
+from onebend.beam.grid import Modes
+from onebend.beam.integration import MotionState
 from onebend.beam.loads import follow_push, push
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce
-from onebend.beam.motion.dynamics import body, mass_matrix
-from onebend.beam.motion.integration import MotionState
-from onebend.beam.motion.vibration import exponents, settle, vibration, vibration_of
-from onebend.beam.profiles.piecewise import taper
-from onebend.beam.profiles.section import Material, Rectangle, SectionPart, along
-from onebend.beam.profiles.stiffness import Profile, Uniform
-from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.section import Material, Rectangle, SectionPart, along
+from onebend.beam.stiffness import Profile, Uniform, taper
+from onebend.beam.vibration import exponents, settle, vibration, vibration_of
 from onebend.errors import MechanicsError
 from tests.beam.moving import ODD, odd_body
 

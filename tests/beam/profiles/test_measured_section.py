@@ -8,18 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.measured_section import (
+from onebend.beam.section import (
     mean_moment,
     moment_errors,
+    one_modulus,
+    polygon_moments,
     relative_moment,
     second_moment,
     section_as_dict,
     section_from_dict,
 )
-from onebend.beam.profiles.modulus import one_modulus
-from onebend.beam.profiles.section import polygon_moments
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness, Uniform
 from onebend.records import Array, StatedSection
 
 PLACES = np.array([0.0, 0.4, 0.4, 1.0])

@@ -7,12 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.measured_section import second_moment
-from onebend.beam.profiles.modulus import modulus_band
-from onebend.beam.profiles.polyline import Polyline
-from onebend.beam.profiles.section import Circle, Material, Rectangle, SectionPart, along
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.section import Circle, Material, Rectangle, SectionPart, along, modulus_band, second_moment
+from onebend.beam.stiffness import Polyline, UncertainStiffness, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array, StatedSection
 

@@ -6,11 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from onebend.beam.profiles.piecewise import Pieces, broken_line, in_pieces, taper
-from onebend.beam.profiles.section import (
+from onebend.beam.section import (
     Circle,
     LaminateLayer,
     Material,
@@ -24,7 +22,7 @@ from onebend.beam.profiles.section import (
     polygon_moments,
     section,
 )
-from onebend.beam.profiles.stiffness import Profile, Scaled, Steps, Table, Uniform
+from onebend.beam.stiffness import Pieces, Profile, Scaled, Steps, Table, Uniform, broken_line, in_pieces, taper
 from onebend.errors import MechanicsError
 
 S = np.linspace(0.0, 1.0, 41)

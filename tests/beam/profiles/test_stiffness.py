@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.polyline import Polyline
-from onebend.beam.profiles.stiffness import (
+from onebend.beam.stiffness import (
     Gaussians,
     LogSpline,
+    Polyline,
     Powers,
     Profile,
     Scaled,

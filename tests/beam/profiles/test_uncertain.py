@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import MechanicsError
 
 KNOTS = np.array([0, 0, 0, 0, 0.5, 1, 1, 1, 1], dtype=float)

@@ -6,17 +6,15 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
+from onebend.beam.continuation import ContinuationSettings, _predicted, _State, equilibrium, follow, refine
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Profile, Steps, Table, Uniform
-from onebend.beam.statics.continuation import ContinuationSettings, _predicted, _State, equilibrium, follow, refine
-from onebend.beam.statics.equilibrium import gradient, tangent
-from onebend.beam.statics.nodal_forces import node_angles
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.sensitivity import of_force, respond
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.sensitivity import of_force, respond
+from onebend.beam.statics import gradient, node_angles, tangent
+from onebend.beam.stiffness import Gaussians, Profile, Steps, Table, Uniform
 from onebend.errors import MechanicsError
 from tests.beam.exact import elastica_tip
 

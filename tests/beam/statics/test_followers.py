@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import follow_push, push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Uniform
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Gaussians, Uniform
 from onebend.records import Array
 
 UNIT = Beam(1.0, Uniform(1.0))

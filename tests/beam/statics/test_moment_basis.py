@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline, Powers, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.problem import Resolution
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import LogSpline, Powers, Steps, Uniform
 from onebend.records import PointMass
 
 S = np.linspace(0.0, 1.0, 9)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
+from onebend.beam.branches import stable_equilibria
+from onebend.beam.continuation import ContinuationSettings, at_once, equilibrium, follow, on_one_side
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Steps, Table, Uniform
-from onebend.beam.statics.continuation import ContinuationSettings, equilibrium, follow
-from onebend.beam.statics.nodal_forces import node_angles
-from onebend.beam.statics.one_sided import at_once, on_one_side
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.shooting import stable_equilibria
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.statics import node_angles
+from onebend.beam.stiffness import Gaussians, Steps, Table, Uniform
 from onebend.records import Array
 
 IN_STEPS = ContinuationSettings(at_once=False)

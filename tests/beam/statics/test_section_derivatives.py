@@ -10,15 +10,13 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.rectangular import RectangularSection
-from onebend.beam.profiles.stiffness import Gaussians, Powers, equidistant, gaussian_basis, power_basis
-from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.perturbation import Perturbation, Perturbations
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.sensitivity import (
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.sensitivity import (
+    Perturbation,
+    Perturbations,
     clamp_wrench,
     of_clamp_angle,
     of_force,
@@ -30,6 +28,8 @@ from onebend.beam.statics.sensitivity import (
     of_stiffness,
     respond,
 )
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Gaussians, Powers, RectangularSection, equidistant, gaussian_basis, power_basis
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

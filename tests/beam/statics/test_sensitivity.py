@@ -7,14 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Powers, Table, Uniform, equidistant, gaussian_basis, power_basis
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.perturbation import Perturbations
-from onebend.beam.statics.problem import Resolution
-from onebend.beam.statics.sensitivity import (
+from onebend.beam.problem import Resolution
+from onebend.beam.sensitivity import (
+    Perturbations,
     clamp_wrench,
     of_clamp_angle,
     of_force,
@@ -24,6 +22,8 @@ from onebend.beam.statics.sensitivity import (
     of_stiffness,
     respond,
 )
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Gaussians, Powers, Table, Uniform, equidistant, gaussian_basis, power_basis
 from onebend.records import Array
 
 S = np.array([0.3, 0.62, 1.0])

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from onebend.beam.branches import stable_equilibria
+from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table, Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import gradient, is_convex, is_stable
-from onebend.beam.statics.problem import Problem, Resolution, make_problem
-from onebend.beam.statics.shooting import stable_equilibria
+from onebend.beam.problem import Problem, Resolution, make_problem
+from onebend.beam.statics import gradient, is_convex, is_stable
+from onebend.beam.stiffness import Table, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
 from tests.beam.turned_chain import Cable, Chain

@@ -8,24 +8,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
+from onebend.beam.continuation import Side, equilibrium, follow, let_fall
+from onebend.beam.dynamics import Actions, AppliedForce, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import MotionState, simulate
 from onebend.beam.loads import Loads, follow_push, push, weight
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce
-from onebend.beam.motion.dynamics import body
-from onebend.beam.motion.integration import MotionState, simulate
-from onebend.beam.profiles.stiffness import Gaussians, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.equilibrium import gradient, is_stable, potential, tangent
-from onebend.beam.statics.problem import Resolution, make_problem
-from onebend.beam.statics.snap_through import Side, let_fall
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.statics import gradient, is_stable, potential, tangent
+from onebend.beam.stiffness import Gaussians, Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
 

@@ -6,18 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
+from onebend.beam import continuation
+from onebend.beam.continuation import by_load, equilibrium, follow
 from onebend.beam.loads import Loads, follow_push, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Powers, Uniform
-from onebend.beam.statics import continuation
-from onebend.beam.statics.by_load import by_load
-from onebend.beam.statics.continuation import equilibrium, follow
-from onebend.beam.statics.equilibrium import balance, gradient, potential, tangent
-from onebend.beam.statics.problem import Problem, Resolution, make_problem
-from onebend.beam.statics.sensitivity import clamp_wrench, of_force, respond
+from onebend.beam.problem import Problem, Resolution, make_problem
+from onebend.beam.sensitivity import clamp_wrench, of_force, respond
+from onebend.beam.statics import balance, gradient, potential, tangent
+from onebend.beam.stiffness import Gaussians, Powers, Uniform
 from onebend.records import Array
 from tests.beam.extensible import PointForce, shoot
 

@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium, follow, refine
+from onebend.beam.dynamics import body
 from onebend.beam.loads import push, twist
 from onebend.beam.model import Beam
-from onebend.beam.motion.dynamics import body
-from onebend.beam.motion.vibration import vibration
-from onebend.beam.profiles.rectangular import RectangularSection
-from onebend.beam.profiles.stiffness import Gaussians, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium, follow, refine
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import Resolution, make_problem, make_problems
-from onebend.control.reach.reach import reach
-from onebend.control.shape.actuators import Pusher, resting_state
+from onebend.beam.problem import Resolution, make_problem, make_problems
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Gaussians, RectangularSection, Steps, Uniform
+from onebend.beam.vibration import vibration
+from onebend.control.reach import reach
+from onebend.control.shape import Pusher, resting_state
 from onebend.errors import MechanicsError
 from tests.beam.extensible import PointForce, shoot
 

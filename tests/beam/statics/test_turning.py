@@ -7,10 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import potential
-from onebend.beam.statics.nodal_forces import node_angles
-from onebend.beam.statics.turning import turn_into, turned_loads
+from onebend.beam.branches import turn_into, turned_loads
+from onebend.beam.continuation import follow
+from onebend.beam.statics import node_angles, potential
 from onebend.records import Array, IntArray
 from tests.beam.statics.test_shooting import CABLE, on_base
 from tests.beam.turned_chain import Chain

@@ -7,15 +7,26 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
-from onebend.control.loop.controller import Controller, ControllerSettings, bounded, controller
-from onebend.control.loop.margins import Gains, SampledLoop, Timing, frequencies, margins, phase_margin
-from onebend.control.loop.plant import Plant, behind_actuator, plant_at
-from onebend.control.loop.tuning import RequiredMargins
+from onebend.beam.stiffness import Powers, Scaled, Uniform
+from onebend.control.loop import (
+    Controller,
+    ControllerSettings,
+    Gains,
+    Plant,
+    RequiredMargins,
+    SampledLoop,
+    Timing,
+    behind_actuator,
+    bounded,
+    controller,
+    frequencies,
+    margins,
+    phase_margin,
+    plant_at,
+)
 from onebend.errors import ControlError
 from onebend.records import Array
 

@@ -12,13 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Scaled, Uniform
+from onebend.beam.stiffness import Powers, Scaled, Uniform
 from onebend.cli import app
-from onebend.control.loop.controller import ControllerSettings, controller
-from onebend.control.loop.robustness import drawn_beams, simulate_range, simulate_trials
-from onebend.control.loop.simulation import AXIS_PLACES, LoopCamera
+from onebend.control.loop import ControllerSettings, controller
+from onebend.control.loop_simulation import AXIS_PLACES, LoopCamera, drawn_beams, simulate_range, simulate_trials
 from onebend.errors import ControlError
-from onebend.results.looping import LOOP_COLUMNS
+from onebend.results.control_files import LOOP_COLUMNS
 from onebend.results.model import save_model
 from tests import made_up
 

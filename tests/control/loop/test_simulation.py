@@ -9,11 +9,18 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Profile, Scaled, Table, Uniform
-from onebend.control.loop.controller import Controller, ControllerSettings, controller
-from onebend.control.loop.margins import Gains, SampledLoop, Timing, margins
-from onebend.control.loop.plant import plant_at
-from onebend.control.loop.simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
+from onebend.beam.stiffness import Powers, Profile, Scaled, Table, Uniform
+from onebend.control.loop import (
+    Controller,
+    ControllerSettings,
+    Gains,
+    SampledLoop,
+    Timing,
+    controller,
+    margins,
+    plant_at,
+)
+from onebend.control.loop_simulation import Actuator, LoopCamera, LoopSimulation, TrueSystem, simulate_loop
 from onebend.records import Array
 
 BEAM = Beam(0.15, Powers((0.03, -0.02)), mass_per_length=Uniform(0.1))

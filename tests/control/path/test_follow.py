@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.control.goals.moving_goals import Between, Goals, point_goals
-from onebend.control.goals.targets import angles, curve, points
-from onebend.control.path.follow import FollowedPath, PathSettings, follow_goals
-from onebend.control.path.timing import RateLimits
-from onebend.control.reach.reach import reach
-from onebend.control.shape.actuators import Grip, Pusher
-from onebend.control.shape.shape import shape
+from onebend.control.goals import Between, Goals, angles, curve, point_goals, points
+from onebend.control.path import FollowedPath, PathSettings, RateLimits, follow_goals
+from onebend.control.reach import reach
+from onebend.control.shape import Grip, Pusher, shape
 from onebend.errors import ControlError
 from onebend.records import Array
 from tests.control.shape.test_shape import SOFT, S, gripped

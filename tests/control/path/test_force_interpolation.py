@@ -9,12 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
+from onebend.beam.stiffness import Table
 from onebend.cli import app
-from onebend.control.goals.moving_goals import Goals, point_goals
-from onebend.control.path.follow import PathSettings, follow_goals
-from onebend.control.path.force_interpolation import by_force
-from onebend.control.shape.actuators import Pusher
+from onebend.control.goals import Goals, point_goals
+from onebend.control.path import PathSettings, by_force, follow_goals
+from onebend.control.shape import Pusher
 from onebend.errors import ControlError
 from onebend.results.model import save_model
 

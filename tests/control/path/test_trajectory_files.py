@@ -11,12 +11,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
-from onebend.control.goals.moving_goals import Goals
-from onebend.control.goals.target_files import read_goals, read_targets
-from onebend.control.goals.targets import curve
-from onebend.control.path.follow import FollowedPath, PathSettings, follow_goals
-from onebend.control.path.trajectory_files import write_bag, write_samples, write_yaml
-from onebend.control.shape.actuators import Grip, Pusher
+from onebend.control.goals import Goals, curve, read_goals, read_targets
+from onebend.control.path import FollowedPath, PathSettings, follow_goals
+from onebend.control.shape import Grip, Pusher
+from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
 from onebend.errors import ControlError
 from tests.control.shape.test_shape import SOFT, S, gripped
 

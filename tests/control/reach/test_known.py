@@ -8,11 +8,10 @@ import numpy as np
 
 from benchmarks.reach_goals import goals, places_under
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Uniform
-from onebend.beam.statics.problem import Resolution
-from onebend.control.reach.known import known_equilibria
-from onebend.control.reach.loaded_beam import LoadedState, prepared
-from onebend.control.reach.reach import ReachSettings, reach
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Powers, Uniform
+from onebend.control.loaded_beam import LoadedState, prepared
+from onebend.control.reach import ReachSettings, known_equilibria, reach
 
 BEAM = Beam(0.15, Powers((0.02, -0.012)), Uniform(0.2), mass_per_length=Uniform(0.1))
 FINE = Resolution(16, 0.125)

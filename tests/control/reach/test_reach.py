@@ -8,11 +8,9 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.reach_goals import goals, places_under
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Steps, Uniform
-from onebend.control.reach.continuation import trace
-from onebend.control.reach.loaded_beam import PushedBeam
-from onebend.control.reach.reach import Reach, ReachSettings, reach
-from onebend.control.reach.tracking import WarmReach
+from onebend.beam.stiffness import Powers, Steps, Uniform
+from onebend.control.loaded_beam import PushedBeam, trace
+from onebend.control.reach import Reach, ReachSettings, WarmReach, reach
 from onebend.errors import ControlError
 from onebend.records import Array
 

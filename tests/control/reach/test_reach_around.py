@@ -11,22 +11,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problems
+from onebend.beam.problem import make_problems
+from onebend.beam.stiffness import UncertainStiffness, Uniform
 from onebend.cli import app
-from onebend.control.reach.reach import ReachSettings, reach
-from onebend.control.reach.reachable import reachable
-from onebend.control.reach.tracking import WarmReach
-from onebend.control.reach.uncertainty import predicted_error
+from onebend.control.reach import ReachSettings, WarmReach, predicted_error, reach
+from onebend.control.reach_set import reachable
 from onebend.errors import ControlError
-from onebend.report.figures.reaching import reachable_places, reaching
-from onebend.report.figures.style import png_of
+from onebend.report.control_figures import reachable_places, reaching
+from onebend.report.style import png_of
+from onebend.results.control_files import PATH_COLUMNS
 from onebend.results.model import save_model
-from onebend.results.reaching import PATH_COLUMNS
 
 KNOTS = np.array([0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 ROOT = 0.05 * np.tril(np.ones((5, 5))) * np.array([1.0, -0.7, 0.5, 0.4, -0.3])

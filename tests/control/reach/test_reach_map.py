@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.control.reach.drag import DraggedPoint, HeldEnd, stability_margin
-from onebend.control.reach.loaded_beam import LoadedState, PushedBeam
-from onebend.control.reach.reach import ReachSettings, reach
-from onebend.control.reach.reach_map import ReachMap, reach_map
+from onebend.beam.stiffness import Uniform
+from onebend.control.loaded_beam import LoadedState, PushedBeam
+from onebend.control.reach import ReachSettings, reach
+from onebend.control.reach_set import DraggedPoint, HeldEnd, ReachMap, reach_map, stability_margin
 from onebend.errors import ControlError
 from onebend.records import Array
 from tests.made_up import BEAM

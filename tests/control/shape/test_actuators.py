@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.beam.clamped_ends.search import hold
+from onebend.beam.clamped_ends import hold
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.equilibrium import gradient
-from onebend.beam.statics.problem import Resolution
-from onebend.control.goals.targets import angles, curve, target_residuals
-from onebend.control.shape.actuators import BeamState, Grip, LoadBound, Pusher, next_state, resting_state
-from onebend.control.shape.newton_step import bounded_step, model_of
+from onebend.beam.problem import Resolution
+from onebend.beam.statics import gradient
+from onebend.beam.stiffness import Uniform
+from onebend.control.goals import angles, curve, target_residuals
+from onebend.control.shape import BeamState, Grip, LoadBound, Pusher, bounded_step, model_of, next_state, resting_state
 from onebend.records import Array
 from tests.control.shape.test_shape import BENT, SOFT, S
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Uniform, equidistant
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import equilibrium
-from onebend.beam.statics.problem import Resolution
-from onebend.control.goals.targets import angles, curve, curve_of_length, points
-from onebend.control.shape.actuators import Grip, Pusher
-from onebend.control.shape.shape import ShapeResult, shape
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Gaussians, UncertainStiffness, Uniform, equidistant
+from onebend.control.goals import angles, curve, curve_of_length, points
+from onebend.control.shape import Grip, Pusher, ShapeResult, shape
 from onebend.errors import ControlError
 from onebend.records import Array
 from tests.beam.boundary import integrate

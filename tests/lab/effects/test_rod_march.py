@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Steps, Uniform
-from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.stiffness import Powers, Steps, Uniform
 from onebend.errors import MechanicsError
-from onebend.lab.effects.real_bench import RealBench
-from onebend.lab.effects.rod_march import RodMotion, RodTask, march
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_beams import force_that_bends, random_stiffness
+from onebend.lab.bench import PushProfile, RealBench
+from onebend.lab.designs import force_that_bends, random_stiffness
+from onebend.lab.rod import RodMotion, RodTask, march
 from onebend.records import Array
 
 L, K = 0.15, 0.02

@@ -9,16 +9,22 @@ import pytest
 
 from onebend.beam.model import Beam
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.designs import DESIGNS
-from onebend.lab.effects.real_bench import RealBench, section_flexibility
-from onebend.lab.film_request import FilmRequest, filming_of
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_beams import force_that_bends, random_stiffness
-from onebend.lab.random_bench import BenchRanges, design_with_effects, random_bench
-from onebend.lab.random_effects import EFFECTS, LABORATORY, OF_THE_PICTURE, only, with_random_effects
-from onebend.lab.tag_errors import TagNoise
+from onebend.lab.bench import PushProfile, RealBench, TagNoise, section_flexibility
+from onebend.lab.designs import DESIGNS, force_that_bends, random_stiffness
+from onebend.lab.random_bench import (
+    EFFECTS,
+    LABORATORY,
+    OF_THE_PICTURE,
+    BenchRanges,
+    FilmRequest,
+    design_with_effects,
+    filming_of,
+    only,
+    random_bench,
+    with_random_effects,
+)
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, true_stiffness, virtual_recording
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 
 S = np.linspace(0.0, 1.0, 401)

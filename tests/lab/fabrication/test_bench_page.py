@@ -10,10 +10,8 @@ from typing import Any
 import pytest
 
 from examples import make_a_beam
-from onebend.lab.design_file import MaterialEntry, SizeEntry, WidthEntry
-from onebend.lab.designs import DESIGNS
-from onebend.lab.materials import SILICONES, from_shore_00, from_shore_a
-from onebend.recording.toml.schema import keys_of
+from onebend.lab.designs import DESIGNS, SILICONES, MaterialEntry, SizeEntry, WidthEntry, from_shore_00, from_shore_a
+from onebend.recording.schema import keys_of
 from tests.lab.printed import page_image, tags_in
 
 PAGE = (Path(__file__).parents[3] / "docs" / "lab.md").read_text(encoding="utf-8")

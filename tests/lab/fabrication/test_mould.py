@@ -12,20 +12,32 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from manifold3d import Manifold, Mesh64
 from typer.testing import CliRunner
 
-from onebend.beam.profiles.piecewise import broken_line
-from onebend.beam.profiles.stiffness import Powers
+from onebend.beam.stiffness import Powers, broken_line
 from onebend.cli import app
 from onebend.errors import MechanicsError
 from onebend.lab.designs import DESIGNS, Design
-from onebend.lab.fabrication.clamp import BESIDE, FREE, SQUEEZE, TAG_PLANE, TagSeat, carriers, clamp
-from onebend.lab.fabrication.mould import GROOVE_DEEP, GROOVE_WIDE, Mould, MouldSettings, mould
-from onebend.lab.fabrication.solids import mesh_of, strip, write_mesh
-from onebend.report.figures.parts import rendered
+from onebend.lab.fabrication import (
+    BESIDE,
+    FREE,
+    GROOVE_DEEP,
+    GROOVE_WIDE,
+    SQUEEZE,
+    TAG_PLANE,
+    Mould,
+    MouldSettings,
+    TagSeat,
+    carriers,
+    clamp,
+    mesh_of,
+    mould,
+    rendered,
+    strip,
+    write_mesh,
+)
 from tests.lab.printed import width_at
 
 WITHIN = 0.1  # mm

@@ -16,10 +16,8 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.fabrication.page import PAGES, Fill, Page, pdf, svg, write_pages
-from onebend.lab.fabrication.sheet import LEFT, RULER, Sheet, strip_page, tag_pages
-from onebend.recording.toml.beam_entry import BeamEntry
-from onebend.recording.toml.entries import FAMILIES, Recording, TagEntry, TagsEntry
+from onebend.lab.sheet import LEFT, PAGES, RULER, Fill, Page, Sheet, pdf, strip_page, svg, tag_pages, write_pages
+from onebend.recording.entries import FAMILIES, BeamEntry, Recording, TagEntry, TagsEntry
 from tests.lab.printed import black_run, page_image, tags_in
 
 WITHIN = 0.05  # mm

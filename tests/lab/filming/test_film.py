@@ -16,19 +16,16 @@ from benchmarks.markers import errors
 from benchmarks.truth import read_truth
 from onebend.cli import app
 from onebend.errors import RecordingError
+from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.designs import DESIGNS
-from onebend.lab.filming.film import entries, film
-from onebend.lab.filming.film_setup import Filming
-from onebend.lab.filming.scene import Scene
-from onebend.lab.filming.viewpoint import Camera
-from onebend.lab.pushes import PushProfile
-from onebend.lab.sensors import ForceSensor
+from onebend.lab.filming import Filming, entries, film
+from onebend.lab.rendering import Camera, Scene
 from onebend.lab.virtual import VirtualBench, VirtualClock, VirtualTag
 from onebend.pipeline import learn
-from onebend.recording.camera.projection import measure_markers
+from onebend.recording.camera import measure_markers
 from onebend.recording.folder import read_recording
-from onebend.recording.force.force_log import read_force_log
-from onebend.recording.tags.detection import detect_tags
+from onebend.recording.force_log import read_force_log
+from onebend.recording.tags import detect_tags
 from onebend.recording.video import read_frames
 
 DESIGN = DESIGNS["linear"]

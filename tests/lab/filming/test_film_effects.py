@@ -11,21 +11,17 @@ import pytest
 from typer.testing import CliRunner
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
+from onebend.beam.stiffness import Uniform
 from onebend.cli import app
 from onebend.errors import RecordingError
-from onebend.lab.effects.camera_motion import camera_motion
-from onebend.lab.effects.droop import droop
-from onebend.lab.effects.real_bench import RealBench, effects_named
-from onebend.lab.filming.film import film
-from onebend.lab.filming.film_setup import Filming
-from onebend.lab.filming.in_space import pixels, placed_in_space, rolled
-from onebend.lab.filming.moments import followed, moments_at
+from onebend.lab.bench import RealBench, effects_named
+from onebend.lab.filming import Filming, camera_motion, droop, film, followed, moments_at
+from onebend.lab.rendering import pixels, placed_in_space, rolled
 from onebend.lab.virtual import true_stiffness
 from onebend.recording.folder import read_recording
-from onebend.recording.tags.detection import detect_tags
+from onebend.recording.tags import detect_tags
 from onebend.records import Array, View
-from onebend.strict_json import plain
+from onebend.text_files import plain
 from tests.lab.filming.test_film import BENCH, FILMING
 
 SPACE = RealBench(

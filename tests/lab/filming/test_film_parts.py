@@ -6,23 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.stiffness import Powers, Uniform
 from onebend.errors import MechanicsError, RecordingError
+from onebend.lab.bench import PushProfile
 from onebend.lab.designs import DESIGNS
-from onebend.lab.film_request import FilmRequest, filming_of
-from onebend.lab.filming.movement import PLACES, MotionSettings, cubic, shapes_at
-from onebend.lab.filming.printed_tag import as_printed, outlines, placed
-from onebend.lab.filming.raster import LINES, PixelBox, box_around, coverage
-from onebend.lab.filming.viewpoint import Camera, all_seen, view_from
-from onebend.lab.pushes import PushProfile
-from onebend.lab.random_bench import random_bench, random_tags
+from onebend.lab.filming import PLACES, MotionSettings, as_printed, cubic, outlines, placed, shapes_at
+from onebend.lab.random_bench import FilmRequest, filming_of, random_bench, random_tags
+from onebend.lab.rendering import LINES, Camera, PixelBox, all_seen, box_around, coverage, view_from
 from onebend.lab.virtual import VirtualBench, VirtualTag, tag_places, tag_poses
-from onebend.recording.camera.lens import project, to_plane
-from onebend.recording.tags.finder import Finder
+from onebend.recording.camera import project, to_plane
+from onebend.recording.tag_finder import Finder
 
 BOX = PixelBox(0, 0, 40, 30)
 BEAM = Beam(0.15, Powers((0.02, 0.02)), mass_per_length=Uniform(0.4))

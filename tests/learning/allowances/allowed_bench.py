@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE
-from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.allowances import EVERY_ALLOWANCE
+from onebend.learning.fit_data import FitData, fit_data
+from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.records import Array, Observations, View
 from tests.learning.bench import SOFT, forces, observed
 from tests.made_up import with_source, with_stated

@@ -8,15 +8,24 @@ import numpy as np
 import pytest
 
 from onebend.beam.grid import make_grid
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE, OF_ONE, AllowanceName, allowances_of
-from onebend.learning.allowances.clamp import giving
-from onebend.learning.allowances.contact import sliding
-from onebend.learning.allowances.course import course
-from onebend.learning.allowances.discrepancy import discrepancy
-from onebend.learning.allowances.posture import POSTURE_SD, posture_bias
-from onebend.learning.allowances.section import KNOWN_SD, UNKNOWN_SD, USUAL_THICKNESS, section, section_at
-from onebend.learning.model.allowed import allowed, allowed_length, allowed_section
-from onebend.learning.model.forward import predict
+from onebend.learning.allowances import (
+    EVERY_ALLOWANCE,
+    KNOWN_SD,
+    OF_ONE,
+    POSTURE_SD,
+    UNKNOWN_SD,
+    USUAL_THICKNESS,
+    AllowanceName,
+    allowances_of,
+    course,
+    discrepancy,
+    giving,
+    posture_bias,
+    section,
+    section_at,
+    sliding,
+)
+from onebend.learning.prediction import allowed, allowed_length, allowed_section, predict
 from onebend.records import Array
 from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, filmed, with_everything
 from tests.learning.bench import forces

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances.course import course, with_rest
+from onebend.learning.allowances import course, with_rest
 from tests.learning.bench import SOFT, forces, observed
 
 MADE = observed(SOFT, forces(21))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.learning.allowances.chosen import OF_ONE
-from onebend.learning.model.forward import predict
+from onebend.learning.allowances import OF_ONE
+from onebend.learning.prediction import predict
 from tests.learning.allowances.allowed_bench import with_everything
 
 _STEP = 1e-3  # of a prior sd

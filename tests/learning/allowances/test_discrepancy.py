@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onebend.learning.allowances.course import PushCourse
-from onebend.learning.allowances.discrepancy import discrepancy
+from onebend.learning.allowances import PushCourse, discrepancy
 
 BEND = np.array([0.2, 0.6, 1.0, 0.8, 0.1])
 RUN = PushCourse(np.arange(5.0), BEND, np.array([0.0, 0, 0, 1, 1]), np.cumsum(BEND) / 2.7, np.zeros((5, 3)))

@@ -9,9 +9,9 @@ import pytest
 
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.problem import make_problem
-from onebend.learning.allowances.inertia import inertial_force, tag_accelerations, unknown_mass
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import Uniform
+from onebend.learning.allowances import inertial_force, tag_accelerations, unknown_mass
 from onebend.records import Observations, PointMass
 from tests.learning.bench import SOFT, observed
 from tests.made_up import with_stated

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from onebend.beam.grid import Grid, make_grid
-from onebend.learning.allowances.patches import PATCH_SD, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, log_k_map
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.allowances import PATCH_SD, USUAL_SIZE, WIDTHS, patch_functions, patch_means, patches
+from onebend.learning.fit_data import fit_data
+from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, log_k_map
+from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
 from tests.learning.allowances.allowed_bench import TAGS, filmed
 from tests.made_up import with_stated
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.learning.allowances.relaxation import (
+from onebend.learning.allowances import (
     TIMES,
     lags,
     memory,

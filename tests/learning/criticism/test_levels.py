@@ -8,10 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from onebend.learning.criticism.alternatives import Kind, Suspect
-from onebend.learning.criticism.criticism import Criticism, Finding, _finding
-from onebend.learning.criticism.score_tests import LinearisedFit, Score, _pull
-from onebend.learning.inference.joint_covariance import JointCovariance
+from onebend.learning.criticism import Criticism, Finding, Kind, LinearisedFit, Score, Suspect, _finding, _pull
+from onebend.learning.normal import JointCovariance
 
 
 def found(

@@ -10,25 +10,27 @@ import numpy as np
 import pytest
 
 from benchmarks.mistaken_place import MUCH, run
-from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
-from onebend.learning.criticism.criticism import ALARM
-from onebend.learning.criticism.place_evidence import at_written, log_ratio, moved, under
-from onebend.learning.criticism.push_place import (
+from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
+from onebend.learning.criticism import ALARM
+from onebend.learning.posterior import Posterior, fit, stiffness_of
+from onebend.learning.push_place import (
     ACCUSED,
     FAR,
     INNERMOST,
     LEFT_OUT,
     MEASURED,
     PlaceSearch,
+    at_written,
     doubtful,
     gain_of_mistake,
+    log_ratio,
+    moved,
     moved_off,
     place_posterior,
     search_place,
+    under,
     with_places,
 )
-from onebend.learning.posterior import Posterior, fit
-from onebend.learning.stiffness_band import stiffness_of
 from onebend.learning.verdict import fit_remarks
 from onebend.records import Array
 from tests.learning.bench import IDEAL, SOFT, forces, observed

@@ -7,22 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from onebend.beam.loads import push as load
-from onebend.beam.loads import twist, weight
+from onebend.beam.continuation import follow
+from onebend.beam.loads import push as load, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline, Powers, Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.stiffness import LogSpline, Powers, Uniform
 from onebend.errors import LearningError, MechanicsError
-from onebend.learning.design.identifiability import (
-    STEPS,
-    force_covariance,
-    information,
-    information_along,
-    with_better_sensor,
-)
-from onebend.learning.design.instruments import ForceDoubt, Instruments, PlannedPush
-from onebend.learning.model.spline import Spline
+from onebend.learning.design import STEPS, force_covariance, information, information_along, with_better_sensor
+from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
+from onebend.learning.parameters import Spline
 from onebend.records import Array
 
 SPLINE = Spline(5)

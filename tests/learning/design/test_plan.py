@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import ResultsError
-from onebend.learning.design.instruments import instruments_of
+from onebend.learning.instruments import instruments_of
 from onebend.learning.posterior import Posterior, fit
 from onebend.results.model import read_model, save_model
 from tests.learning.bench import IDEAL, SOFT, forces, observed

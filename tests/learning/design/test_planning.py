@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from onebend.beam.profiles.uncertain import UncertainStiffness, half_width_words
+from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.errors import LearningError
-from onebend.learning.allowances.patches import WIDTHS
-from onebend.learning.design.candidates import Limits
-from onebend.learning.design.instruments import Instruments, PlannedPush, instruments_of, push_of
-from onebend.learning.design.planning import PlanSettings, after_push, plan
-from onebend.learning.design.proposals import PLACES, Plan, direction_words
-from onebend.learning.inference.fit_problem import log_k_map
+from onebend.learning.allowances import WIDTHS
+from onebend.learning.design import PLACES, Limits, Plan, PlanSettings, after_push, direction_words, plan
+from onebend.learning.instruments import Instruments, PlannedPush, instruments_of, push_of
+from onebend.learning.linear import log_k_map
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
 from tests.learning.bench import IDEAL, SOFT, observed

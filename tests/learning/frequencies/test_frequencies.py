@@ -10,13 +10,17 @@ import pytest
 
 from benchmarks.frequencies import CASES, EVEN, MASS, MIDDLE, THREE, Case, frequency, learned, recording, ruler, trials
 from onebend.errors import LearningError
-from onebend.learning.frequencies.compared import frequency_remarks, posture_words, validated_frequencies
-from onebend.learning.frequencies.frequency_data import frequency_data, postures_of
-from onebend.learning.frequencies.modes import with_modes
-from onebend.learning.frequencies.predicted import predicted_frequencies
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.frequencies import (
+    frequency_data,
+    frequency_remarks,
+    posture_words,
+    postures_of,
+    predicted_frequencies,
+    validated_frequencies,
+    with_modes,
+)
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.records import MassAlong, MeasuredFrequency, Observations, PointMass

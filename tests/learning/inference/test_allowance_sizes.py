@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from onebend.learning.inference.allowance_sizes import FACTORS, choose_sizes, log_density_of
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
-from onebend.learning.inference.hyperparameters import Evidence
-from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.linear_gaussian import data_information, residual_rows
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.fit_data import fit_data
+from onebend.learning.hyperparameters import FACTORS, Evidence, choose_sizes, log_density_of
+from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, data_information, residual_rows
+from onebend.learning.normal import InformationForm
+from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
+from onebend.learning.prediction import predict
 from tests.learning.bench import SOFT, forces, observed
 
 

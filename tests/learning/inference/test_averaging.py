@@ -9,10 +9,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from onebend.learning.inference.fit_problem import Hyperparameters, RecordingNoise
-from onebend.learning.inference.hyperparameters import Evidence, _cubature, averaged_posterior
-from onebend.learning.inference.linear_gaussian import residual_rows
-from onebend.learning.model.forward import predict
+from onebend.learning.hyperparameters import Evidence, _cubature, averaged_posterior
+from onebend.learning.linear import Hyperparameters, RecordingNoise, residual_rows
+from onebend.learning.prediction import predict
 from onebend.records import Array
 from tests.learning.inference.test_hyperparameters import evidence_of
 

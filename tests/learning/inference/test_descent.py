@@ -7,21 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.inference import descent
-from onebend.learning.inference.descent import (
+from onebend.learning import optimizer as descent, prediction
+from onebend.learning.linear import (
+    FitProblem,
+    Hyperparameters,
+    RecordingNoise,
+    data_information,
+    prior,
+    split_off_force,
+    tag_score,
+)
+from onebend.learning.optimizer import (
     MapEstimate,
     _Linearised,
     _moved,
     _trial,
     _with_slopes_kept,
     descend,
+    estimate_at,
     rows_of,
     with_own_forces,
 )
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
-from onebend.learning.inference.linear_gaussian import data_information, split_off_force, tag_score
-from onebend.learning.inference.optimizer import estimate_at
-from onebend.learning.model import forward
 from tests.learning.inference.test_hyperparameters import evidence_of
 
 
@@ -76,13 +82,13 @@ def test_a_trial_is_brought_back_to_its_valley(monkeypatch: pytest.MonkeyPatch) 
 def test_many_recordings_keep_derivatives_on_the_way_and_end_with_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, hyperparameters, estimate = far_off()
     before, counts = prior(problem, hyperparameters), []
-    counted, original = [0], forward._slopes
+    counted, original = [0], prediction._slopes
 
-    def slopes(now: forward.Prediction) -> forward.Slopes:
+    def slopes(now: prediction.Prediction) -> prediction.Slopes:
         counted[0] += 1
         return original(now)
 
-    monkeypatch.setattr(forward, "_slopes", slopes)
+    monkeypatch.setattr(prediction, "_slopes", slopes)
     found = []
     for together in (10.0, 0.99):  # one recording is then more than that
         monkeypatch.setattr(descent, "_TOGETHER", together)

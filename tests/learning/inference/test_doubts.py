@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from onebend.learning.inference.misfit import doubts_of
+from onebend.learning.optimizer import doubts_of
 from onebend.records import Observations, Remark
 from tests.made_up import observations
 

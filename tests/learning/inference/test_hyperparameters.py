@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise
-from onebend.learning.inference.hyperparameters import (
-    CHOSEN,
-    Evidence,
-    expected_recording_noise,
-    new_noise,
-)
-from onebend.learning.inference.linear_gaussian import (
+from onebend.learning.fit_data import fit_data
+from onebend.learning.hyperparameters import CHOSEN, Evidence, expected_recording_noise, new_noise
+from onebend.learning.linear import (
+    FitProblem,
+    Hyperparameters,
+    RecordingNoise,
     ResidualRows,
     data_information,
     residual_rows,
@@ -25,10 +23,8 @@ from onebend.learning.inference.linear_gaussian import (
     rows_by_force,
     unweighted_rows,
 )
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import Slopes, predict
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import RHO, TAU, Spline
+from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
+from onebend.learning.prediction import Slopes, predict
 from onebend.records import Array
 from tests.learning.bench import SOFT, forces, observed
 from tests.made_up import with_source

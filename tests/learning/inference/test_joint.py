@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from onebend.learning.inference.block_root import BlockRoot, beside, unit_root
-from onebend.learning.inference.fit_problem import Prior
-from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.joint import JointInformation, coupled, marginal, own_in_z, prior_in_own_z, solved
+from onebend.learning.linear import JointInformation, Prior, coupled, marginal, own_in_z, prior_in_own_z, solved
+from onebend.learning.normal import BlockRoot, InformationForm, beside, unit_root
 from onebend.records import Array
 
 SHARED, OWN, NUMBERS = 3, (2, 4, 0), 9  # parameters that are shared, own ones of each recording, numbers of each

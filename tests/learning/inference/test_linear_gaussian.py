@@ -8,10 +8,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from onebend.learning.inference.fit_problem import RecordingNoise
-from onebend.learning.inference.linear_gaussian import ResidualRows, tag_information, tag_score
-from onebend.learning.model.forward import Slopes
-from onebend.learning.model.parameters import Layout
+from onebend.learning.linear import RecordingNoise, ResidualRows, tag_information, tag_score
+from onebend.learning.parameters import Layout
+from onebend.learning.prediction import Slopes
 from onebend.records import Array
 
 FRAMES, NUMBERS, OTHERS, KNOTS = 7, 6, 4, 5

@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 from onebend.errors import LearningError
-from onebend.learning.inference.descent import MapEstimate
-from onebend.learning.inference.fit_problem import FitProblem
-from onebend.learning.inference.misfit import Miss, misses, refuse_lost_force
-from onebend.learning.inference.stages import first_problem
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import Prediction, predict
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.fit_data import fit_data
+from onebend.learning.linear import FitProblem
+from onebend.learning.optimizer import MapEstimate, Miss, first_problem, misses, refuse_lost_force
+from onebend.learning.parameters import Priors, Spline, make_layout
+from onebend.learning.prediction import Prediction, predict
 from onebend.records import Array
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from onebend.learning.inference.fit_problem import RecordingNoise
-from onebend.learning.inference.hyperparameters import correlation_time, updated_noise
-from onebend.learning.inference.linear_gaussian import ResidualRows
-from onebend.learning.model.forward import Slopes
+from onebend.learning.hyperparameters import correlation_time, updated_noise
+from onebend.learning.linear import RecordingNoise, ResidualRows
+from onebend.learning.prediction import Slopes
 from onebend.records import Array
 
 FRAMES = 6000

@@ -7,13 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.inference.nuisances import quantities
-from onebend.learning.model.fit_data import FitData, fit_data
-from onebend.learning.model.parameters import Block, Layout, Priors, make_layout
-from onebend.learning.model.rest import at_rest, beam_points
-from onebend.learning.model.spline import Spline
-from onebend.learning.posterior import fit
-from onebend.learning.tradeoffs import correlations
+from onebend.learning.fit_data import FitData, at_rest, beam_points, fit_data
+from onebend.learning.parameters import Block, Layout, Priors, Spline, make_layout
+from onebend.learning.posterior import correlations, fit, quantities
 from onebend.records import Observations
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 from tests.made_up import with_source, with_stated

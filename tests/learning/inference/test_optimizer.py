@@ -8,20 +8,28 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from onebend.learning.inference import optimizer
-from onebend.learning.inference.descent import MapEstimate, _misfit, descend
-from onebend.learning.inference.fit_problem import FitProblem, Hyperparameters, RecordingNoise, prior
-from onebend.learning.inference.joint import solved
-from onebend.learning.inference.linear_gaussian import data_information, residual_rows, residuals
-from onebend.learning.inference.optimizer import (
+from onebend.learning import optimizer
+from onebend.learning.linear import (
+    FitProblem,
+    Hyperparameters,
+    RecordingNoise,
+    data_information,
+    prior,
+    residual_rows,
+    residuals,
+    solved,
+)
+from onebend.learning.optimizer import (
+    MapEstimate,
     OptimizerSettings,
     _at_mean_stiffness,
     _coarse,
+    _misfit,
+    descend,
     estimate_at,
     find_maximum,
 )
-from onebend.learning.model.parameters import Layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.parameters import Layout, Spline
 from onebend.progress import Silent
 from onebend.records import Array
 from tests.learning.inference.test_hyperparameters import evidence_of

@@ -6,20 +6,20 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.special import ndtri
 
-from onebend.beam.profiles.uncertain import SHAPE_LEVELS, SHAPE_PLACES
-from onebend.learning.inference.information_form import InformationForm
-from onebend.learning.inference.stiffness_prior import (
+from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
+from onebend.learning.normal import (
     JUMP,
     RHO,
     SPREAD,
     TAU,
     Draws,
+    InformationForm,
     _Target,
     drawn_sizes,
     part_variances,
     stiffness_mixture,
 )
-from onebend.learning.model.spline import LEVEL_SD, SLOPE_SD, Spline
+from onebend.learning.parameters import LEVEL_SD, SLOPE_SD, Spline
 
 S = np.linspace(0.0, 1.0, 101)
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.model.condensed import SECONDS, averaged, condensed, mean_variance, white_share, windows_of
-from onebend.learning.model.frames import learnable_frames
+from onebend.learning.condensed import SECONDS, averaged, condensed, mean_variance, white_share, windows_of
+from onebend.learning.frames import learnable_frames
 from onebend.learning.posterior import fit
 from onebend.records import Array, Observations
 from tests.learning.bench import IDEAL, SOFT, forces, observed

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.force_error import filtered, force_error, ramp
-from onebend.learning.model.frames import whitening
-from onebend.learning.model.parameters import Priors, clamp_sd, make_layout
-from onebend.learning.model.spline import LEVEL_SD, RHO, TAU, Spline
+from onebend.learning.fit_data import fit_data
+from onebend.learning.force_error import filtered, force_error, ramp
+from onebend.learning.frames import whitening
+from onebend.learning.parameters import LEVEL_SD, RHO, TAU, Priors, Spline, clamp_sd, make_layout
 from onebend.records import CleanForce, ClockOffset, ForceNoise
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated

@@ -8,21 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.beam.clamped_ends.near_shape import hold_near
-from onebend.beam.clamped_ends.search import hold
+from onebend.beam.clamped_ends import hold, hold_near
+from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Scaled, Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import Scaled, Uniform
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.held_ends import HELD_RESOLUTION, stated_remarks
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.fit_data import fit_data
+from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
+from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
+from onebend.learning.static_poses import HELD_RESOLUTION, stated_remarks
 from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations

@@ -8,19 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Scaled, Table
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, RecordingError
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.mass import mass_remarks, shared_mass
-from onebend.learning.model.own_weight import POWERS
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.fit_data import POWERS, fit_data
+from onebend.learning.parameters import Priors, Spline, make_layout, mass_remarks, shared_mass
 from onebend.learning.posterior import fit
+from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
 from onebend.recording.observe import observe
 from onebend.records import Array, MassAlong, Observations

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import LogSpline, Scaled
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.learning.allowances.contact import SLIDE_SD
-from onebend.learning.model.prediction_error import few_frames, variances
+from onebend.beam.stiffness import LogSpline, Scaled, UncertainStiffness
+from onebend.learning.allowances import SLIDE_SD
+from onebend.learning.prediction import few_frames, variances
 from onebend.learning.validation import solved_frames, validate
 from onebend.records import Array, Observations
 from tests.learning.bench import forces, observed

@@ -7,29 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Uniform
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import make_problem
-from onebend.learning.allowances.chosen import EVERY_ALLOWANCE
-from onebend.learning.allowances.mounting import BETWEEN
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.frames import whitening
-from onebend.learning.model.parameters import Layout, Priors, make_layout
-from onebend.learning.model.readings import (
+from onebend.beam.problem import make_problem
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Uniform
+from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE
+from onebend.learning.fit_data import fit_data
+from onebend.learning.frames import (
     from_the_clamp,
     points_of,
     pose_whitening,
     ruler_places,
     unwhitened,
     whitened,
+    whitening,
 )
-from onebend.learning.model.spline import Spline
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
+from onebend.learning.prediction import predict
 from onebend.learning.start import start_of
 from onebend.records import Array, Observations, PointMass, Readings, Source, Stated
 

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
-from onebend.beam.modal import Modes, angles, places, positions
+from onebend.beam.grid import Modes, angles, places, positions
 from onebend.errors import LearningError
-from onebend.learning.paper.inverse_kinematics import solve_states
+from onebend.learning.paper import solve_states
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 
 

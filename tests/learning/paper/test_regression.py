@@ -7,12 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.grid import make_grid
-from onebend.beam.modal import Modes
+from onebend.beam.grid import Modes, make_grid
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Gaussians, Powers, Profile, equidistant
-from onebend.learning.paper.inverse_kinematics import solve_states
-from onebend.learning.paper.regression import _ROUNDING, _whitening, assemble, basis, literal, profile, weighted
+from onebend.beam.stiffness import Gaussians, Powers, Profile, equidistant
+from onebend.learning.paper import (
+    _ROUNDING,
+    _residual_whitening,
+    assemble,
+    basis,
+    literal,
+    profile,
+    solve_states,
+    weighted,
+)
 from onebend.records import MassLine
 from tests.learning.bench import SOFT, forces, in_family, observed
 from tests.made_up import with_stated
@@ -96,13 +103,13 @@ def test_whitening_is_that_of_the_spectrum_where_it_is_known(lowest: float) -> N
     random = np.random.default_rng(2)
     turned = np.linalg.qr(random.normal(size=(5, 6, 6)))[0]
     spectrum = np.geomspace(lowest, 1.0, 6)
-    whiten = _whitening((turned * spectrum) @ np.swapaxes(turned, 1, 2))
+    whiten = _residual_whitening((turned * spectrum) @ np.swapaxes(turned, 1, 2))
     expected = (turned / np.maximum(spectrum, _ROUNDING)) @ np.swapaxes(turned, 1, 2)
     assert np.swapaxes(whiten, 1, 2) @ whiten == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
 
 
 def test_whitening_of_a_matrix_without_an_inverse_is_bounded() -> None:
-    whiten = _whitening(np.stack([np.ones((3, 3)), np.eye(3)]))
+    whiten = _residual_whitening(np.stack([np.ones((3, 3)), np.eye(3)]))
     assert whiten[1] @ whiten[1].T == pytest.approx(np.eye(3))
     assert np.abs(whiten[0]).max() < 1.01 / np.sqrt(_ROUNDING)
 

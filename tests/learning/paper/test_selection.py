@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Profile, Steps, Table, Uniform
+from onebend.beam.stiffness import Profile, Steps, Table, Uniform
 from onebend.errors import LearningError
-from onebend.learning.model.frames import at_frames, usable_frames
-from onebend.learning.model.rest import at_rest
+from onebend.learning.fit_data import at_rest
+from onebend.learning.frames import at_frames, usable_frames
 from onebend.learning.outcome import Trial
-from onebend.learning.paper.learn import regress
-from onebend.learning.paper.selection import Candidate, RegressionSettings, information_criterion, pairs, standing
+from onebend.learning.paper import Candidate, RegressionSettings, information_criterion, pairs, regress, standing
 from onebend.learning.validation import validate
 from onebend.records import MassLine
 from tests.learning.bench import MARKERS, SOFT, forces, observed

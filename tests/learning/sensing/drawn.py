@@ -8,12 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam, Shape
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.problem import make_problem
-from onebend.learning.model.parameters import Priors, clamp_sd
+from onebend.beam.problem import make_problem
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.learning.parameters import Priors, clamp_sd
 from onebend.records import Array, Observations
 from tests.learning.bench import MARKERS, observed
 

@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from onebend.beam.continuation import equilibrium
+from onebend.beam.dynamics import Actions, AppliedForce, Body, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import simulate
 from onebend.beam.loads import push
-from onebend.beam.modal import Modes
 from onebend.beam.model import Beam
-from onebend.beam.motion.actions import Actions, AppliedForce
-from onebend.beam.motion.dynamics import Body, body
-from onebend.beam.motion.integration import simulate
-from onebend.beam.motion.vibration import settle, vibration
-from onebend.beam.profiles.stiffness import Scaled, Uniform
-from onebend.beam.statics.continuation import equilibrium
+from onebend.beam.stiffness import Scaled, Uniform
+from onebend.beam.vibration import settle, vibration
 from onebend.records import Array, Observations
 from tests.learning.sensing.drawn import drawn_shapes, place_off
 

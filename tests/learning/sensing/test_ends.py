@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from onebend.beam.loads import push
-from onebend.learning.endings.forced import FALLS, PIECES, SWING, Mode, columns
-from onebend.learning.endings.let_go import ended
-from onebend.learning.endings.mode import ModeBending
-from onebend.learning.endings.straight import straight
-from onebend.learning.endings.swing import find_swing
-from onebend.learning.sensing.edges import runs_of
+from onebend.learning.endings import FALLS, PIECES, SWING, Mode, ModeBending, columns, ended, find_swing, straight
+from onebend.learning.sensing.contacts import runs_of
 from onebend.learning.sensing.sense import sense
 from onebend.records import Array
 from tests.learning.sensing.drawn import BAND, BEAM, drawn, place_off

@@ -14,22 +14,18 @@ from rich.console import Console
 from scipy.linalg import block_diag
 
 from onebend.beam.loads import push, twist
+from onebend.cli.screens import show_sensed
 from onebend.errors import LearningError
-from onebend.learning.model.frames import whitening
-from onebend.learning.sensing.bench import Bench, problem_of, solve
-from onebend.learning.sensing.estimate import estimate
-from onebend.learning.sensing.joint import together
-from onebend.learning.sensing.prior import shared_prior
-from onebend.learning.sensing.sense import bench_of, sense
-from onebend.learning.sensing.sensed import SecondForce, Sensed, SenseSettings, load_remarks
-from onebend.learning.sensing.tags import by_forces_at, tags_of
-from onebend.learning.sensing.two import TwoContacts, _scanned
+from onebend.learning.frames import whitening
+from onebend.learning.sensing.bench import Bench, by_forces_at, problem_of, shared_prior, solve, tags_of
+from onebend.learning.sensing.contacts import TwoContacts, _scanned
+from onebend.learning.sensing.forces import estimate, together
+from onebend.learning.sensing.sense import SecondForce, Sensed, SenseSettings, bench_of, load_remarks, sense
 from onebend.records import Array, Observations
-from onebend.report.figures.pictures import draw
-from onebend.report.figures.sensing import sensing
+from onebend.report.control_figures import sensing
+from onebend.report.pictures import draw
 from onebend.results.sensing import MOMENT_COLUMNS, SECOND_COLUMNS, SMOOTH_COLUMNS, sense_summary, sense_writer
-from onebend.strict_json import to_json
-from onebend.terminal.damping import show_sensed
+from onebend.text_files import to_json
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.learning.sensing.drawn import BAND, BEAM, contacts, drawn, place_off, shape_of
 from tests.learning.sensing.test_sense import exact

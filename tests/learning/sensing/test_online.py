@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.sensing.estimate import estimate
-from onebend.learning.sensing.online import LiveForce, OnlineSense
-from onebend.learning.sensing.sense import bench_of, prior_of
-from onebend.learning.sensing.sensed import SenseSettings
+from onebend.learning.sensing.forces import estimate
+from onebend.learning.sensing.sense import LiveForce, OnlineSense, SenseSettings, bench_of, prior_of
 from onebend.records import Observations
 from tests.learning.bench import SOFT, forces, observed
 

@@ -9,12 +9,10 @@ import pytest
 from scipy.linalg import block_diag
 
 from onebend.beam.loads import push
-from onebend.learning.endings.edge import Edge
-from onebend.learning.sensing.frame_forces import FrameForces
-from onebend.learning.sensing.search import TOUCH
-from onebend.learning.sensing.sense import sense
-from onebend.learning.sensing.sensed import Sensed, SenseSettings, Touch, joined
-from onebend.learning.sensing.smooth import _backward, _filtered
+from onebend.learning.endings import Edge
+from onebend.learning.sensing.contacts import _backward, _filtered
+from onebend.learning.sensing.forces import TOUCH, FrameForces
+from onebend.learning.sensing.sense import Sensed, SenseSettings, Touch, joined, sense
 from onebend.records import Array
 from tests.learning.bench import SOFT, observed
 from tests.learning.sensing.drawn import BAND, BEAM, drawn, place_off

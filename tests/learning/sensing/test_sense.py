@@ -12,19 +12,17 @@ import pytest
 from rich.console import Console
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Table
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import Table, UncertainStiffness
+from onebend.cli.screens import show_sensed
 from onebend.errors import LearningError
-from onebend.learning.design.instruments import Instruments
-from onebend.learning.sensing.prior import shared_prior
-from onebend.learning.sensing.sense import sense
-from onebend.learning.sensing.sensed import SenseSettings
+from onebend.learning.instruments import Instruments
+from onebend.learning.sensing.bench import shared_prior
+from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
-from onebend.report.figures.pictures import draw
-from onebend.report.figures.sensing import sensed_regions, sensing
+from onebend.report.control_figures import sensed_regions, sensing
+from onebend.report.pictures import draw
 from onebend.results.sensing import FORCE_COLUMNS, sense_summary, sense_writer
-from onebend.strict_json import to_json
-from onebend.terminal.damping import show_sensed
+from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
 from tests.learning.design.test_identifiability import bench
 

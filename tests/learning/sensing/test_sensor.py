@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.learning.model.force_error import force_error
+from onebend.learning.force_error import force_error
 from onebend.learning.sensing.sensor import START, SensorCheck, ToldForces, _Check, check_sensor
 from onebend.records import Array, CleanForce, ForceNoise, Observations
 from tests.learning.bench import SOFT, forces, observed

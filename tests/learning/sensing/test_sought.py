@@ -7,11 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from onebend.beam.loads import push
-from onebend.learning.sensing.estimate import PLACE_PRIOR, estimate
-from onebend.learning.sensing.joint import together
-from onebend.learning.sensing.search import first
-from onebend.learning.sensing.sense import bench_of, priors_of
-from onebend.learning.sensing.sensed import SenseSettings
+from onebend.learning.sensing.forces import PLACE_PRIOR, estimate, first, together
+from onebend.learning.sensing.sense import SenseSettings, bench_of, priors_of
 from tests.learning.sensing.drawn import BAND, BEAM, contacts, drawn
 from tests.learning.sensing.test_loads import sought
 

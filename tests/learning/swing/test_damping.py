@@ -11,12 +11,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
-from onebend.beam.profiles.stiffness import Scaled, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
+from onebend.beam.stiffness import Scaled, UncertainStiffness, Uniform
 from onebend.errors import LearningError, ResultsError
 from onebend.export.export import export
-from onebend.learning.swing.damping import Damping, DampingSettings, SwingFit, learn_damping
-from onebend.learning.swing.free_swing import FilmPart, find_swing, glance
+from onebend.learning.swing import Damping, DampingSettings, FilmPart, SwingFit, find_swing, glance, learn_damping
 from onebend.records import Observations
 from onebend.results.model import StoredModel, model_text, read_model
 from tests.learning.swinging import BEAM, HEAVY, MASS, TAU, released

@@ -12,19 +12,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from PIL import Image
 from rosbags.rosbag2 import CompressionMode
 
 from onebend.errors import RecordingError
-from onebend.recording.bags.film_topic import COLOURS, picture_of
-from onebend.recording.bags.force_topic import read_bag_force
-from onebend.recording.bags.reader import natural, open_bag
-from onebend.recording.dropped_samples import false_zeros, missing
-from onebend.recording.force.force_log import read_force_log
-from onebend.recording.toml.entries import ForceEntry
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.bag_topics import COLOURS, picture_of, read_bag_force
+from onebend.recording.bags import natural, open_bag
+from onebend.recording.entries import ForceEntry, VideoEntry
+from onebend.recording.force_log import read_force_log
+from onebend.recording.signals import false_zeros, missing
 from onebend.recording.video import frame_at, frame_count, read_frames
 from tests.recording import bagged
 

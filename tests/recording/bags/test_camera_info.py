@@ -15,12 +15,11 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import RecordingError
-from onebend.recording.bags.camera_topic import INFO
-from onebend.recording.calibration.boards import find_boards
-from onebend.recording.camera.lens import distort
-from onebend.recording.camera.lens_models import equidistant, nearest_lens, rational
+from onebend.recording.bag_topics import INFO
+from onebend.recording.calibration import find_boards
+from onebend.recording.camera import distort, equidistant, nearest_lens, rational
+from onebend.recording.entries import CameraEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.toml.source_entries import CameraEntry
 from tests.recording import bagged
 from tests.recording.bags.test_recorded_topics import TOML
 from tests.recording.board_film import CHARUCO, poses, view

@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import RecordingError
-from onebend.recording.bags.topics import bag_contents
-from onebend.recording.camera.projection import measure_markers
+from onebend.recording.bag_topics import bag_contents
+from onebend.recording.camera import measure_markers
+from onebend.recording.entries import VideoEntry
 from onebend.recording.folder import read_recording
-from onebend.recording.force.force_log import read_force_log
+from onebend.recording.force_log import read_force_log
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.recording.pairing import read_log
-from onebend.recording.tags.detection import detect_tags
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.tags import detect_tags
 from onebend.records import Observations
 from onebend.report.overview import overview
 from tests.recording import bagged, filmed

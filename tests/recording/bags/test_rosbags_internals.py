@@ -12,9 +12,7 @@ import pytest
 from rosbags.rosbag2 import storage_mcap
 
 from onebend.errors import RecordingError
-from onebend.recording.bags.items import BrokenOffError
-from onebend.recording.bags.rosbags_internals import VERSIONS, unpack_mcap_chunk, unpack_ros1_chunk
-from onebend.recording.bags.sequential_scan import message_type
+from onebend.recording.damaged_bags import VERSIONS, BrokenOffError, message_type, unpack_mcap_chunk, unpack_ros1_chunk
 
 ROOT = Path(__file__).parents[3]
 DOCUMENTED = {"interfaces", "interfaces.typing", "rosbag1", "rosbag2", "serde", "typesys", "typesys.store"}

@@ -13,9 +13,8 @@ from typer.testing import CliRunner, Result
 
 from onebend import cli
 from onebend.errors import MissingPackageError, RecordingError
-from onebend.recording.calibration import boards
-from onebend.recording.calibration.boards import Board, find_boards, opencv
-from onebend.recording.calibration.intrinsics import Calibration, calibrate, spread
+from onebend.recording import calibration as boards
+from onebend.recording.calibration import Board, Calibration, calibrate, find_boards, opencv, spread
 from tests.recording.board_film import CHARUCO, CHESS, DIST, HEIGHT, MATRIX, WIDTH, film, poses, view
 
 TRUE = np.array([MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2], *DIST])
@@ -134,7 +133,7 @@ def test_the_command_writes_the_table_and_replaces_none_unasked(
     found: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "camera.toml"
-    monkeypatch.setattr("onebend.cli.calibrating.calibrate_camera", lambda *_, **__: found)
+    monkeypatch.setattr("onebend.cli.recordings.calibrate_camera", lambda *_, **__: found)
     asked = ["calibrate", "board.mp4", "--board", "chessboard", "8x5", "--square-mm", "20", "-o", out, "-q"]
     said = run(*asked)
     assert said.exit_code == 0, said.output

@@ -6,16 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.camera.base import base_pose
-from onebend.recording.camera.lens import distort, project, to_plane, undistort
-from onebend.recording.camera.plane import lay_square, square
-from onebend.recording.camera.projection import measure_markers
-from onebend.recording.camera.tag_poses import Poses, corner_weight, relative_to, unwrap
-from onebend.recording.toml.entries import Recording, TagEntry
+from onebend.recording.camera import (
+    Poses,
+    base_pose,
+    corner_weight,
+    distort,
+    lay_square,
+    measure_markers,
+    project,
+    relative_to,
+    square,
+    to_plane,
+    undistort,
+    unwrap,
+)
+from onebend.recording.entries import Recording, TagEntry
 from onebend.records import Array, Detections, covariance_with_camera
 from tests.recording.filmed import LENGTH, SIZE, corners_of, detections, poses, recording, view
 

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock.offset import ClockSettings, averaged, fit_clock
-from onebend.recording.clock.polynomial_features import levers
-from onebend.recording.force.noise import fit_noise, linear_model, log_evidence
-from onebend.recording.force.noise_factor import banded_factor, dense_factor, noise_factor
+from onebend.recording.clock import ClockSettings, averaged, fit_clock
+from onebend.recording.clock_likelihood import levers
+from onebend.recording.force import banded_factor, dense_factor, fit_noise, linear_model, log_evidence, noise_factor
 from onebend.records import ForceNoise
 from tests.recording.pushed import Pushed, force_at, table
 

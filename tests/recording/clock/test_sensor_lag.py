@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.clock.offset import ClockSettings, fit_clock
-from onebend.recording.clock.sensor_lag import SensorLag, slow_sensor, without_lag
+from onebend.recording.clock import ClockSettings, SensorLag, fit_clock, slow_sensor, without_lag
 from onebend.recording.signals import low_pass, step
 from onebend.records import ForceLog
 from tests.recording.pushed import Pushed

@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.recording.force.cleaning import (
-    ForceSettings,
-    choose_cutoff,
-    clean_force,
-    force_at,
-    to_beam,
-)
-from onebend.recording.force.force_log import read_force_log
+from onebend.recording.force import ForceSettings, choose_cutoff, clean_force, force_at, to_beam
+from onebend.recording.force_log import read_force_log
 from onebend.records import ForceLog, ForceNoise
 from tests.recording.pushed import Pushed
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.force.contact import find_contact
+from onebend.recording.force import find_contact
 from onebend.records import ForceLog, Markers
 from tests.recording.pushed import Pushed, force_at, push
 

@@ -5,8 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.recording.force.cleaning import ForceSettings, Zero, clean_force, remaining_sd, zero_of
-from onebend.recording.force.contact import ContactSettings, long_enough, release, shrunk
+from onebend.recording.force import (
+    ContactSettings,
+    ForceSettings,
+    Zero,
+    clean_force,
+    long_enough,
+    release,
+    remaining_sd,
+    shrunk,
+    zero_of,
+)
 from onebend.records import Array, ForceLog, ForceNoise
 
 TIME = np.arange(0.0, 20.0, 0.01)

@@ -12,12 +12,9 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError
-from onebend.recording.tags.detection import detect_tags, in_order
-from onebend.recording.tags.finder import Finder
-from onebend.recording.tags.pattern import CELLS, correct_still
-from onebend.recording.tags.tracking import track_block, uneven
-from onebend.recording.toml.entries import TagEntry, TagsEntry
-from onebend.recording.toml.source_entries import VideoEntry
+from onebend.recording.entries import TagEntry, TagsEntry, VideoEntry
+from onebend.recording.tag_finder import CELLS, Finder, correct_still
+from onebend.recording.tags import detect_tags, in_order, track_block, uneven
 from onebend.recording.video import FilmFrame
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, SIZE, WIDTH, corners_of, film, picture, poses, view

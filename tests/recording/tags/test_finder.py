@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from onebend.recording.tags.finder import USUAL, Finder, most_errors, side_of
-from onebend.recording.tags.tracking import track_block
-from onebend.recording.toml.entries import FAMILIES
+from onebend.recording.entries import FAMILIES
+from onebend.recording.tag_finder import USUAL, Finder, most_errors, side_of
+from onebend.recording.tags import track_block
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array
 from tests.recording.filmed import corners_of, picture, poses, view

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.recording.tags.frozen import frozen, frozen_remarks, noting_changes, repeated
+from onebend.recording.tags import frozen, frozen_remarks, noting_changes, repeated
 from onebend.recording.video import FilmFrame
 from onebend.records import Array
 

@@ -7,8 +7,8 @@ import pytest
 from pyapriltags import Detector
 
 from onebend.errors import RecordingError
-from onebend.recording.tags.printed_code import printed_tag
-from onebend.recording.toml.entries import FAMILIES
+from onebend.recording.entries import FAMILIES
+from onebend.recording.tag_finder import printed_tag
 
 CELL = 12  # px
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from onebend.errors import ObservationError
-from onebend.recording.tags.finder import Finder, Sighting
-from onebend.recording.tags.tracker import TrackedFrame, Tracker
-from onebend.recording.tags.tracking import LOOK_EVERY, track_block
+from onebend.recording.tag_finder import Finder, Sighting
+from onebend.recording.tags import LOOK_EVERY, TrackedFrame, Tracker, track_block
 from onebend.recording.video import FilmFrame
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, WIDTH, corners_of, film, poses, view

@@ -9,17 +9,13 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from onebend.errors import RecordingError
-from onebend.recording.folder import read_recording
-from onebend.recording.template import Kind, template, write_template
-from onebend.recording.toml import beam_entry, entries, source_entries
-from onebend.recording.toml.beam_entry import BeamEntry
-from onebend.recording.toml.entries import ForceEntry
-from onebend.recording.toml.schema import keys_of, lines_of_keys
-from onebend.recording.toml.source_entries import CameraEntry
+from onebend.recording import entries, entries as beam_entry, entries as source_entries
+from onebend.recording.entries import BeamEntry, CameraEntry, ForceEntry
+from onebend.recording.folder import Kind, read_recording, template, write_template
+from onebend.recording.schema import keys_of, lines_of_keys
 
 FULL = """\
 format = 1

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.recording.clock.offset import fit_clock
-from onebend.recording.clock.offset_prior import reach_of, search_range
+from onebend.recording.beam_frame import BaseLog, base_clock
+from onebend.recording.clock import fit_clock, reach_of, search_range
+from onebend.recording.entries import Recording
 from onebend.recording.folder import read_recording
-from onebend.recording.gravity import BaseLog, base_clock
 from onebend.recording.stated import stated_in
-from onebend.recording.toml.entries import Recording
 from onebend.records import CURVATURE_SD, PointMass
 from onebend.report.overview import overview
 from onebend.report.wording import clock_words

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.recording.toml.entries import PushEntry
-from onebend.recording.tool.film import AT_REST, LOADED, tool_in_small
-from onebend.recording.tool.kept_small import MOST, KeptSmall
+from onebend.recording.entries import PushEntry
+from onebend.recording.tool import AT_REST, LOADED, MOST, KeptSmall, tool_in_small
 from onebend.records import Array
 from tests.recording.filmed import LENGTH, SIZE, corners_of, recording, view
 from tests.recording.tool.scenes import FACTOR, bends, filmed, in_room

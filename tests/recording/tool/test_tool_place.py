@@ -8,12 +8,24 @@ from math import nan
 import numpy as np
 import pytest
 
+from onebend.recording.entries import PushEntry
 from onebend.recording.signals import runs
-from onebend.recording.toml.entries import PushEntry
-from onebend.recording.tool.covered import deviations, middle, shrunk
-from onebend.recording.tool.film import AT_REST, LOADED, of_rows, rows_to_look_at, tool_checked, tool_remarks
-from onebend.recording.tool.place import ToolPlace, not_seen, place_of
-from onebend.recording.tool.strips import Meeting, runs_in_rows
+from onebend.recording.tool import (
+    AT_REST,
+    LOADED,
+    Meeting,
+    ToolPlace,
+    deviations,
+    middle,
+    not_seen,
+    of_rows,
+    place_of,
+    rows_to_look_at,
+    runs_in_rows,
+    shrunk,
+    tool_checked,
+    tool_remarks,
+)
 from tests.made_up import observations
 from tests.recording.filmed import LENGTH, recording
 from tests.recording.tool.scenes import (

@@ -9,18 +9,15 @@ import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
+from onebend.recording.entries import MarkersEntry
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
-from onebend.recording.toml.source_entries import MarkersEntry
-from onebend.recording.tracks.chords import chord_angles
-from onebend.recording.tracks.marker_tracks import line_frame, track_markers
-from onebend.recording.tracks.plane_fit import best_plane
+from onebend.recording.tracks import best_plane, chord_angles, line_frame, track_markers
 from onebend.records import Markers, Observations
 from onebend.report.overview import overview
 from tests.made_up import BEAM, LENGTH, MARKER_S

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import push, weight
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.problem import make_problem
+from onebend.beam.statics import Equilibrium
 from onebend.errors import ObservationError, RecordingError
-from onebend.learning.inference.stages import FitSettings
+from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate

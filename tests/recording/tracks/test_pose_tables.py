@@ -8,21 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Scaled, Table
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import Equilibrium
-from onebend.beam.statics.problem import make_problem
+from onebend.beam.problem import make_problem
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, ObservationError, RecordingError
-from onebend.learning.inference.stages import FitSettings
-from onebend.learning.model.fit_data import fit_data
-from onebend.learning.model.forward import predict
-from onebend.learning.model.frames import loads_of
-from onebend.learning.model.mass import mass_remarks
-from onebend.learning.model.parameters import Priors, make_layout
-from onebend.learning.model.spline import Spline
+from onebend.learning.fit_data import fit_data
+from onebend.learning.frames import loads_of
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.parameters import Priors, Spline, make_layout, mass_remarks
 from onebend.learning.posterior import fit
+from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
 from onebend.pipeline import learn
 from onebend.recording.observe import observe

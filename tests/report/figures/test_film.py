@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from onebend.learning.explained import explained
-from onebend.recording.camera.lens import project
-from onebend.recording.kept_frames import KeptFrames
-from onebend.recording.toml.source_entries import VideoEntry
-from onebend.recording.video import frame_at, pictures_at, read_frames
+from onebend.learning.verdict import explained
+from onebend.recording.camera import project
+from onebend.recording.entries import VideoEntry
+from onebend.recording.video import KeptFrames, frame_at, pictures_at, read_frames
 from onebend.records import Observations
-from onebend.report.figures import drawing, film
-from onebend.report.figures.film import MOST_FRAMES, WIDEST, film_strip, shape_band, spread_frames
-from onebend.report.page.page import page
+from onebend.report import figures as drawing, pictures as film
+from onebend.report.page import page
+from onebend.report.pictures import MOST_FRAMES, WIDEST, film_strip, shape_band, spread_frames
 from tests import made_up
 from tests.made_up import with_source
 from tests.recording.test_video import write_video

@@ -11,15 +11,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Uniform
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.learning.explained import explained
-from onebend.learning.model.allowed import allowed
+from onebend.beam.stiffness import Powers, UncertainStiffness, Uniform
 from onebend.learning.outcome import Comparison
+from onebend.learning.prediction import allowed
 from onebend.learning.validation import validate
-from onebend.report.figures import curves, recordings, style
-from onebend.report.figures.simulated import centreline, largest_push, push_to_show, spread_of_pushes
-from onebend.report.figures.style import BLUE, colour, named, png_of
+from onebend.learning.verdict import explained
+from onebend.report import figures as curves, figures as recordings, style
+from onebend.report.figures import centreline, largest_push, push_to_show, spread_of_pushes
+from onebend.report.style import BLUE, hue_of, named, png_of
 from tests import made_up
 from tests.made_up import with_source
 
@@ -253,8 +252,8 @@ def test_however_many_markers_all_is_inside_the_picture(count: int) -> None:
 
 
 def test_colours_of_many_markers_go_by_their_order() -> None:
-    assert [colour(i, 7) for i in range(7)] == [colour(i) for i in range(7)]
-    assert len({colour(i, 28) for i in range(28)}) == 28
+    assert [hue_of(i, 7) for i in range(7)] == [hue_of(i) for i in range(7)]
+    assert len({hue_of(i, 28) for i in range(28)}) == 28
     assert sorted(named(28))[::6] == [0, 27]
     assert named(3) == {0, 1, 2}
 

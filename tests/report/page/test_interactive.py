@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.stiffness import Powers, Uniform
+from onebend.beam.stiffness import Powers, Uniform
 from onebend.records import PointMass
-from onebend.report.figures.bands import highest_shown
-from onebend.report.page.interactive import PLACES, SCRIPTS, script_data
-from onebend.report.page.page import page
-from onebend.report.page.template import COMMON, page_file
+from onebend.report.page import COMMON, PLACES, SCRIPTS, page, page_file, script_data
+from onebend.report.wording import highest_shown
 from tests import made_up
 from tests.report.page.browser import after_script, node_output, title_of
 

@@ -12,11 +12,10 @@ from typer.testing import CliRunner
 
 from onebend import cli
 from onebend.cli import learning as learning_commands
-from onebend.files.manifest import sha256_of
-from onebend.learning.inference.stages import FitSettings
-from onebend.report.figures.pictures import Pictures
-from onebend.report.page.made_from import shown_made_from, size_words
-from onebend.report.page.page import page
+from onebend.files.publish import sha256_of
+from onebend.learning.optimizer import FitSettings
+from onebend.report.page import page, shown_made_from, size_words
+from onebend.report.pictures import Pictures
 from onebend.results.provenance import inputs_of, provenance
 from tests import made_up
 from tests.report.page.test_page import Links

@@ -10,16 +10,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.learning.model.fit_data import FitData
+from onebend.learning.fit_data import FitData
 from onebend.learning.verdict import fitted_rms
 from onebend.records import ClockOffset, Remark
 from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
-from onebend.report.figures.drawing import draw_all, fit
-from onebend.report.findings import all_remarks, another_beam, pair_remarks, poor_fit
-from onebend.report.page.cards import cards
-from onebend.report.page.page import page
-from onebend.report.page.template import code_in
-from onebend.report.wording import assumptions, clock_words, inputs, millimetres, percent, significant, worst_tag
+from onebend.report.figures import draw_all, fit
+from onebend.report.page import cards, code_in, page
+from onebend.report.wording import (
+    all_remarks,
+    another_beam,
+    assumptions,
+    clock_words,
+    inputs,
+    millimetres,
+    pair_remarks,
+    percent,
+    poor_fit,
+    significant,
+    worst_tag,
+)
 from tests import made_up
 from tests.made_up import with_source, with_stated
 

@@ -8,25 +8,156 @@ the same place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from onebend.beam.continuation import follow
+from onebend.beam.grid import Modes, apply, places, positions
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.beam.statics.continuation import follow
-from onebend.beam.statics.equilibrium import Equilibrium, is_stable
-from onebend.beam.statics.newton import correct
-from onebend.beam.statics.problem import Problem, make_problem
-from onebend.beam.statics.rod import has_mass
+from onebend.beam.problem import Problem, has_mass, make_problem
+from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness, respond
+from onebend.beam.statics import Equilibrium, correct, is_stable
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.model.fit_data import REST_MODES, share_farther
-from onebend.learning.model.frames import known_loads
-from onebend.learning.model.held_ends import RESOLUTION
-from onebend.learning.model.mass import NEEDS_MASS, weighs
-from onebend.learning.sensing.prior import SharedPrior
+from onebend.learning.allowances import camera, heights
+from onebend.learning.fit_data import REST_MODES, share_farther
+from onebend.learning.frames import at_frames, known_loads
+from onebend.learning.instruments import Instruments
+from onebend.learning.paper import solve_states
+from onebend.learning.parameters import NEEDS_MASS, Priors, clamp_sd, curvature_sd, scale_sd, weighs
+from onebend.learning.prediction import TagRide, tag_blocks
+from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations
+
+# What all frames of a recording share when the force is told from the shape, as it is known before they are seen.
+
+LEARNED = ("curvature", "along", "across", "turn")  # what the beam's recordings have in common, beside k(s)
+_PLACES = 401
+_REMEMBERED = 50  # grids
+_SLIGHT = 3e-3  # of log k
+_SAME_PLACE = 1e-6  # s
+
+
+@dataclass(frozen=True)
+class SharedPrior:
+    """A normal density, of covariance `root root^T`, of what the frames share, part after part.
+
+    In order: the independent ways (p) in which log k is off, its common scale, the clamp's angle, the rest curvature
+    (3) besides that of the beam, the tags' places along and across and their turns (m each), the origin (2), the
+    picture's scale, the discrepancy: of the places (2 m) and the angles (m) of the tags for each metre that they move;
+    the unknowns of the picture, and the place of the contact where it is said.
+    """
+
+    ways: Array  # (c, p) of the c coefficients of log k, each way of variance 1
+    picture: Array  # (T + 1, m, 3, v) m, m, rad: what the v unknowns of the picture do in each frame; the last at rest
+    mean: Array  # (n,)
+    root: Array  # (n, r)
+    parts: dict[str, slice]
+    memory: dict[bytes, Array] = field(default_factory=dict, compare=False)  # the ways of log k on nodes met before
+
+    def on_nodes(self, stiffness: UncertainStiffness, nodes: Array) -> Array:
+        """(..., p) of log k at `nodes` (...), per unit of each way."""
+        key = nodes.tobytes()
+        if key not in self.memory:
+            if len(self.memory) > _REMEMBERED:
+                self.memory.clear()
+            self.memory[key] = (stiffness.basis(nodes.ravel()) @ self.ways).reshape(*nodes.shape, -1)
+        return self.memory[key]
+
+
+def shared_prior(
+    observations: Observations,
+    stiffness: UncertainStiffness | None,
+    instruments: Instruments | None,
+    *,
+    tags_as_learned: bool,
+    place_sd: float | tuple[float, ...],
+) -> SharedPrior:
+    """As the recording states it, with the discrepancy of `instruments`, and the place of the contact, or of each, to
+    `place_sd` [m]; with `tags_as_learned`, rest curvature and tags are those that were learned, with what their errors
+    have in common with those of k(s)."""
+    o, priors = observations, Priors()
+    m, stated = len(o.marker_s), o.stated
+    ways = np.zeros((0, 0)) if stiffness is None else ways_of(stiffness)
+    picture, picture_sd = picture_of(o)
+    place, angle = (0.0, 0.0) if instruments is None else instruments.discrepancy
+    sds = {
+        "log k": np.ones(ways.shape[1]),
+        "gain": np.full(1, 0.0 if stiffness is None else stiffness.gain_sd),
+        "clamp": np.full(1, clamp_sd(o, priors)),
+        "curvature": np.full(REST_MODES.n, curvature_sd(o, priors)),
+        "along": np.full(m, stated.placement_sd),
+        "across": np.full(m, stated.placement_sd),
+        "turn": np.full(m, stated.turn_sd),
+        "origin": np.full(2, stated.placement_sd),
+        "scale": np.full(1, scale_sd(o, priors)),
+        "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
+        "picture": picture_sd,
+        "place": np.atleast_1d(np.asarray(place_sd, dtype=float)),
+    }
+    ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
+    parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}
+    prior = SharedPrior(ways, picture, np.zeros(ends[-1]), np.diag(np.concatenate(list(sds.values()))), parts)
+    if stiffness is None or instruments is None or not (tags_as_learned and same_tags(o, instruments)):
+        return prior
+    return _as_learned(prior, stiffness, instruments)
+
+
+def same_tags(observations: Observations, instruments: Instruments | None) -> bool:
+    """Whether what was learned of the tags is known, and tags of this recording are at the same places."""
+    known = instruments is not None and instruments.shared_mean is not None
+    if not known or instruments is None or len(instruments.tags) != len(observations.marker_s):
+        return False
+    return bool(np.allclose(instruments.tags, observations.marker_s, rtol=0.0, atol=_SAME_PLACE))
+
+
+def picture_of(observations: Observations) -> tuple[Array, Array]:
+    """(T + 1, m, 3, v) what the unknowns of the camera, its plane and the tags' heights over it do to the poses, those
+    at rest last, and (v,) one sd of each."""
+    o, count = observations, len(observations.time) + 1
+    seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
+    rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)
+    found = [] if o.by_camera is None else [camera(o, np.ones(count - 1, dtype=bool), count)]
+    found += [] if o.source.view is None else [heights(o, np.concatenate([seen, rest[None]]))]
+    none = np.zeros((count, *seen.shape[1:], 0))
+    return np.concatenate([none, *(a.basis for a in found)], axis=-1), np.concatenate(
+        [np.zeros(0), *(a.prior_sd for a in found)]
+    )
+
+
+def ways_of(stiffness: UncertainStiffness) -> Array:
+    """(c, p) of the coefficients: the independent ways in which log k is off, each of variance 1, without those that
+    change log k by less than `_SLIGHT`, root mean square over the beam."""
+    values, vectors = np.linalg.eigh(stiffness.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    on_beam = stiffness.basis(np.linspace(0.0, 1.0, _PLACES)) @ root / np.sqrt(_PLACES)
+    _, size, turn = np.linalg.svd(on_beam, full_matrices=False)
+    return np.asarray(root @ turn[size > _SLIGHT].T)
+
+
+def _as_learned(prior: SharedPrior, stiffness: UncertainStiffness, instruments: Instruments) -> SharedPrior:
+    """With the joint density of log k and the rest that the learning left; ways of log k that were left out are
+    counted with what k(s) does not tell."""
+    ours, theirs = [], []
+    for name, where in instruments.shared_parts.items():
+        if name in LEARNED:
+            ours += list(range(prior.parts[name].start, prior.parts[name].stop))
+            theirs += list(range(where.start, where.stop))
+    slope = instruments.shared_slope[theirs]
+    unseen = slope @ (stiffness.covariance - prior.ways @ prior.ways.T) @ slope.T
+    left = instruments.shared_covariance[np.ix_(theirs, theirs)] + unseen
+    values, vectors = np.linalg.eigh(0.5 * (left + left.T))
+    mean, root = prior.mean.copy(), prior.root.copy()
+    root[ours] = 0.0
+    root[np.ix_(ours, ours)] = vectors * np.sqrt(np.maximum(values, 0.0))
+    root[ours, prior.parts["log k"]] = slope @ prior.ways
+    assert instruments.shared_mean is not None
+    mean[ours] = instruments.shared_mean[theirs]
+    mean[prior.parts["curvature"]] = 0.0  # that of the beam is the learned one
+    return SharedPrior(prior.ways, prior.picture, mean, root, prior.parts)
+
 
 INNERMOST = 0.03  # s: nearer to the clamp a force bends nothing
 _TRUST = 3.0  # rad: Newton's method may turn the beam no further
@@ -175,3 +306,148 @@ def _as_known(bench: Bench, problem: Problem) -> Problem:
     if bench.stiffness is not None and (level != 0.0 or np.any(off != 0.0)):
         k = k * np.exp(level + bench.prior.on_nodes(bench.stiffness, nodes) @ off)
     return replace(problem, k=k, q0=q0, alpha0=np.asarray(bench.beam.clamp_angle + bench.value("clamp")))
+
+
+# Where the tags are in a frame, and how they move with its force and place and with all that the frames share.
+
+AT_REST = np.array([-1], dtype=np.int64)  # the frame that shows the beam at rest
+_RIDING = ("along", "across", "turn", "origin", "scale")  # of the tags, as `tag_blocks` has them
+
+
+@dataclass(frozen=True)
+class Tags:
+    """Tags of F frames as force and place put them, with derivatives; m, m, rad."""
+
+    solved: Equilibrium
+    pose: Array  # (F, m, 3)
+    by_load: Array  # (F, m, 3, n) per N, and per N m
+    by_place: Array  # (F, m, 3, c) per metre that the force, or each of both, acts farther out
+    by_shared: Array  # (F, m, 3, n) per unit of what the frames share
+
+
+def poses_of(bench: Bench, frames: IntArray, solved: Equilibrium) -> tuple[Array, TagRide, Array]:
+    """(F, m, 3) m, m, rad: the tags in the picture; how they ride, and the places (m,) of the beam under them."""
+    parts, mean, length = bench.parts, bench.mean, bench.observations.length
+    at = bench.observations.marker_s + mean[parts["along"]] / length
+    s = np.clip(at, 0.0, 1.0)
+    scale = 1.0 + bench.value("scale")
+    ride = TagRide(solved.angle(s), length * (at - s), mean[parts["across"]], scale)
+    xy = scale * (solved.xy(s) + ride.offset) + mean[parts["origin"]]
+    pose = np.concatenate([xy, (ride.angle + mean[parts["turn"]])[..., None]], axis=-1)
+    pose = pose + bench.prior.picture[frames] @ mean[parts["picture"]]
+    return pose + _left(bench, xy) @ mean[parts["discrepancy"]], ride, s
+
+
+def tags_of(
+    bench: Bench, frames: IntArray, solved: Equilibrium, load: Array, place: Array, *, shared: bool = True
+) -> Tags:
+    """Of `frames` (F,) under `load` (F, n) at `place` (F,) or (F, 2), the equilibria being `solved`; without `shared`,
+    the derivatives with what the frames share are left out.
+
+    Forces are of the clamp's axes: they turn with the clamp.
+    """
+    problem, nodes = solved.problem, solved.problem.grid.nodes
+    pose, ride, s = poses_of(bench, frames, solved)
+    own, n = _of_own(bench, problem, load, place), load.shape[1]
+    ends = own.clamp.size
+    if not shared:
+        moved = ride.carry(respond(solved, own).poses(s))
+        return Tags(solved, pose, moved[..., :n], moved[..., n:], moved[..., ends:])
+    level = problem.k[..., None]
+    functions = level
+    if bench.stiffness is not None:
+        functions = np.concatenate([level * bench.prior.on_nodes(bench.stiffness, nodes), level], axis=-1)
+    changes = own + of_stiffness(solved, functions) + of_clamp_angle(problem)
+    changes = changes + of_rest_curvature(problem, REST_MODES.curvature(nodes))
+    moved = ride.carry(respond(solved, changes).poses(s))
+    turned = bench.parts["clamp"].start + ends
+    for x in range(0, n - 1, 2):
+        moved[..., turned] += moved[..., x + 1] * load[:, x, None, None]
+        moved[..., turned] -= moved[..., x] * load[:, x + 1, None, None]
+    xy = ride.offset + solved.xy(s)
+    bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
+    riding = tag_blocks(ride.motion(xy, bend))
+    blocks = [moved[..., ends:], *(riding[name] for name in _RIDING), _left(bench, pose[..., :2])]
+    blocks += [bench.prior.picture[frames], moved[..., n:ends]]
+    return Tags(solved, pose, moved[..., :n], moved[..., n:ends], np.concatenate(blocks, axis=-1))
+
+
+def by_forces_at(bench: Bench, frames: IntArray, solved: Equilibrium, place: Array) -> Array:
+    """(F, m, 3, P, 2) m, m, rad per N: by how much the components of a force at each of the places (P,) move the tags
+    of `frames` (F,), wherever the grid has its nodes."""
+    _, ride, s = poses_of(bench, frames, solved)
+    problem = solved.problem
+    nodes, weights = (np.asarray(each).reshape(-1) for each in (problem.grid.nodes, problem.weights))
+    beyond = np.asarray(nodes < place[:, None], dtype=float)
+    short = place - beyond @ weights  # of s from the last node's share of the beam to the place
+    beyond = beyond + float(problem.length) * short[:, None] * share_farther(problem, place)
+    force = np.einsum("pq,cd->qcpd", beyond, np.eye(2)).reshape(1, len(nodes), 2, -1)
+    changes = Perturbation(force, None, None, np.zeros(2 * len(place)))
+    moved = ride.carry(respond(solved, changes).poses(s))
+    return moved.reshape(*moved.shape[:3], len(place), 2)
+
+
+def _of_own(bench: Bench, problem: Problem, load: Array, place: Array) -> Perturbation:
+    """n of the load, and as many as there are places of these."""
+    every, (count, n) = places_in(place), load.shape
+    size = n + len(every)
+    shape = (count, problem.to_nodes.shape[-1])
+    force, moment = np.zeros((*shape, 2, size)), np.zeros((*shape, size))
+    for which, at in enumerate(every):
+        beyond, farther = bench.beyond(problem, at, which), share_farther(problem, at)
+        for c in range(2):
+            force[..., c, 2 * which + c] = beyond
+            force[..., c, n + which] = farther * load[:, 2 * which + c, None]
+        if n % 2:
+            moment[..., n - 1], moment[..., n] = beyond, farther * load[:, -1:]
+    return Perturbation(force, moment if n % 2 else None, None, np.zeros(size))
+
+
+def _left(bench: Bench, xy: Array) -> Array:
+    """(F, m, 3, 3 m) of each tag's x, then y, then angle, per unit of the discrepancy, of tags at `xy` (F, m, 2) m."""
+    moved = xy - bench.at_rest
+    frames, m = moved.shape[:2]
+    size = np.sqrt(np.mean(np.sum(moved**2, axis=-1), axis=1))
+    out = np.zeros((frames, m, 3, 3, m))
+    for tag in range(m):
+        out[:, tag, range(3), range(3), tag] = size[:, None]
+    return out.reshape(frames, m, 3, 3 * m)
+
+
+# Where the search for a frame's force begins: the force that balances the curvature that the tags show best.
+#
+# Inverse kinematics (22) gives a shape of few modes. Under one force F at `s_a` it would have `k (q - q0) = (r(s_a) -
+# r(s)) x F` below `s_a`, which is linear in F: least squares of the curvature over places, with the force's prior. So
+# it is with a second force, and with a moment.
+
+_MODES = 4
+_NODES = 0.05 + 0.9 * (np.arange(24) + 0.5) / 24  # of the way to the force
+_CURVATURE_SD = 0.3  # rad, of such a shape's curvature
+
+
+def first_forces(bench: Bench, frames: IntArray, place: Array, prior_sd: Array) -> Array:
+    """(F, n) loads in `frames` (F,) at `place` (F,) or (F, 2) of s; `prior_sd` (n,) of each number."""
+    beam, every = bench.beam, bench.observations
+    o = at_frames(every, np.isin(np.arange(len(every.time)), frames))
+    states = solve_states(o, min(_MODES, 2 * len(o.marker_s)))
+    theta = np.nan_to_num(states.theta)
+    out = np.zeros((len(frames), len(prior_sd)))
+    place = bench.placed(place).reshape(len(frames), -1)
+    for at in np.unique(place, axis=0):
+        rows = np.flatnonzero(np.all(place == at, axis=1))
+        s = np.max(at) * _NODES
+        on = places(o.length, Modes(theta.shape[1]), np.concatenate([s, at]))
+        xy = positions(on, theta[rows])
+        bent = on.modes.curvature(s) @ theta[rows].T - np.asarray(beam.rest_curvature(s))[:, None]
+        by = np.zeros((len(rows), len(s), len(prior_sd)))
+        for which, one in enumerate(at):
+            lever = np.where((s < one)[:, None], xy[:, len(s) + which, None] - xy[:, : len(s)], 0.0)
+            by[..., 2 * which], by[..., 2 * which + 1] = -lever[..., 1], lever[..., 0]
+        if len(prior_sd) % 2:
+            by[..., -1] = 1.0
+        weight = np.sqrt(theta.shape[1] / len(s)) / _CURVATURE_SD
+        by = weight * prior_sd * by / np.asarray(beam.stiffness(s))[:, None]
+        right = np.einsum("fsi,sf->fi", by, weight * bent)
+        normal = np.einsum("fsi,fsj->fij", by, by) + np.eye(len(prior_sd))
+        out[rows] = prior_sd * np.linalg.solve(normal, right[..., None])[..., 0]
+    return out

@@ -3,40 +3,305 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.profiles.uncertain import UncertainStiffness
-from onebend.blas import one_blas_thread
+from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
-from onebend.learning.design.instruments import Instruments
-from onebend.learning.endings.let_go import ended
-from onebend.learning.endings.mode import bending
-from onebend.learning.model.force_error import force_error
-from onebend.learning.sensing.bench import Bench, check_recording
-from onebend.learning.sensing.edges import edges_of, frames_at_edges, runs_of, within
-from onebend.learning.sensing.estimate import PLACE_PRIOR
-from onebend.learning.sensing.frame_forces import read
-from onebend.learning.sensing.joint import rested
-from onebend.learning.sensing.prior import shared_prior
-from onebend.learning.sensing.search import Searched, search, touches
-from onebend.learning.sensing.sensed import (
-    SecondForce,
-    Sensed,
-    SenseSettings,
-    ToldMoment,
-    Touch,
-    check_settings,
-    joined,
-    logged_forces,
-    sensed_remarks,
+from onebend.learning.endings import Edge, bending, ended
+from onebend.learning.force_error import force_error
+from onebend.learning.frames import whitening
+from onebend.learning.instruments import Instruments
+from onebend.learning.sensing.bench import (
+    INNERMOST,
+    Bench,
+    Tags,
+    check_recording,
+    problem_of,
+    shared_prior,
+    solve,
+    tags_of,
 )
+from onebend.learning.sensing.contacts import (
+    APART,
+    STRIDE,
+    Benches,
+    Smoothed,
+    TwoContacts,
+    both_touch,
+    edges_of,
+    frames_at_edges,
+    runs_of,
+    smoothed,
+    two_said,
+    two_sought,
+    within,
+)
+from onebend.learning.sensing.forces import PLACE_PRIOR, TOUCH, Misfit, Searched, first, read, rested, search, touches
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
-from onebend.learning.sensing.smooth import Smoothed, smoothed
-from onebend.learning.sensing.two import APART, STRIDE, Benches, TwoContacts, both_touch, two_said, two_sought
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.progress import one_blas_thread
+from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+
+# What is asked of the beam as a force sensor, and what it says.
+
+TOO_FAR, UNLIKELY = 2.5, 1e-4  # of the misfit: its ratio and probability from which no force explains the shapes
+WIDE = 1.96  # sds of a 95 % band
+FROM_PRIOR = 0.25  # share of a variance left by the data from which it is said
+
+
+@dataclass(frozen=True)
+class SenseSettings:
+    """What is known of the contact, and of forces before any shape was seen."""
+
+    place: Literal["known", "unknown"] = "known"
+    at_s: float | None = None  # where the force acts; None: as the recording says
+    at_sd: float | None = None  # m, one sd of that place; None: as the recording says
+    # N, one sd of each component before the shape is seen, mean zero; None: three times k/L, mean along the beam
+    force_prior: float | None = None
+    # whether the tags sit on the beam as they did when it was learned; "anew": they were put on again
+    tags: Literal["learned", "anew"] = "learned"
+    moment: bool = False  # whether the contact transmits a moment besides
+    moment_prior: float | None = None  # N m, one sd of it before the shape is seen; None: the force's times L
+    contacts: Literal["1", "2", "auto"] = "1"  # auto: two where the evidence is for it
+    second_s: float | None = None  # where the second of two forces acts that are said
+    smooth: bool = False  # whether the force is told as a process over the frames besides
+
+
+def check_settings(settings: SenseSettings, name: str, length: float) -> None:
+    """Of the recording `name`, of a beam of so many metres.
+
+    Raises:
+        LearningError: what is asked contradicts itself, or is not known to act.
+    """
+    for at in (settings.at_s, settings.second_s):
+        if at is not None and not 0.0 < at <= 1.0:
+            raise LearningError(f"a force acts at s in (0, 1], got {at}")
+    if settings.place == "unknown" and not (settings.at_s is None and settings.at_sd is None):
+        raise LearningError("the place of the contact is either said or sought: leave out where it is, or 'unknown'")
+    sds = (("the place's sd", settings.at_sd), ("the force's prior sd", settings.force_prior))
+    for what, value in (*sds, ("the moment's prior sd", settings.moment_prior)):
+        if value is not None and not (math.isfinite(value) and value >= 0.0):
+            raise LearningError(f"{what} must be a finite number above zero, got {value}")
+    if settings.at_sd is not None and settings.at_sd > length:
+        raise LearningError("the place's sd is more than the beam's length: let the place be sought (--place unknown)")
+    if settings.force_prior == 0.0:
+        raise LearningError("a force prior of 0 N says that there is no force: give the size of forces to be expected")
+    if settings.moment_prior == 0.0:
+        raise LearningError("a moment prior of 0 N m says that there is no moment: ask for none")
+    _check_contacts(settings, name)
+
+
+def _check_contacts(settings: SenseSettings, name: str) -> None:
+    if settings.moment and (settings.place == "unknown" or settings.contacts != "1"):
+        raise LearningError(
+            "a moment is told of one contact whose place is said: a force elsewhere looks much like a force with a "
+            "moment. Say the place (--push-at), and ask for one contact"
+        )
+    if settings.contacts != "1" and settings.smooth:
+        raise LearningError("a smooth force is told of one contact: ask for --smooth or for --contacts, not for both")
+    if settings.moment_prior is not None and not settings.moment:
+        raise LearningError("a moment's prior is given, and no moment is asked for: add --moment, or leave it out")
+    if settings.second_s is not None and settings.contacts == "1":
+        raise LearningError("where a second force acts is said, and one contact is asked for: add --contacts 2")
+    if settings.second_s is not None and settings.place == "unknown":
+        raise LearningError("the places are sought (--place unknown): leave out where the second force acts")
+    if settings.contacts != "1" and settings.place == "known" and settings.second_s is None:
+        raise LearningError(
+            f"{name}: nobody says where the second force acts. Give its place (--second-at), or let both be sought "
+            "(--place unknown)"
+        )
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A stretch of frames that show a force."""
+
+    first: float  # s, of its frames
+    last: float  # s
+    begin: Edge  # when the force became more than zero
+    end: Edge  # and when it was zero again
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """s, from when to when; where that is not known, of the frames."""
+        begin = self.begin.time if math.isfinite(self.begin.sd) else self.first
+        end = self.end.time if math.isfinite(self.end.sd) else math.nextafter(self.last, math.inf)
+        return begin, end
+
+
+def joined(contacts: Sequence[Touch]) -> tuple[Touch, ...]:
+    """Contacts of which the next would begin before the last has ended are one."""
+    out: list[Touch] = []
+    for one in contacts:
+        if out and one.span[0] <= out[-1].span[1]:
+            out[-1] = Touch(out[-1].first, one.last, out[-1].begin, one.end)
+        else:
+            out.append(one)
+    return tuple(out)
+
+
+@dataclass(frozen=True)
+class ToldMoment:
+    """The moment that a contact puts on the beam besides its force, in T frames."""
+
+    moment: Array  # (T,) N m
+    sd: Array  # (T,) N m
+    with_force: Array  # (T, 2) N^2 m, covariance with the components of the force
+    prior_sd: float  # N m
+    prior_share: Array  # (T,) of the prior's variance, what the data leave
+
+
+@dataclass(frozen=True)
+class SecondForce:
+    """The second of two forces, the farther one from the clamp where both were sought, in T frames."""
+
+    force: Array  # (T, 2) N
+    covariance: Array  # (T, 2, 2) N^2
+    with_first: Array  # (T, 2, 2) N^2, covariance of the first force's components with its own
+    prior_share: Array  # (T, 2)
+    place: float  # s; NaN where it was sought and not found
+    place_sd: float  # of s
+    touched: BoolArray  # (T,) zero force lies outside its 95 % region
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """The force on the beam in T frames, beam's frame; NaN where a frame tells nothing."""
+
+    name: str
+    settings: SenseSettings
+    prior_sd: float  # N
+    frame: IntArray  # (T,) index in the video
+    time: Array  # (T,) s
+    force: Array  # (T, 2) N
+    covariance: Array  # (T, 2, 2) N^2
+    prior_share: Array  # (T, 2) of each component's prior variance, what the data leave: 1 is the prior alone
+    place: Array  # (T,) s; NaN where it was sought and not found
+    place_sd: Array  # (T,) of s
+    other_place: Array  # (T,) s that explains the frame about as well; NaN where there is none
+    weak_angle: Array  # (T,) rad, the direction in which the force is known least, against x, in [0, pi)
+    weak_sd: Array  # (T,) N, in that direction
+    strong_sd: Array  # (T,) N, across it
+    chi2: Array  # (T,) squared residuals in units of all noise
+    touched: BoolArray  # (T,) zero force lies outside the 95 % region
+    contacts: tuple[Touch, ...]
+    misfit: Misfit | None  # None: no frame shows a force
+    logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
+    # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
+    common: Array
+    smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
+    moment: ToldMoment | None = None  # where one was asked for
+    two: TwoContacts | None = None  # one contact against two, where that was asked for
+    second: SecondForce | None = None  # where two contacts were asked for, or found
+    sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
+    remarks: tuple[Remark, ...] = ()
+
+    @property
+    def explained(self) -> bool:
+        """Whether the force explains the shapes; true where no frame shows one."""
+        return self.misfit is None or self.misfit.ratio <= TOO_FAR or self.misfit.probability >= UNLIKELY
+
+    @property
+    def peak(self) -> int | None:
+        """Index of the largest force among the frames of a contact, as far as it is sure (the lower end of its 95 %
+        band); None where there is none."""
+        inside = np.zeros(len(self.time), dtype=bool)
+        for one in self.contacts:
+            inside |= (self.time >= one.first) & (self.time <= one.last)
+        if not np.any(inside & self.touched):
+            return None
+        size = np.hypot(*self.force.T)
+        sd = np.sqrt(np.einsum("tc,tcd,td->t", self.force, self.covariance, self.force)) / np.maximum(size, 1e-300)
+        return int(np.nanargmax(np.where(inside & self.touched, size - WIDE * sd, np.nan)))
+
+    @property
+    def against_log(self) -> tuple[float, float] | None:
+        """N, RMS over the touched frames of the difference to the log: in the direction in which the force is known
+        best, and in that in which least. None where there is no log, no frame that shows a force, or a second one, of
+        which the log may be."""
+        if self.second is not None:
+            return None
+        shown = self.touched & np.isfinite(self.logged).all(axis=1)
+        if not np.any(shown):
+            return None
+        away, angle = (self.force - self.logged)[shown], self.weak_angle[shown]
+        least = away[:, 0] * np.cos(angle) + away[:, 1] * np.sin(angle)
+        best = away[:, 1] * np.cos(angle) - away[:, 0] * np.sin(angle)
+        return float(np.sqrt(np.mean(best**2))), float(np.sqrt(np.mean(least**2)))
+
+    def along(self, angle: Array | float) -> tuple[Array, Array]:
+        """(T,) N each: the force in the direction `angle` [rad] against x, and its sd."""
+        way = np.broadcast_to(np.stack([np.cos(angle), np.sin(angle)], axis=-1), self.force.shape)
+        variance = np.einsum("tc,tcd,td->t", way, self.covariance, way)
+        return np.einsum("tc,tc->t", way, self.force), np.sqrt(variance)
+
+
+def logged_forces(o: Observations) -> Array:
+    """(T, 2) N of the log; NaN where there is none."""
+    none = o.source.clean_force is None and not np.any(o.force)
+    return np.full_like(o.force, np.nan) if none else o.force
+
+
+def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Remark, ...]:
+    """What the regions do not hold, and what is not observable; `banded`: the model has a band on k(s)."""
+    out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
+    if fit is not None and not sensed.explained:
+        text = (
+            f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
+            "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "
+            "it stands in its clamp as it did then, where the force acts, and that the push is slow"
+            + ("" if sensed.settings.force_prior is None else ". Or --force-prior-N is far too small for this force")
+        )
+        out.append(Remark("warning", text, about="sensed misfit"))
+    if sensed.sensor is not None and not sensed.sensor.scale_agrees(o.stated.gain_sd):
+        gain, sd = sensed.sensor.gain
+        text = (
+            f"The log shows {gain:.3g} ± {WIDE * sd:.2g} times the force that the shape tells: the sensor's scale is "
+            "off, or the model's k(s) is by as much, which no shape tells. A weight hung on the beam tells which"
+        )
+        out.append(Remark("warning", text, about="sensed gain"))
+    if not banded:
+        out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
+    if not np.isfinite(o.rest_xy).any():
+        out.append(Remark("note", "No frame shows the beam at rest: the mounting is known only as stated."))
+    if not o.sd_known:
+        out.append(Remark("note", "The tags' noise is a guess, and the regions are as good as it is."))
+    if lost:
+        out.append(Remark("note", f"In {lost} frames no equilibrium was found that explains the tags."))
+    if np.any(sensed.touched):
+        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
+        weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
+        if weak:
+            text = (
+                f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
+            )
+            out.append(Remark("note", text))
+    return (*out, *load_remarks(sensed))
+
+
+def load_remarks(sensed: Sensed) -> list[Remark]:
+    """What is not observable of a moment, and how sure two contacts are."""
+    out, two, moment = [], sensed.two, sensed.moment
+    if moment is not None and np.any(sensed.touched):
+        share = float(np.nanmedian(moment.prior_share[sensed.touched]))
+        if share > FROM_PRIOR:
+            out.append(
+                f"The moment comes in good part ({100 * share:.0f} %) from the prior (sd {moment.prior_sd:.3g} N m)."
+            )
+    if two is not None and not two.found:
+        asked = "" if sensed.second is None else ", and two were asked for: the second force may be none"
+        out.append(f"The shapes show one contact (log evidence of a second {two.evidence:.3g}){asked}.")
+    if two is not None and two.others and sensed.second is not None:
+        pairs = " or ".join(f"s = {near:.2f} and {far:.2f}" for near, far in (two.places, *two.others))
+        out.append(
+            f"The shapes do not tell which places two contacts have: {pairs}. The forces are those of the first."
+        )
+    return [Remark("note", text) for text in out]
+
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
 _NOTHING = 1e-4  # of the prior's sd: a force that is none
@@ -291,3 +556,183 @@ def _over_time(
     spans = [np.searchsorted(time, one.span) for one in contacts]
     runs = [(int(a), int(b) - 1) for a, b in spans if b > a]
     return contacts, smoothed(time, searched.found, runs, prior, readings.widened)
+
+
+# The force on a learned beam while it is being pushed: a frame in, a force out.
+#
+# A frame begins at the force and the shape of the one before: one or two Gauss-Newton steps, each an equilibrium from
+# near by. What the frames share is integrated out as it counts there: near a buckling load that changes much from
+# frame to frame.
+
+_STEPS = 8
+_CLOSE = 0.3  # posterior sds: a step this small is the last, and taken to first order
+_SLID = 0.02  # of s: a place so far from the grid's edge gets a grid of its own
+_LOST = 20.0  # squared residuals over their count, above the usual: the search begins anew
+_ONE = np.zeros(1, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class LiveForce:
+    """The force in one frame, beam's frame; NaN where the frame tells nothing, or no force explains it: then `chi2` is
+    more than twenty times the count of what was measured."""
+
+    time: float  # s
+    force: Array  # (2,) N
+    covariance: Array  # (2, 2) N^2
+    place: float  # s
+    place_sd: float  # of s
+    touched: bool  # zero force lies outside the 95 % region
+    chi2: float  # squared residuals in units of all noise
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """The beam as it was solved last."""
+
+    unknown: Array  # (d,) N, N, s
+    edge: float  # s, of the grid
+    tags: Tags
+    noise: Array  # (m, 3, r) what the frames share, as it counts here
+
+
+class OnlineSense:
+    """Force (and place) of each frame as it comes.
+
+    Stiffness and force together cannot be told without a force log: k(s) stays as it was learned.
+    """
+
+    def __init__(
+        self,
+        beam: Beam,
+        at_rest: Observations,
+        *,
+        stiffness: UncertainStiffness | None = None,
+        instruments: Instruments | None = None,
+        settings: SenseSettings = SenseSettings(),
+    ) -> None:
+        """`at_rest`: what was seen of the beam with nothing on it, and what is stated of it.
+
+        Raises:
+            LearningError: as `sense`.
+        """
+        o = replace(at_rest, source=replace(at_rest.source, view=None), by_camera=None)
+        self._bench = bench_of(beam, o, stiffness, instruments, settings)
+        every = np.arange(len(o.time), dtype=np.int64)
+        self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
+        self._sd = np.array([prior_of(beam, settings)] * 2 + [PLACE_PRIOR[1]])
+        self._mean = np.array([0.0, 0.0, PLACE_PRIOR[0]])
+        if self._place is not None:
+            self._sd, self._mean = self._sd[:2], self._mean[:2]
+        self._shape: _Shape | None = None
+
+    @one_blas_thread
+    def add(self, time: float, xy: Array, angle: Array, covariance: Array) -> LiveForce:
+        """The force in a frame at `time` [s]: tags at `xy` (m, 2) [m], `angle` (m,) [rad], with their covariance
+        (m, 3, 3); NaN where a tag was not seen."""
+        seen = np.concatenate([xy, angle[:, None]], axis=1)
+        if np.sum(np.isfinite(xy)) < 2:
+            none = np.full((2, 2), np.nan)
+            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan)
+        whiten = whitening(seen, covariance)
+        count = int(np.sum(np.isfinite(seen)))
+        shape = self._shape if self._shape is not None else self._anew(time, seen, covariance)
+        found = self._follow(shape, seen, whiten)
+        if found is None or found[3] > _LOST * count:
+            again = self._follow(self._anew(time, seen, covariance), seen, whiten)
+            found = again if found is None or (again is not None and again[3] < found[3]) else found
+        if found is None or not found[3] <= _LOST * count:
+            self._shape, none = None, np.full((2, 2), np.nan)
+            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan if found is None else found[3])
+        self._shape, unknown, spread, chi2 = found
+        axes = self._bench.axes
+        force, part = axes @ unknown[:2], axes @ spread[:2, :2] @ axes.T
+        if self._place is None:
+            place, place_sd = float(unknown[2]), float(np.sqrt(spread[2, 2]))
+        else:
+            place, place_sd = self._place, self._bench.place_sd / self._bench.observations.length
+        touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
+        return LiveForce(time, force, part, place, place_sd, touched, chi2)
+
+    def _follow(self, shape: _Shape, seen: Array, whiten: Array) -> tuple[_Shape, Array, Array, float] | None:
+        """Shape, unknowns (d,), their covariance and the squared residuals; None where the beam does not stand."""
+        for number in range(_STEPS):
+            slopes, residual = self._whitened(shape, seen, whiten)
+            left, told, turn = np.linalg.svd(slopes, full_matrices=False)
+            z = (shape.unknown - self._mean) / self._sd
+            step = turn.T @ ((told * (left.T @ residual) - turn @ z) / (1.0 + told**2))
+            unknown = shape.unknown + self._sd * step
+            if self._place is None:
+                unknown[2] = np.clip(unknown[2], INNERMOST, 1.0)
+            moved = np.linalg.norm(np.hypot(1.0, told) * (turn @ step))
+            if number and moved < _CLOSE:
+                break
+            now = self._solved(unknown, shape)
+            if now is None:
+                return None
+            shape = now
+        slopes, residual = self._whitened(shape, seen, whiten)
+        _, told, turn = np.linalg.svd(slopes, full_matrices=False)
+        root = self._sd[:, None] * turn.T / np.hypot(1.0, told)
+        left_over = residual - slopes @ ((unknown - shape.unknown) / self._sd)
+        return shape, unknown, root @ root.T, float(left_over @ left_over)
+
+    def _whitened(self, shape: _Shape, seen: Array, whiten: Array) -> tuple[Array, Array]:
+        """(3 m, d) slopes over the priors' sds, and (3 m,) residuals, in units of all noise."""
+        tags, count = shape.tags, seen.size
+        shared = (whiten @ shape.noise).reshape(count, -1)
+        own = tags.by_load[0]
+        if self._place is None:
+            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0]], axis=-1)
+        both = np.concatenate([own * self._sd, np.nan_to_num(seen - tags.pose[0])[..., None]], axis=-1)
+        root = np.linalg.cholesky(np.eye(count) + shared @ shared.T)
+        out = np.linalg.solve(root, (whiten @ both).reshape(count, -1))
+        return out[:, :-1], out[:, -1]
+
+    def _solved(self, unknown: Array, near: _Shape) -> _Shape | None:
+        edge = near.edge
+        if self._place is None and abs(unknown[2] - edge) > _SLID:
+            edge = float(unknown[2])
+        bench, at = self._at(unknown, edge)
+        problem = problem_of(bench, _ONE, at)
+        q = near.tags.solved.q
+        start = q if q.shape[1] == problem.grid.nodes.shape[-1] else None
+        solved = solve(bench, problem, unknown[None, :2], at, start)
+        if start is not None and not solved.converged[0]:
+            solved = solve(bench, problem, unknown[None, :2], at, None)
+        if not solved.converged[0]:
+            return None
+        tags = tags_of(bench, _ONE, solved, unknown[None, :2], at)
+        return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
+
+    def _at(self, unknown: Array, edge: float) -> tuple[Bench, Array]:
+        """The bench with the place that is sought as far from the grid's edge as it is, and that edge."""
+        if self._place is not None:
+            return self._bench, np.array([self._place])
+        mean = self._bench.mean.copy()
+        mean[self._bench.parts["place"]] = (unknown[2] - edge) * self._bench.observations.length
+        return replace(self._bench, mean=mean), np.array([edge])
+
+    def _anew(self, time: float, seen: Array, covariance: Array) -> _Shape:
+        """As a recording's frame is sought that has none before it."""
+        o = self._bench.observations
+        alone = replace(
+            o,
+            time=np.array([time]),
+            frame=_ONE,
+            xy=seen[None, :, :2],
+            angle=seen[None, :, 2],
+            covariance=covariance[None],
+            force=np.zeros((1, 2)),
+            push_s=np.full(1, np.nan),
+            loaded=np.ones(1, dtype=bool),
+            gravity=o.gravity[:1],
+        )
+        bench = replace(self._bench, observations=alone)
+        place = None if self._place is None else np.array([self._place])
+        found, _ = first(bench, _ONE, place, self._sd[:2])
+        unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(self._sd)]
+        edge = self._place if self._place is not None else float(found.place[0])
+        here, at = self._at(unknown, edge)
+        solved = solve(here, problem_of(here, _ONE, at), unknown[None, :2], at, None)
+        tags = tags_of(here, _ONE, solved, unknown[None, :2], at)
+        return _Shape(unknown, edge, tags, tags.by_shared[0] @ here.root)

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from onebend.learning.inference.hyperparameters import SPREAD
-from onebend.learning.model.force_error import ForceError
+from onebend.learning.force_error import ForceError
+from onebend.learning.hyperparameters import SPREAD
 from onebend.records import Array, CleanForce, IntArray
 
 _ROUNDS, _CHOICES = 6, 2

@@ -1,1 +1,561 @@
 """The self-contained page."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cache
+from importlib.resources import files
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from onebend.beam.stiffness import UncertainStiffness, half_width_words
+from onebend.learning.frequencies import compared_frequencies, worst_off
+from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.posterior import Posterior
+from onebend.learning.verdict import fitted_rms, possible, unseen_words
+from onebend.records import Array, Observations
+from onebend.report.confidence import (
+    alarm_words,
+    allowance_rows,
+    identified_ranges,
+    identified_words,
+    load_error_words,
+    measured_beam,
+    model_test_rows,
+    modulus_range,
+    modulus_rows,
+    modulus_words,
+    mounting_words,
+    nuisance_rows,
+    one_modulus_words,
+    scale_words,
+    stiffness_range,
+    stop_words,
+    tradeoff_words,
+    typical_half_width,
+    unidentified_words,
+)
+from onebend.report.pictures import FilmStrip
+from onebend.report.verdict import Verdict, verdict_of
+from onebend.report.wording import (
+    LEVELS,
+    UNKNOWN,
+    Findings,
+    all_remarks,
+    assumptions,
+    bic_words,
+    files_described,
+    highest_shown,
+    inputs,
+    learned_from,
+    millimetres,
+    name_of,
+    only_frequencies,
+    only_static,
+    percent,
+    significant,
+    span,
+    stage_rows,
+    words_of,
+    worst_tag,
+)
+from onebend.text_files import one_line, to_json
+
+# Self-contained pages: a template, the common frame and style, and figures as data.
+
+COMMON = "onebend.report.page"
+
+
+def render(
+    package: str, name: str, figures: Mapping[str, bytes], content: Mapping[str, Any], *, scripts: Sequence[str] = ()
+) -> str:
+    """The template `name` of `package` as HTML; it sees `look` (CSS), `figures` (base64 PNGs by name) and `content`.
+
+    It may extend base.html and take macros from parts.html, which stand in this folder.
+
+    Args:
+        scripts: of this folder, run one after the other with `content["data"]` (JSON) beside them. The page allows
+            these and no other, and nothing from anywhere else.
+    """
+
+    look = Markup(page_file(COMMON, "look.css"))
+    encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
+    script = Markup("\n".join(page_file(COMMON, file) for file in scripts))
+    given = {"look": look, "figures": encoded, "script": script, "policy": _policy(script)}
+    return _environment(package, name).get_template(name).render(**given, **content)
+
+
+@cache
+def _environment(package: str, name: str) -> Environment:
+    """For the template `name` of `package`; templates are compiled once."""
+
+    def source(file: str) -> str:
+        return page_file(package if file == name else COMMON, file)
+
+    environment = Environment(
+        loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["code"] = code_in
+    return environment
+
+
+def code_in(text: str) -> Markup:
+    """The text, escaped; what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def _policy(script: str) -> str:
+    """The page's Content-Security-Policy: its own style, pictures inside it, and the script with this very text."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    allowed = f"'sha256-{digest}'" if script else "'none'"
+    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
+
+
+def page_file(package: str, file: str) -> str:
+    """The text of a template, style or script."""
+    return files(package).joinpath(file).read_text(encoding="utf-8")
+
+
+# The headline figures of a report.
+
+
+def cards(findings: Findings) -> list[dict[str, str]]:
+    """What it is, its value, and a note, one a card."""
+    recording = findings.recordings[0]
+    rows = [_stiffness_card(findings), *_modulus_card(findings)]
+    if findings.posterior is not None:
+        rows += [band_card(findings.posterior.stiffness), verdict_card(verdict_of(findings))]
+    rows.append(_training_card(findings))
+    seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
+    if seen:
+        worst = max(seen, key=lambda comparison: np.max(np.nan_to_num(comparison.rms)))
+        others = len(seen)
+        which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
+        note = f"RMS, {which}{_noise_of(worst)}"
+        rows.append({"what": "validation, worst tag", "value": worst_tag(worst), "note": note})
+    if recording.source.clean_force is not None:
+        size = np.linalg.norm(recording.force[recording.loaded], axis=1)
+        noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
+        note = f"noise left in it: {significant(noise, 2)} mN (sd)"
+        rows.append({"what": "largest force", "value": f"{significant(np.nanmax(size, initial=0.0))} N", "note": note})
+    return rows
+
+
+def _noise_of(validation: Comparison) -> str:
+    """What the force noise alone does to the worst tag; a fit is closer, for it takes that noise out of the log."""
+    noise = validation.sensor_rms[int(np.argmax(np.nan_to_num(validation.rms)))]
+    return f"; force noise {millimetres(float(noise))} mm" if np.isfinite(noise) and noise > 0.0 else ""
+
+
+def verdict_card(verdict: Verdict) -> dict[str, str]:
+    """The grade, and what k(s) rests on."""
+    return {"what": "verdict", "value": verdict.grade, "note": verdict.rests_on}
+
+
+def _training_card(findings: Findings) -> dict[str, str]:
+    """The residual at the tags that the beam was learned from: of the fit, where there is one."""
+    if findings.posterior is not None and only_frequencies(findings.recordings):
+        swings = findings.posterior.frequencies
+        note = f"of {len(compared_frequencies(swings))} measured, from those of the fit"
+        return {"what": "worst frequency", "value": f"{significant(worst_off(swings), 2)} sd", "note": note}
+    what = "learned recording, worst tag"
+    rms = [one.rms for one in findings.trainings] if findings.posterior is None else fitted_rms(findings.posterior)
+    which = int(np.argmax([float(np.max(np.nan_to_num(values))) for values in rms]))
+    logged = findings.trainings[which]
+    of = "RMS under the force as logged" if findings.posterior is None else "RMS of the fit"
+    note = f"{of}, over {len(logged.frame)} {words_of(findings.recordings[which]).frames}"
+    return {"what": what, "value": worst_tag(replace(logged, rms=rms[which])), "note": note}
+
+
+def _stiffness_card(findings: Findings) -> dict[str, str]:
+    low, high = stiffness_range(findings)
+    area = 1e6 * findings.beam.length
+    return {
+        "what": "bending stiffness k(s)",
+        "value": f"{span(low, high, ' … ')}\u00a0N\u00a0m",
+        "note": f"EI {span(area * low, area * high, ' … ')} N mm²",
+    }
+
+
+def _modulus_card(findings: Findings) -> list[dict[str, str]]:
+    """Young's modulus, where the section was measured."""
+    measured = measured_beam(findings)
+    found, one = modulus_range(measured), one_modulus_words(measured)
+    if one:
+        note = f"95 %; mean along the beam, k(s) stated to go with the section; {found} at its places"
+        return [{"what": "Young's modulus E", "value": one, "note": note}]
+    note = "E(s) = k L / I, where k is identified, by the section that recording.toml states"
+    return [{"what": "Young's modulus E(s)", "value": found, "note": note}] if found else []
+
+
+def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
+    """The width of the band, where k is identified, and whether the fit can be trusted."""
+    what = "k(s) is known to"
+    if uncertain.doubts:
+        return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
+    ranges = identified_ranges(uncertain)
+    if not ranges:
+        return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
+    wide = typical_half_width(uncertain)
+    return {
+        "what": what,
+        "value": half_width_words(wide),
+        "note": f"95 %, median over the identified s = {identified_words(ranges)}",
+    }
+
+
+# What the page's own script draws: k(s) with its bands to touch, and the learned beam to bend. Numbers alone.
+
+SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # in this order, one script
+PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
+_DIGITS = 6
+
+
+def script_data(findings: Findings, film: FilmStrip | None = None) -> Markup:
+    """JSON for a script element, with nothing in it that could end the element."""
+    data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
+    text = to_json(data, ascii_only=True, readable=False)
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+def _curve(findings: Findings) -> dict[str, Any]:
+    """k(s) with its bands, in N m."""
+    s = np.linspace(0.0, 1.0, PLACES)
+    beam, posterior, learned = findings.beam, findings.posterior, findings.learned
+    k = np.asarray(beam.stiffness(s))
+    found: dict[str, Any] = {
+        "length_m": beam.length,
+        "tag_id": findings.trainings[0].tag_id.tolist(),
+        "tag_s": _short(findings.trainings[0].marker_s),
+        "k_N_m": _short(k),
+        "bands": [],
+        "top_N_m": float(max(np.max(k), 0.0)),
+        "lowest_N_m": float(min(np.min(k), 0.0)),
+    }
+    if posterior is None:
+        return found
+    uncertain = posterior.stiffness
+    found |= {"known": uncertain.band(s).identified.tolist(), "top_N_m": highest_shown(uncertain)}
+    found |= {"bands": _bands(uncertain, s), "unknown": "not to be trusted" if uncertain.doubts else "not identified"}
+    if learned is not None:
+        found["regression_N_m"] = _short(np.asarray(learned.beam.stiffness(s)))
+    return found
+
+
+def _bands(uncertain: UncertainStiffness, s: Array) -> list[dict[str, Any]]:
+    bands = [(level, strength, uncertain.band(s, level)) for level, strength in LEVELS]
+    return [
+        {"level": level, "strength": strength, "low_N_m": _short(band.low), "high_N_m": _short(band.high)}
+        for level, strength, band in bands
+    ]
+
+
+def _bend(findings: Findings) -> dict[str, Any] | None:
+    """The beam and how hard it was loaded; None where there is no beam to bend, or nothing is known of the load."""
+    beam, s = findings.beam, np.linspace(0.0, 1.0, PLACES)
+    k, first = np.asarray(beam.stiffness(s)), findings.recordings[0]
+    if np.min(k) <= 0.0:
+        return None
+    forces = np.nan_to_num(np.concatenate([one.force for one in findings.trainings]))
+    hardest = forces[np.argmax(np.linalg.norm(forces, axis=1))]
+    largest = float(np.linalg.norm(hardest))
+    gravity = _gravity(first)
+    mass = np.asarray(beam.mass_per_length(s))
+    # without a load of its own: what turns the tip by about half a radian
+    usual = float(1.0 / np.mean((1.0 - s) ** 2 / k) / beam.length)
+    places = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in findings.trainings])
+    return {
+        "length_m": beam.length,
+        "clamp_rad": beam.clamp_angle,
+        "k_N_m": _short(k),
+        "q0_rad": _short(np.asarray(beam.rest_curvature(s))),
+        "mass_kg_m": _short(mass if np.any(gravity) else np.zeros_like(mass)),
+        "masses": [[one.s, one.mass] for one in beam.masses],
+        "gravity_m_s2": gravity.tolist(),
+        "largest_N": largest,
+        "force_N": largest or usual,
+        "first_N": (hardest if largest > 0.0 else np.array([0.0, 0.5 * usual])).tolist(),
+        "at_s": float(np.max(places, initial=0.0)) or 1.0,
+    }
+
+
+def _film(film: FilmStrip) -> dict[str, Any]:
+    """The frames as data URIs, and what is drawn over them, in their pixels."""
+    frames = [
+        {
+            "picture": "data:image/jpeg;base64," + base64.b64encode(one.jpeg).decode("ascii"),
+            "frame": one.frame,
+            "time_s": round(one.time, 3),
+            "beam_px": one.beam.round(1).tolist(),
+            "band_px": [*one.band[0].round(1).tolist(), *one.band[1, ::-1].round(1).tolist()],
+            "tags_px": [point.round(1).tolist() for point in one.tags if np.isfinite(point).all()],
+            "arrow_px": one.arrow.round(1).tolist(),
+            "force_N": _short(one.force),
+        }
+        for one in film.frames
+    ]
+    return {"width": film.width, "height": film.height, "frames": frames}
+
+
+def _gravity(observations: Observations) -> Array:
+    """(2,) m/s^2 in the plane of bending, the mean over the recording."""
+    return np.asarray(np.nan_to_num(np.mean(observations.gravity, axis=0)))
+
+
+def _short(values: Array) -> list[float]:
+    """To six digits: the page need not carry the rest."""
+    return [float(f"{value:.{_DIGITS}g}") for value in values]
+
+
+# Where a report comes from, for people: when, by which command, from which files, with which settings and versions.
+
+_MOST_NAMED = 4  # files in a sentence
+_UNITS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
+
+
+@dataclass(frozen=True)
+class ReadFile:
+    """A file that was read."""
+
+    path: str
+    name: str
+    size: str
+    checksum: str
+
+
+@dataclass(frozen=True)
+class MadeFrom:
+    """Where a report comes from."""
+
+    written: str  # date and time
+    command: str
+    names: str  # of the files, the first ones
+    files: tuple[ReadFile, ...]
+    changed: tuple[str, ...]  # files that were changed while they were read
+    settings: tuple[tuple[str, str], ...]
+    versions: str
+
+
+def shown_made_from(provenance: Mapping[str, Any]) -> MadeFrom | None:
+    """From what `summary.json` holds under `provenance`; None where nothing is known."""
+    found = provenance.get("provenance")
+    if found is None:
+        return None
+    when = datetime.fromisoformat(found["written"])
+    versions = [f"{name} {value}" for name, value in found["versions"].items() if value]
+    files = tuple(_file(one) for one in found["inputs"])
+    more = f" and {len(files) - _MOST_NAMED} more files" if len(files) > _MOST_NAMED else ""
+    return MadeFrom(
+        written=f"{when:%Y-%m-%d %H:%M} UTC",
+        command=one_line(shlex.join(found["command"])),
+        names=", ".join(dict.fromkeys(one.name for one in files[:_MOST_NAMED])) + more,
+        files=files,
+        changed=tuple(one_line(path) for path in found["changed_meanwhile"]),
+        settings=tuple(_flat({**found["settings"], "options": found["options"]})),
+        versions=one_line(", ".join([*versions, found["system"]])),
+    )
+
+
+def _file(one: Mapping[str, Any]) -> ReadFile:
+    path = one_line(one["file"])
+    return ReadFile(path, PurePath(path).name, size_words(one["bytes"]), one["sha256"] or UNKNOWN)
+
+
+def size_words(count: int) -> str:
+    """A number of bytes, with three digits."""
+    for size, unit in _UNITS:
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count} bytes"
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Every setting by its full name; what was left at "not given" is left out."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{name}: ")
+        elif value is not None and value != []:
+            words = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+            yield one_line(before + name), one_line(words)
+
+
+# `report.html`: one self-contained page, figures and style inside, nothing fetched from anywhere.
+
+FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
+METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
+
+
+def page(
+    findings: Findings,
+    figures: Mapping[str, bytes],
+    *,
+    version: str,
+    made_from: MadeFrom | None = None,
+    film: FilmStrip | None = None,
+) -> str:
+    """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
+    content: dict[str, Any] = {"version": version, "made_from": made_from, "film": film, **_content(findings)}
+    content["data"] = script_data(findings, film)
+    return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
+
+
+def _content(findings: Findings) -> dict[str, Any]:
+    learned, first = findings.learned, findings.recordings[0]
+    remarks = [{"recording": whose, **remark.as_dict(), "docs": remark.docs} for whose, remark in all_remarks(findings)]
+    return {
+        "name": name_of(findings),
+        "several": len(findings.recordings) > 1,
+        "length": f"{1000 * first.length:.4g} mm",
+        "frames": " and ".join(learned_from(recording) for recording in findings.recordings),
+        "words": words_of(first),
+        "heavy": bool(np.any(first.gravity)),
+        "static": findings.posterior is not None and only_static(findings.recordings),
+        "method": "" if learned is None else METHODS.get(learned.method, learned.method),
+        "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
+        "chosen": None if learned is None else learned.trials[learned.chosen],
+        "cards": cards(findings),
+        "verdict": verdict_of(findings),
+        "warnings": [row for row in remarks if row["level"] == "warning"],
+        "remarks": remarks,
+        "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
+        "k_rows": _stiffness_rows(findings),
+        "modulus": modulus_rows(measured_beam(findings), np.linspace(0.0, 1.0, 11)),
+        "modulus_words": modulus_words(measured_beam(findings)),
+        "one_modulus": bool(one_modulus_words(measured_beam(findings))),
+        "tags": [f"tag {tag}" for tag in first.tag_id],
+        "swings": _frequency_rows(findings.posterior),
+        "only_swings": only_frequencies(findings.recordings),
+        "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
+        "learned_figures": _learned_captions(findings),
+        "trials": [] if learned is None else _trials(learned),
+        "validations": [_comparison_row(comparison) for comparison in findings.validations],
+        "validation_figures": _validation_captions(findings.validations),
+        "inputs": [(recording.source.name, inputs(recording)) for recording in findings.recordings],
+        "assumptions": assumptions(findings),
+        "files": files_described(findings),
+        "stages": _stage_rows(findings),
+        "video": f"{significant(findings.video_seconds)} s" if findings.video_seconds > 0.0 else "",
+    }
+
+
+def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
+    """What the page says of the fit."""
+    rms = zip(recordings, fitted_rms(posterior), strict=True)
+    return {
+        "doubts": "; ".join(posterior.doubts),
+        "holds": posterior.criticism.trusted,
+        "allowances": allowance_rows(posterior),
+        "tests": model_test_rows(posterior),
+        "testable": bool(possible(posterior).criticism.able),
+        "alarm": alarm_words(posterior),
+        "unseen": unseen_words(possible(posterior)),
+        "blind": unidentified_words(posterior.stiffness, len(recordings)),
+        "gain": " ".join(
+            [
+                scale_words(posterior.gain_sd, recordings),
+                *load_error_words(posterior.load_error),
+                mounting_words(posterior),
+            ]
+        ),
+        "stopped": stop_words(posterior),
+        "nuisances": nuisance_rows(posterior.nuisances()),
+        "tradeoffs": tradeoff_words(posterior),
+        "fitted": [{"name": one.source.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
+    }
+
+
+def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
+    beam, posterior = findings.beam, findings.posterior
+    s = np.linspace(0.0, 1.0, 11)
+    rows: list[dict[str, Any]] = [
+        {"s": f"{place:.1f}", "k": significant(k), "ei": significant(1e6 * k * beam.length), "known": True}
+        for place, k in zip(s, beam.stiffness(s), strict=True)
+    ]
+    if posterior is not None:
+        band = posterior.band(s)
+        for row, low, high, known in zip(rows, band.low, band.high, band.identified, strict=True):
+            row |= {"low": significant(low), "high": significant(high), "known": bool(known)}
+            row["half"] = (
+                half_width_words(0.5 * float(np.log(high / low))).removeprefix("± ").replace("a factor of ", "× ")
+            )
+    if posterior is not None and findings.learned is not None:
+        for row, k in zip(rows, findings.learned.beam.stiffness(s), strict=True):
+            row["regression"] = significant(k)
+    return rows
+
+
+def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
+    rows = () if posterior is None else compared_frequencies(posterior.frequencies)
+    return [
+        {
+            "name": row.recording,
+            "mode": str(row.mode),
+            "posture": row.posture,
+            "measured": f"{row.measured:.5g}",
+            "sd": f"{row.sd:.2g}",
+            "fitted": f"{row.fitted:.5g}",
+            "off": f"{row.off:+.1f}",
+        }
+        for row in rows
+    ]
+
+
+def _trials(learned: Learned) -> list[dict[str, Any]]:
+    return [_trial_row(trial, i == learned.chosen) for i, trial in enumerate(learned.trials)]
+
+
+def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
+    return {
+        "kind": "chosen" if chosen else "out" if trial.why_out else "",
+        "n": trial.n,
+        "m": trial.m,
+        "rms": [millimetres(value) for value in trial.rms],
+        "bic": bic_words(trial.bic),
+        "lowest": significant(trial.lowest_k),
+        "condition": significant(trial.condition, 2),
+        "why_out": trial.why_out,
+    }
+
+
+def _comparison_row(comparison: Comparison) -> dict[str, Any]:
+    pairs = zip(comparison.rms, comparison.sensor_rms, strict=True)
+    cells = [{"rms": millimetres(rms), "noise": millimetres(noise)} for rms, noise in pairs]
+    return {"name": comparison.name, "frames": len(comparison.frame), "cells": cells}
+
+
+def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, str]]:
+    captions = []
+    for i, comparison in enumerate(comparisons, start=1):
+        captions.append((f"validation-{i}-shapes", f"{comparison.name}: simulated beam and measured tags."))
+        captions.append(
+            (f"validation-{i}-residuals", f"{comparison.name}: distance between measured and simulated tags.")
+        )
+    return captions
+
+
+def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
+    """Figures of the recordings after the first, whose own stand in the text."""
+    captions = []
+    for i, comparison in enumerate(findings.trainings[1:], start=2):
+        words = words_of(findings.recordings[i - 1])
+        captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured tags."))
+        captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
+        captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
+    return captions
+
+
+def _stage_rows(findings: Findings) -> list[dict[str, str]]:
+    return [
+        {"name": name, "seconds": f"{seconds:.2f}", "share": percent(seconds, findings.video_seconds)}
+        for name, seconds in stage_rows(findings.stage_seconds)
+    ]

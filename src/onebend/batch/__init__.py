@@ -1,1 +1,0 @@
-"""Many recordings, each learned by itself, on the cores of one machine or of many."""

@@ -1,0 +1,608 @@
+"""Loads that all push to one side of the rest shape: there is one equilibrium on that side, found without continuation.
+
+With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the tangent at rest, counted to
+the side to which it pushes, and eps = (1/EA - 1/kGA) N (`nodal_forces.py`), the balance of dead forces is
+
+    -(k gamma')' = f(s, gamma) = L N sin(phi - gamma) (1 + eps cos(phi - gamma)),   gamma(0) = gamma'(1) = 0.
+
+Where phi is in (0, pi) all along the beam, `0 < gamma <= max phi` on the whole branch that grows from rest (maximum
+principle), at every share of the load. Where also f / gamma falls with gamma in that range, there is one solution in
+it (Brezis and Oswald 1986) and its second variation is positive: the branch neither turns back nor splits, and the
+solution at the full load is the branch's. f / gamma falls for gamma up to phi, as long as |eps| is below 1/5; beyond,
+up to max phi = phi + d, where `(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
+
+Newton's method begins at the solution of a linear balance: with `sin(phi - gamma)` replaced by the line
+`(phi - gamma) sin(phi / 2) / (phi / 2)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from onebend.beam.grid import apply, transposed
+from onebend.beam.loads import Loads
+from onebend.beam.problem import (
+    AS_ROUGH,
+    NARROW,
+    RESOLVED,
+    MomentBasis,
+    Problem,
+    Resolution,
+    Rod,
+    first_resolution,
+    make_problem,
+    missed_by_angles,
+    remembered,
+)
+from onebend.beam.statics import (
+    Equilibrium,
+    balance,
+    correct,
+    gradient,
+    is_stable,
+    nodal_forces,
+    node_angles,
+    scaled,
+    second_variation,
+    solve_batch,
+    tangent,
+)
+from onebend.progress import one_blas_thread
+from onebend.records import Array, BoolArray, IntArray
+
+_AXIAL = 1e-9  # share of a force: one that pushes less to a side is along the beam
+_MOST_STRAIN = 0.2  # of |eps|
+_OUTSIDE = 1e-9  # rad, by which an angle may leave the range
+_FARTHEST_FROM_LINEAR = 1.0  # rad, from the start to the equilibrium
+
+
+def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
+    """Frames (n,) whose loads all push to one side, phi (n, Q) rad with the sign of that side, and L w N (n, Q) N m."""
+    pull = np.zeros((0, problem.to_nodes.shape[-2]))
+    if problem.follower.shape[1] or problem.size == 0:
+        return np.zeros(0, dtype=np.int64), pull, pull
+    rest, (x, y) = node_angles(problem, problem.q0), problem.dead_pull
+    cos, sin = np.cos(rest), np.sin(rest)
+    along, across, pull = x * cos + y * sin, y * cos - x * sin, np.sqrt(x**2 + y**2)
+    side = np.sign(np.sum(across, axis=-1, keepdims=True))
+    acts = pull > 0.0
+    chosen = np.all((side * across > _AXIAL * pull) | ~acts, axis=-1) & np.any(acts, axis=-1)
+    chosen &= ~np.any(problem.moment, axis=-1)
+    strain = np.zeros(1) if problem.strain_lever is None else np.abs(problem.strain_lever) * pull
+    chosen &= np.all(strain <= _MOST_STRAIN, axis=-1)
+    phi = np.arctan2(side * across, along)
+    beyond = np.max(np.where(acts, phi, 0.0), axis=-1, keepdims=True) - phi
+    falls = (phi + beyond) * (np.cos(beyond) - strain) > np.sin(beyond) * (1.0 + strain)
+    chosen &= np.all((falls & (beyond < 0.5 * np.pi)) | ~acts, axis=-1)
+    return np.flatnonzero(chosen), (side * phi)[chosen], pull[chosen]
+
+
+def at_once(problem: Problem, tolerance: float, corrections: int) -> tuple[IntArray, Array, int]:
+    """Frames (n,) on one side that were reached, their equilibria (n, Q), and the number of iterations."""
+    frames, phi, pull = on_one_side(problem)
+    if frames.size == 0:
+        return frames, np.zeros((0, problem.to_nodes.shape[-1])), 0
+    part = problem if frames.size == problem.size else problem.take(frames)
+    secant, full = pull * np.sinc(phi / (2.0 * np.pi)), np.ones(frames.size)
+    lever = apply(transposed(part.to_nodes), secant * phi)
+    start = part.q0 + solve_batch(second_variation(part, secant, part.stiff), lever)
+    q, near, count = correct(
+        part, start, full, trust=_FARTHEST_FROM_LINEAR * full, remaining=tolerance * full, max_iterations=corrections
+    )
+    near &= _within(part, q, phi, pull) & is_stable(part, q)
+    return frames[near], q[near], count + 1
+
+
+def _within(problem: Problem, q: Array, phi: Array, pull: Array) -> BoolArray:
+    """(n,) whether the beam is bent to the side of its loads, and no further than they point."""
+    turned = np.sign(np.sum(phi * pull, axis=-1, keepdims=True)) * apply(problem.to_nodes, q - problem.q0)
+    farthest = np.max(np.abs(phi) * (pull > 0.0), axis=-1)
+    return np.asarray((np.min(turned, axis=-1) > -_OUTSIDE) & (np.max(turned, axis=-1) < farthest + _OUTSIDE))
+
+
+# How the branch goes on as all loads grow: derivatives of the equilibrium with the load factor.
+
+
+def by_load(problem: Problem, q: Array, factor: Array) -> Array:
+    """(T, Q) minus the derivative of the gradient with the load factor, in which it is linear, or quadratic where
+    the beam stretches or shears: a difference over 1 is then exact."""
+    if problem.compliance is None:
+        across = nodal_forces(problem, q).across
+        return problem.couple + apply(transposed(problem.to_nodes), across)
+    return gradient(problem, q, factor - 0.5) - gradient(problem, q, factor + 0.5)
+
+
+def terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
+    """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
+    if problem.follower.shape[1]:
+        return np.zeros_like(q), np.zeros_like(q)
+    plain = problem if problem.compliance is None else replace(problem, section=None, stretch=None, shear=None)
+    forces = nodal_forces(plain, q)
+    along, across, delta = forces.along, forces.across, problem.strain_lever
+    back, stiff = transposed(problem.to_nodes), problem.stiff
+    turn = apply(problem.to_nodes, slope)
+    second = -2.0 * apply(back, along * turn) / stiff
+    if delta is not None:
+        second = second + 2.0 * apply(back, delta * along * across) / stiff
+    third = -3.0 * apply(back, along * apply(problem.to_nodes, second) + across * turn**2) / stiff
+    if delta is not None:
+        third = third + 6.0 * apply(back, delta * (across**2 - along**2) * turn) / stiff
+    return second / 2.0, third / 6.0
+
+
+# Many nodes and few unknowns: bending moments that are polynomials between the loads.
+#
+# A k(s) with many knots or jumps needs many nodes. The moment under it does not: `M' = -L n . u'` depends on k
+# through the angle alone. So equilibrium is sought first in the curvatures `q0 + M / k` with M a polynomial between
+# loads, on all nodes (Ritz): n unknowns instead of Q. What that leaves is taken away on all nodes by the two-grid
+# iteration
+#
+# dq = R T_n^-1 R^T g + (1 - R R^T S) S^-1 g,        S = diag(w k),
+#
+# R the basis, orthonormal in S, and T_n = R^T T R its tangent: T - S is compact and acts on smooth parts of g alone.
+
+_REMAINING = 1e-12  # rad: turn that the iteration may leave
+_NEARBY = 1e-2  # rad, the farthest turn from where it begins
+_MOST = 12  # iterations
+
+
+def in_basis(problem: Problem, basis: MomentBasis) -> Problem:
+    """The same beam and loads, the unknowns the coefficients of the basis."""
+    return replace(
+        problem,
+        to_nodes=basis.turned,
+        q0=basis.rest,
+        modes=basis.modes,
+        follower_rows=problem.follower_rows @ basis.modes,
+    )
+
+
+def on_grid(solved: Equilibrium, problem: Problem, basis: MomentBasis) -> Array:
+    """(T, n) coefficients in the basis, of shapes of the same beam on another grid."""
+    q = solved.q if solved.problem.modes is None else solved.q @ solved.problem.modes.T
+    rows = transposed(solved.problem.grid.value_at(problem.grid.nodes))
+    return np.asarray(q @ (rows @ (problem.stiff[:, None] * basis.modes)))
+
+
+def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[Array, BoolArray]:
+    """(T, Q) equilibria near those found in the basis, coefficients (T, n); True where one was reached nearby."""
+    begin = coefficients @ basis.modes.T
+    q = begin.copy()
+    forces, before = nodal_forces(problem, q), np.zeros(len(q))
+    off, matrices = gradient(problem, q, 1.0, forces), tangent(in_basis(problem, basis), coefficients, 1.0, forces)
+    near = np.zeros(len(q), dtype=bool)
+    todo, part, here = np.arange(len(q)), problem, q
+    for _ in range(_MOST):
+        within = off @ basis.modes
+        update = off / problem.stiff + (solve_batch(matrices, within) - within) @ basis.modes.T
+        here = here - update
+        size = np.max(np.abs(apply(part.to_nodes, update)), axis=-1)
+        share = np.divide(size, before, out=np.ones_like(size), where=before > 0.0)  # of the update before
+        done = size * np.minimum(share, 1.0) < _REMAINING
+        q[todo], near[todo] = here, done
+        going = np.flatnonzero(~done & ((before == 0.0) | (share < 0.5)))
+        if going.size == 0:
+            break
+        before = size
+        if going.size < todo.size:
+            todo, part = todo[going], part.take(going)
+            here, matrices, before = here[going], matrices[going], before[going]
+        off = gradient(part, here)
+    return q, near & (np.max(np.abs(apply(problem.to_nodes, q - begin)), axis=-1) < _NEARBY)
+
+
+# Falling from where a beam cannot stay: slowly, downhill, until it stands.
+#
+# The fall is that of a beam whose internal damping, in proportion to its stiffness, is so strong that nothing swings:
+# `w k q' = -g(q)`. Under dead loads it goes down the potential by the steepest way, measured by bending energy. Its
+# steps are implicit,
+#
+# (T + sigma w k) dq = -g,    sigma as small as keeps the matrix positive,
+#
+# so that near a stable equilibrium they become Newton's; each is bounded in turn and must do work. Work is integrated
+# along the step, `-int g . dq`, which needs no potential (follower forces have none) and is exact where the potential
+# changes by less than its rounding error (next to a bifurcation).
+
+Side = Literal["left", "right"]
+
+_MAX_TURN = 0.3  # rad, the largest turn of a step
+_MIN_TURN = 1e-9  # rad, of a step that still does no work: the frame is given up
+_NUDGE = 1e-4  # rad, the turn that takes a beam out of an exact equilibrium
+_RESIDUAL_DECIDES = 1e-9  # share of the stiffness: an out-of-balance above it says by itself which way to fall
+_NEWTON_TURN = 1e-2  # rad, of a step: below it Newton's method is tried
+_MAX_STEPS = 400  # steps
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array, BoolArray]:
+    """From shapes `start` (T, Q) down to stable equilibria (T, Q); True where one was reached.
+
+    A shape in unstable equilibrium leaves it along its least stable mode: `side` says whether the beam sets out to its
+    left or to its right. From any other shape the loads decide. A stable shape stays where it is.
+    """
+    q = _nudged(problem, start, side)
+    landed, given_up = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
+    reach = np.full(len(q), _MAX_TURN)
+    for _ in range(_MAX_STEPS):
+        todo = np.flatnonzero(~(landed | given_up))
+        if todo.size == 0:
+            break
+        part = problem.take(todo)
+        step, convex = _downhill(part, q[todo])
+        turn = np.max(np.abs(apply(part.to_nodes, step)), axis=-1)
+        share = np.minimum(1.0, reach[todo] / np.maximum(turn, 1e-300))
+        step, turn = share[:, None] * step, share * turn
+        falls = _work(part, q[todo], step) > 0.0
+        q[todo[falls]] += step[falls]
+        reach[todo] = np.where(falls, np.minimum(2.0 * reach[todo], _MAX_TURN), 0.25 * turn)
+        given_up[todo] = ~falls & ~(turn > _MIN_TURN)
+        close = todo[(turn < _NEWTON_TURN) & (convex | (problem.follower.shape[1] > 0))]
+        landed[close], q[close] = _land(problem.take(close), q[close])
+    return q, landed
+
+
+def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
+    """(T, P) 1 or -1: the sign with which changes of curvature (T, Q, P) move the beam to its left, on average."""
+    alpha = node_angles(problem, q)[..., None]
+    turned = problem.to_nodes @ modes
+    x, y = -problem.to_nodes @ (np.sin(alpha) * turned), problem.to_nodes @ (np.cos(alpha) * turned)
+    moved = np.sum(problem.weights[..., None] * (np.cos(alpha) * y - np.sin(alpha) * x), axis=-2)
+    undecided = np.abs(moved) < 1e-9 * np.max(np.abs(turned), axis=-2)
+    instead = turned[:, -1] + turned[:, turned.shape[1] // 4]
+    return np.where(np.where(undecided, instead, moved) < 0.0, -1.0, 1.0)
+
+
+def _nudged(problem: Problem, start: Array, side: Side) -> Array:
+    """A little off along the least stable mode: where the out-of-balance says, else to the side asked for."""
+    slope, matrices = balance(problem, start)
+    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    second = scaled(problem, matrices)
+    _, vectors = np.linalg.eigh(0.5 * (second + transposed(second)))
+    mode = scale * vectors[..., 0]
+    pull = -np.sum(slope * mode, axis=-1)  # along a mode of unit energy: in the root of N m
+    stiffness = np.sqrt(np.sum(problem.weights * problem.k, axis=-1))
+    asked = to_the_left(problem, start, mode[..., None])[:, 0] * (1.0 if side == "left" else -1.0)
+    sign = np.where(np.abs(pull) > _RESIDUAL_DECIDES * stiffness, np.sign(pull), asked)
+    turn = np.max(np.abs(apply(problem.to_nodes, mode)), axis=-1)
+    amplitude = np.where(is_stable(problem, start), 0.0, sign * _NUDGE / turn)
+    return np.asarray(start + amplitude[:, None] * mode)
+
+
+def _downhill(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
+    """(T, Q) the implicit step, and whether it is Newton's."""
+    slope, matrices = balance(problem, q)
+    second = scaled(problem, matrices)
+    lowest = np.linalg.eigvalsh(0.5 * (second + transposed(second)))[:, 0]
+    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    sigma = np.where(lowest > 0.0, 0.0, 1.2 * np.abs(lowest) + 1e-12)
+    shifted = second + sigma[:, None, None] * np.eye(second.shape[-1])
+    return -scale * solve_batch(shifted, scale * slope), np.asarray(lowest > 0.0)
+
+
+def _work(problem: Problem, q: Array, step: Array) -> Array:
+    """(T,) N m that loads and bending do on the way from q to q + step."""
+    out = np.zeros(len(q))
+    for point, weight in zip(_POINTS, _WEIGHTS, strict=True):
+        here = gradient(problem, q + 0.5 * (point + 1.0) * step)
+        out -= 0.5 * weight * np.sum(here * step, axis=-1)
+    return out
+
+
+def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
+    """Newton's method from close by; True where it came to a stable equilibrium, shapes as they were elsewhere."""
+    full = np.ones(len(q))
+    corrected, near, _ = correct(
+        problem, q, full, trust=10.0 * _NEWTON_TURN * full, remaining=1e-13 * full, max_iterations=12
+    )
+    near[near] &= is_stable(problem.take(near), corrected[near])
+    return near, np.where(near[:, None], corrected, q)
+
+
+# Following the equilibrium that grows from the rest shape while all loads grow together from nothing.
+#
+# Each step of the load is predicted from the branch so far and corrected by Newton's method. A step counts only if
+# the corrector moved the shape by a small angle and the new shape is stable: then it cannot have landed on another
+# branch. Otherwise it is shortened. Where no step however short keeps stability, the branch has passed a bifurcation
+# (a perfectly straight beam under a perfectly axial load) and is followed on, marked unstable. Where no step succeeds
+# at all, the branch itself turns back (a limit point): a real beam would snap through. On request the beam falls from
+# such a place to a stable equilibrium (`snap_through.py`) and is followed on from there.
+
+
+@dataclass(frozen=True)
+class ContinuationSettings:
+    """How the branch is followed. Angles in radians."""
+
+    max_turn: float = 0.7  # the largest predicted turn of a step
+    trust: float = 0.25  # the largest turn that the corrector may add to the prediction,
+    correction_share: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
+    least_correction: float = 1e-3  # which is allowed however small the prediction
+    corrections: int = 8  # Newton iterations a step
+    tolerance: float = 1e-13  # what Newton's method may leave of the way to equilibrium at the full load,
+    tolerance_on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
+    min_step: float = 1e-9  # share of the load: a step below this has met the end of the branch
+    max_steps: int = 400  # steps
+    at_once: bool = True  # frames whose loads all push to one side (`one_sided.py`) without steps
+
+
+_PROBE_FRAMES = 4  # frames that decide the resolution of a batch
+_TIP = np.array([1.0])
+_ROUGHLY = 1e-6  # rad, of shapes from which `settle` goes on
+
+_HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
+_LOAD_OVERSHOOT = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
+
+
+class _State:
+    """Where each frame of a batch stands on its branch. Lives only inside `follow`."""
+
+    def __init__(self, rest: Array, size: int) -> None:
+        self.q = rest
+        self.factor, self.step = np.zeros(size), np.ones(size)
+        self.buckled_at = np.full(size, np.nan)
+        self.lost = np.zeros(size, dtype=bool)  # the branch has no stable continuation here
+        self.fell = np.zeros(size, dtype=bool)
+        self.slope, self.turn = np.zeros_like(rest), np.zeros(size)
+        self.curl = np.zeros(size)
+        self.second, self.third = np.zeros_like(rest), np.zeros_like(rest)
+        self.fresh = np.zeros(size, dtype=bool)  # whether slope, turn, second and third belong to `q`
+        self.q_before, self.factor_before = np.zeros_like(rest), np.full(size, np.nan)  # of the last step
+        self.iterations = 0
+
+
+@one_blas_thread
+def equilibrium(
+    beam: Rod,
+    loads: Loads,
+    *,
+    resolution: Resolution | None = None,
+    settings: ContinuationSettings = ContinuationSettings(),
+    fall: Side | None = None,
+) -> Equilibrium:
+    """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
+
+    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (their
+    angles then are good to 1e-9 rad) as it carries the beam's own, or a finer one moves their tips by less than
+    1e-11 L; measured tables of k(s), which are not smooth, stop at panels of 1/32, where the tip is good
+    to about 1e-8 L. The grid depends on the beam and these loads alone, not on what was solved before.
+
+    With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
+
+    Raises:
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    if resolution is not None:
+        return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
+    return _on_fine_enough_grid(beam, loads, settings, fall)
+
+
+def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
+    """On the coarsest grid that is fine enough for the few frames that bend the beam most."""
+    first, own = first_resolution(beam, loads)
+    resolution, problem = first, make_problem(beam, loads, first)
+    on_first, chosen, before = problem, _hardest(problem), None
+    while True:
+        part = problem if chosen is None else problem.take(chosen)
+        result = _solved(part, _basis(beam, loads, resolution), settings, fall, before)
+        missed = missed_by_angles(part.grid, result.q)
+        if resolution.widest <= NARROW or np.all(missed < max(RESOLVED, AS_ROUGH * own)):
+            break
+        if before is not None and np.max(np.abs(result.xy(_TIP) - before.xy(_TIP))) < 1e-11 * beam.length:
+            break
+        resolution, before = replace(resolution, widest=0.5 * float(np.max(np.diff(part.grid.edges)))), result
+        problem = make_problem(beam, loads, resolution)
+    if chosen is None:
+        return result
+    rough, basis, nodal = None, _basis(beam, loads, resolution), remembered(beam, loads, first)
+    if resolution != first and basis is not None and nodal is not None and fall is None:
+        rough = follow(in_basis(on_first, nodal.rough), settings=replace(settings, tolerance=_ROUGHLY))
+    return _solved(problem, basis, settings, fall, rough)
+
+
+def _basis(beam: Rod, loads: Loads, resolution: Resolution) -> MomentBasis | None:
+    nodal = remembered(beam, loads, resolution)
+    return None if nodal is None else nodal.basis
+
+
+def _solved(
+    problem: Problem,
+    basis: MomentBasis | None,
+    settings: ContinuationSettings,
+    fall: Side | None,
+    before: Equilibrium | None = None,
+) -> Equilibrium:
+    """As `follow`; on many nodes in few unknowns, or from the same on a coarser grid, where that leads to a stable
+    equilibrium."""
+    if basis is None or fall is not None:
+        return follow(problem, settings=settings, fall=fall)
+    if before is None:
+        found = follow(in_basis(problem, basis), settings=replace(settings, tolerance=_ROUGHLY))
+        begin = found.q
+    else:
+        found, begin = before, on_grid(before, problem, basis)
+    q, near = settle(problem, basis, begin)
+    near &= found.stable & np.isnan(found.buckled_at)
+    if problem.follower.shape[1] == 0:
+        near &= is_stable(problem, q)
+    lost = np.flatnonzero(~near)
+    if lost.size == 0:
+        return replace(found, problem=problem, q=q)
+    if lost.size == len(q):
+        return follow(problem, settings=settings)
+    rest = follow(problem.take(lost), settings=settings)
+    q[lost] = rest.q
+    out = replace(found, problem=problem, q=q, iterations=max(found.iterations, rest.iterations))
+    for name in ("converged", "stable", "load_factor", "buckled_at"):
+        getattr(out, name)[lost] = getattr(rest, name)
+    return out
+
+
+def _hardest(problem: Problem) -> IntArray | None:
+    """The few frames with the largest loads; None for all of them."""
+    if problem.size <= _PROBE_FRAMES:
+        return None
+    size = np.sqrt(np.max(np.sum(problem.dead_force**2, axis=-1), axis=1)) * float(problem.length)
+    size += np.max(np.abs(problem.moment), axis=1) + np.sum(np.abs(problem.follower), axis=(1, 2)) * problem.length
+    return np.sort(np.argsort(size)[-_PROBE_FRAMES:])
+
+
+def follow(
+    problem: Problem, *, settings: ContinuationSettings = ContinuationSettings(), fall: Side | None = None
+) -> Equilibrium:
+    """Equilibria of a batch by load continuation from rest.
+
+    With `fall`, a frame whose branch loses stability or ends falls there to a stable equilibrium
+    (`snap_through.let_fall`; `fall` gives the side where the loads leave it open) and is followed on from there.
+    """
+    size = problem.size
+    rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
+    state = _State(rest, size)
+    open_frames = np.arange(size)
+    if settings.at_once:
+        _look_ahead(problem, state, open_frames)
+        far = np.flatnonzero(_stride(state, open_frames, settings) < 1.0)
+        part = problem if far.size == size else problem.take(far)
+        reached, q, state.iterations = at_once(part, settings.tolerance, settings.corrections)
+        state.q[far[reached]], state.factor[far[reached]] = q, 1.0
+        open_frames = np.flatnonzero(state.factor < 1.0)
+    for _ in range(settings.max_steps):
+        if open_frames.size == 0:
+            break
+        _advance(problem, state, open_frames, settings)
+        if fall is not None:
+            _fall(problem, state, open_frames[state.lost[open_frames]], fall)
+        open_frames = open_frames[(state.factor[open_frames] < 1.0) & (state.step[open_frames] >= settings.min_step)]
+    converged = state.factor >= 1.0
+    stable = converged & ~state.lost
+    doubtful = np.flatnonzero(converged & state.lost)
+    if doubtful.size:
+        stable[doubtful] = is_stable(problem.take(doubtful), state.q[doubtful])
+    return Equilibrium(
+        problem=problem,
+        q=state.q,
+        converged=converged,
+        stable=stable,
+        load_factor=state.factor,
+        buckled_at=state.buckled_at,
+        fell=state.fell,
+        iterations=state.iterations,
+    )
+
+
+def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()) -> Equilibrium:
+    """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
+    full, size = np.ones(problem.size), problem.size
+    q, near, iterations = correct(
+        problem,
+        start,
+        full,
+        trust=settings.max_turn * full,
+        remaining=settings.tolerance * full,
+        max_iterations=settings.corrections,
+    )
+    near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
+    stable, buckled_at = near.copy(), np.full(size, np.nan)
+    lost = np.flatnonzero(~near)
+    if lost.size:
+        again = follow(problem.take(lost), settings=settings)
+        q[lost], near[lost], stable[lost], buckled_at[lost] = again.q, again.converged, again.stable, again.buckled_at
+        iterations += again.iterations
+    factor = np.where(near, 1.0, np.nan)
+    return Equilibrium(problem, q, near, stable, factor, buckled_at, np.zeros(size, dtype=bool), iterations)
+
+
+def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:
+    """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
+    part = problem if frames.size == problem.size else problem.take(frames)
+    q, factor = state.q[frames], state.factor[frames]
+    _look_ahead(part, state, frames)
+    turn, step = state.turn[frames], _stride(state, frames, settings)
+    last = factor + step >= 1.0 - 1e-12
+    target = np.where(last, 1.0, factor + step)
+    remaining = np.where(last, settings.tolerance, settings.tolerance_on_the_way)
+    trust = np.minimum(settings.trust, settings.least_correction + settings.correction_share * step * turn)
+    begin = _predicted(part, state, frames, step)
+    corrected, near, count = correct(
+        part, begin, target, trust=trust, remaining=remaining, max_iterations=settings.corrections
+    )
+    state.iterations += count
+    guarded = near & ~state.lost[frames]
+    loses_stability = np.zeros_like(near)
+    if np.all(guarded):
+        loses_stability = ~is_stable(part, corrected, target)
+    elif np.any(guarded):
+        loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
+    at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost however short the step
+    first = at_last & np.isnan(state.buckled_at[frames])
+    state.buckled_at[frames[first]] = target[first]
+    state.lost[frames[at_last]] = True
+    near &= ~loses_stability | at_last
+    moved = frames[near]
+    state.q_before[moved], state.factor_before[moved] = q[near], factor[near]
+    state.q[moved], state.factor[moved], state.fresh[moved] = corrected[near], target[near], False
+    state.step[frames] = np.where(near, 2.0 * step, 0.25 * step)
+    ended = ~near & (state.step[frames] < settings.min_step)
+    state.lost[frames[ended]] = True
+
+
+def _stride(state: _State, frames: IntArray, settings: ContinuationSettings) -> Array:
+    """(n,) share of the load by which the frames go on: as far as the branch can be told ahead."""
+    turn, curl = state.turn[frames], np.maximum(state.curl[frames], 1e-300)
+    step = np.minimum(state.step[frames], settings.max_turn / np.maximum(turn, 1e-300))
+    step = np.minimum(step, np.maximum(_HIGHER_ORDER_SHARE * turn, settings.least_correction) / curl)
+    return np.minimum(step, 1.0 - state.factor[frames])
+
+
+def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
+    """Slope of the branch with the load, and its next two terms, where a frame has moved since they were known."""
+    stale = np.flatnonzero(~state.fresh[frames])
+    if stale.size == 0:
+        return
+    chosen = frames[stale]
+    part = problem if stale.size == frames.size else problem.take(stale)
+    q, factor = state.q[chosen], state.factor[chosen]
+    right = by_load(part, q, factor)
+    if np.all(factor == 0.0):  # then the tangent is diagonal
+        slope = right / part.stiff
+        second, third = terms_at_rest(part, q, slope)
+    else:
+        slope = solve_batch(tangent(part, q, factor), right)
+        second, third = _terms_behind(state, chosen, slope)
+    state.slope[chosen], state.second[chosen], state.third[chosen] = slope, second, third
+    state.turn[chosen] = np.max(np.abs(apply(part.to_nodes, slope)), axis=-1)
+    state.curl[chosen] = np.max(np.abs(apply(part.to_nodes, second)), axis=-1)
+    state.fresh[chosen] = True
+
+
+def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array, Array]:
+    """The same of the cubic through the last two places on the branch and the slopes there; 0 where there is one."""
+    h = (state.factor[frames] - state.factor_before[frames])[:, None]
+    with np.errstate(invalid="ignore"):
+        mean, before = (state.q[frames] - state.q_before[frames]) / h, state.slope[frames]
+        second, third = (2.0 * slope + before - 3.0 * mean) / h, (slope + before - 2.0 * mean) / h**2
+    return np.where(np.isnan(h), 0.0, second), np.where(np.isnan(h), 0.0, third)
+
+
+def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -> Array:
+    """(T, Q) where the branch is a step ahead: along its slope, bent as it was so far if that changes little."""
+    t = step[:, None]
+    with np.errstate(invalid="ignore", over="ignore"):  # after a very short step the cubic is none: NaN is not little
+        bent = t**2 * (state.second[frames] + t * state.third[frames])
+    turn = np.max(np.abs(apply(problem.to_nodes, bent)), axis=-1)
+    little = turn < _HIGHER_ORDER_SHARE * step * state.turn[frames]
+    return state.q[frames] + t * state.slope[frames] + np.where(little[:, None], bent, 0.0)
+
+
+def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None:
+    """Frames that have lost their branch fall, the load a little beyond, to another; or end where they are."""
+    if frames.size == 0:
+        return
+    beyond = np.minimum(1.0, (1.0 + _LOAD_OVERSHOOT) * state.factor[frames])
+    q, landed = let_fall(problem.take(frames).loaded(beyond), state.q[frames], side)
+    down = frames[landed]
+    state.q[down], state.factor[down], state.step[down] = q[landed], beyond[landed], _LOAD_OVERSHOOT
+    state.fell[down], state.lost[down], state.fresh[down] = True, False, False
+    state.factor_before[down] = np.nan
+    state.step[frames[~landed]] = 0.0

@@ -1,0 +1,524 @@
+"""What is solved: the arrays of a batch of beams under loads, on a grid with an edge at every load and every jump.
+
+With the sum N(s) of all forces and the sum m(s) of all point moments beyond s known at the nodes, nothing else of the
+loads enters the statics of dead loads; see `nodal_forces.py` and `equilibrium.py` for what is made of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol, TypeVar, cast
+
+import numpy as np
+
+from onebend.beam.grid import Grid, apply, make_grid, transposed
+from onebend.beam.loads import Loads
+from onebend.beam.stiffness import Profile, RectangularSection, common_section, knots_of
+from onebend.errors import MechanicsError
+from onebend.records import Array, BoolArray, IntArray, PointMass
+
+# What a beam is at the nodes of a grid: all of a problem that its loads do not change, remembered by the beam.
+
+_Made = TypeVar("_Made")
+_REMEMBERED, _MADE = 8, 24  # grids a beam, and what others made
+RESOLVED = 3e-10  # share of a curvature that angles may miss; positions miss less
+NARROW = 1.0 / 32.0  # panels that are not halved again
+AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a load may make of it
+_MOST_KNOTS = 60  # that get an edge each
+_BETWEEN_KNOTS = ((4, 1.0), (6, 1.0), (8, 1.0), (10, 1.0), (12, 1.0), (16, 1.0), (16, 0.5))  # nodes, share of widest
+_MOMENT_ORDER, _ROUGH_ORDER = 16, 8  # of a moment's polynomials
+_FEWEST_NODES = 2.0  # for each node of a moment, for which the basis is worth its while
+_SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
+_MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
+
+
+@dataclass(frozen=True)
+class NodalBeam:
+    """One beam at the Q nodes of one grid."""
+
+    grid: Grid
+    nodes: Array  # (Q,)
+    weights: Array  # (Q,)
+    to_nodes: Array  # (Q, Q): B
+    k: Array  # (Q,) N m
+    q0: Array  # (Q,) rad
+    mass_beyond: Array  # (Q,) kg, with what rides on the beam
+    places: tuple[float, ...]  # of all loads
+
+    @cached_property
+    def basis(self) -> MomentBasis | None:
+        """For loads at `places`; None where it has not much fewer unknowns than there are nodes."""
+        if len(self.nodes) < _FEWEST_NODES * len(make_grid(self.places, order=_MOMENT_ORDER).nodes):
+            return None
+        return self._moments(_MOMENT_ORDER)
+
+    @cached_property
+    def rough(self) -> MomentBasis:
+        """The same in few unknowns, for shapes from which `moment_basis.settle` goes on."""
+        return self._moments(_ROUGH_ORDER)
+
+    def _moments(self, order: int) -> MomentBasis:
+        coarse = make_grid(self.places, order=order)
+        columns = coarse.value_at(self.nodes) / self.k[:, None]
+        if np.any(self.q0 != 0.0):
+            columns = np.column_stack([columns, self.q0])
+        root = np.sqrt(self.weights * self.k)
+        modes = np.linalg.qr(root[:, None] * columns)[0] / root[:, None]
+        return MomentBasis(modes, self.to_nodes @ modes, (root**2 * self.q0) @ modes)
+
+
+@dataclass(frozen=True)
+class MomentBasis:
+    """n curvatures that are orthonormal in the bending energy, of moments that are polynomials between loads."""
+
+    modes: Array  # (Q, n): R
+    turned: Array  # (Q, n): B R, the angles
+    rest: Array  # (n,): q0 in the basis, which holds it exactly
+
+
+@dataclass(frozen=True)
+class FirstGrid:
+    """The coarsest grid that carries the beam's own curvatures: at rest, and under the least of forces at its tip."""
+
+    order: int
+    widest: float
+    at_knots: bool  # an edge also where a derivative of k(s) or q0(s) jumps
+    missed: float  # share of those curvatures by which angles are off
+
+
+@dataclass
+class GridMemory:
+    """What a beam remembers from one call to the next: its arrays on the last few grids, and what calls begin with."""
+
+    beams: dict[Hashable, NodalBeam] = field(default_factory=dict)
+    made: dict[Hashable, Any] = field(default_factory=dict)  # whatever else calls want again
+
+    def keep(self, key: Hashable, beam: NodalBeam) -> None:
+        """Remember one more, and forget the oldest where there are many."""
+        for oldest in list(self.beams)[: 1 - _REMEMBERED]:
+            self.beams.pop(oldest, None)
+        self.beams[key] = beam
+
+    def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """What `make` gives for the key, made once; the oldest is forgotten where there are many."""
+        found = self.made.get(key)
+        if found is None:
+            for oldest in list(self.made)[: 1 - _MADE]:
+                self.made.pop(oldest, None)
+            found = self.made[key] = make()
+        return cast(_Made, found)
+
+
+def nodal_beam(
+    length: float,
+    stiffness: Profile,
+    rest_curvature: Profile,
+    mass: Profile,
+    riding: tuple[PointMass, ...],
+    grid: Grid,
+    places: tuple[float, ...],
+) -> NodalBeam:
+    """Arrays for loads at `places`. Raises `MechanicsError` where k(s) is not positive at every node."""
+    nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
+    k = np.asarray(stiffness(nodes), dtype=float)
+    check_positive(k, nodes)
+    line = length * np.asarray(mass(nodes), dtype=float)
+    q0 = np.asarray(rest_curvature(nodes), dtype=float)
+    mass_beyond = np.sum(weights * line) - to_nodes @ line + riding_beyond(nodes, riding)
+    loaded = (*places, *(one.s for one in riding))
+    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond, loaded)
+
+
+def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
+    """(..., Q) kg, of the masses that ride on a beam beyond each node."""
+    out = np.zeros(nodes.shape)
+    for one in masses:
+        out += one.mass * (nodes < one.s)
+    return out
+
+
+def first_grid(
+    stiffness: Profile, rest_curvature: Profile, edges: tuple[float, ...], knots: tuple[float, ...], order: int
+) -> FirstGrid:
+    """A grid on which q0 and (1 - s) / k are resolved, with an edge at `edges`, and at the `knots` if need be.
+
+    Where neither that nor halving the panels resolves them, the first that turns and moves the tip as the one before.
+    The beam bends by (1 - s) / k under a small force across its tip: what k(s) asks of the grid, without a solve.
+    """
+    if 0 < len(knots) <= _MOST_KNOTS and _own(stiffness, rest_curvature, make_grid(edges, order=order))[0] > RESOLVED:
+        between = _widest((*edges, *knots))
+        for fewer, share in _BETWEEN_KNOTS:
+            grid = make_grid((*edges, *knots), order=fewer, widest=share * between)
+            missed, _ = _own(stiffness, rest_curvature, grid)
+            if AS_ROUGH * missed < RESOLVED:
+                return FirstGrid(fewer, share * between, True, missed)
+    tips, widest = np.full((2, 3), np.nan), 2.0 * _widest(edges)
+    while widest > NARROW:
+        before, widest = tips, 0.5 * widest
+        missed, tips = _own(stiffness, rest_curvature, make_grid(edges, order=order, widest=widest))
+        same = np.all(np.abs(tips - before) <= _SAME_TIP * np.array([[tips[0, 0]], [1.0]]))
+        if missed < RESOLVED or same:
+            break
+    return FirstGrid(order, widest, False, missed)
+
+
+def _widest(edges: tuple[float, ...]) -> float:
+    """Of the panels between edges."""
+    return float(np.max(np.diff(make_grid(edges).edges)))
+
+
+def missed_by_angles(grid: Grid, q: Array) -> Array:
+    """(...) share of curvatures q (..., Q) by which their angles at the nodes may be off.
+
+    The last Legendre coefficient of a panel of width h turns the beam by up to h / (2 order + 1) of it.
+    """
+    return grid.legendre_tail(q) * float(np.max(np.diff(grid.edges))) / (2 * grid.order + 1)
+
+
+def _own(stiffness: Profile, rest_curvature: Profile, grid: Grid) -> tuple[float, Array]:
+    """Of (1 - s) / k and q0: the share that angles miss; (2, 3) turn and way of the tip by them."""
+    arm = 1.0 - grid.nodes
+    k = np.asarray(stiffness(grid.nodes), dtype=float)
+    check_positive(k, grid.nodes)
+    bent = np.stack([arm / k, np.asarray(rest_curvature(grid.nodes), dtype=float)])
+    return float(np.max(missed_by_angles(grid, bent))), bent @ (grid.weights * arm**_MOMENTS).T
+
+
+def check_positive(k: Array, nodes: Array) -> None:
+    """Raises `MechanicsError` where k (..., Q) is not positive."""
+    if not np.all(k > 0.0):
+        bad = np.flatnonzero(~(k > 0.0))[0]
+        where = np.broadcast_to(nodes, k.shape).flat[bad]
+        raise MechanicsError(
+            f"k(s) is not positive: {k.flat[bad]:.3g} N m at s = {where:.3f}; such a beam has no stable equilibrium"
+        )
+
+
+def loads_at_nodes(grid: Grid, nodes: Array, loads: Loads, mass_beyond: Array) -> dict[str, Array]:
+    """The entries of a `Problem` for the loads of T frames; `mass_beyond` (Q,) or (T, Q) kg weighs where gravity is."""
+    size, frames = loads.size, nodes.shape[-1]
+    dead = transposed(_beyond(nodes, loads.force_s)) @ loads.force
+    if np.any(loads.gravity != 0.0):
+        dead = dead + mass_beyond[..., None] * loads.gravity[:, None, :]
+    moment = np.zeros((size, frames))
+    if loads.moment.shape[1]:
+        moment = np.einsum("tb,tbq->tq", loads.moment, _beyond(nodes, loads.moment_s))
+    follows = loads.follower.shape[1] > 0
+    return {
+        "dead_force": dead,
+        "moment": moment,
+        "follower": loads.follower,
+        "follower_beyond": _beyond(nodes, loads.follower_s) if follows else np.zeros((size, 0, frames)),
+        "follower_rows": grid.integral_to(loads.follower_s) if follows else np.zeros((size, 0, frames)),
+    }
+
+
+def _beyond(nodes: Array, places: Array) -> Array:
+    """(T, a, Q) 1 where a place lies beyond a node."""
+    return np.asarray(nodes[..., None, :] < places[..., :, None], dtype=float)
+
+
+def are_common(places: Array) -> bool:
+    """Whether all frames have their loads at the same places."""
+    return len(places) == 1 or places.shape[1] == 0 or bool(np.all(places == places[:1]))
+
+
+def grid_for(places: Array, jumps: tuple[float, ...], order: int, widest: float) -> Grid:
+    """One grid for the batch where all frames have their loads at the same places, else one a frame."""
+    if are_common(places):
+        fixed = tuple(float(p) for p in places[0])
+        return make_grid((*fixed, *jumps), order=order, widest=widest)
+    common = make_grid(jumps, order=order, widest=widest).edges
+    inside = np.clip(places, 1e-6, 1.0 - 1e-6)
+    edges = np.sort(np.concatenate([np.broadcast_to(common, (places.shape[0], len(common))), inside], axis=1), axis=1)
+    # Equal edges are pulled apart by an invisible amount so that every frame has the same number of panels.
+    step = 1e-7 * np.arange(edges.shape[1])
+    edges = np.maximum.accumulate(edges - step, axis=1) + step
+    edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
+    edges[:, -1] = 1.0
+    return Grid(edges, order)
+
+
+# What mechanics needs to know of a beam.
+
+
+class Rod(Protocol):
+    """What mechanics needs to know of a beam; `model.Beam` is one."""
+
+    @property
+    def length(self) -> float: ...
+    @property
+    def stiffness(self) -> Profile: ...
+    @property
+    def rest_curvature(self) -> Profile: ...
+    @property
+    def clamp_angle(self) -> float: ...
+    @property
+    def mass_per_length(self) -> Profile: ...
+    @property
+    def section(self) -> RectangularSection | None: ...
+    @property
+    def memory(self) -> GridMemory: ...
+    @property
+    def masses(self) -> tuple[PointMass, ...]: ...
+
+
+def has_mass(rod: Rod) -> bool:
+    """Whether it has a mass of its own: without, gravity does nothing and nothing swings."""
+    return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
+
+
+def refuse_section(rod: Rod, who: str) -> None:
+    """Raises `MechanicsError` where a beam has a thickness and `who` does not know stretch and shear."""
+    if rod.section is not None:
+        raise MechanicsError(f"{who} takes beams that neither stretch nor shear: give the beam without its thickness")
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a beam is resolved: `order` Gauss nodes a panel, no panel wider than `widest`."""
+
+    order: int = 16
+    widest: float = 1.0
+    at_knots: bool = False  # an edge also where a derivative of k(s) or q0(s) jumps
+
+    def finer(self) -> Resolution:
+        """Panels half as wide."""
+        return replace(self, widest=0.5 * self.widest)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Arrays of one batch of equilibria: T frames, Q nodes. What differs from beam to beam leads with T.
+
+    A beam stretches and shears by its `section`, whose 1/EA and 1/kGA follow k, or by given arrays `stretch` and
+    `shear`. Without any of them, or with zeros, it does neither.
+    """
+
+    grid: Grid
+    weights: Array  # (Q,) or (T, Q)
+    to_nodes: Array  # (Q, Q) or (T, Q, Q): B
+    length: Array  # () or (T, 1) m
+    k: Array  # (Q,) or (T, Q) N m
+    q0: Array  # (Q,) or (T, Q) rad
+    alpha0: Array  # () or (T, 1) rad
+    dead_force: Array  # (T, Q, 2) N: all dead forces beyond the node
+    moment: Array  # (T, Q) N m: all point moments beyond the node
+    follower: Array  # (T, c, 2) N, in the tangent's frame
+    follower_beyond: Array  # (T, c, Q): 1 where the follower acts beyond the node
+    follower_rows: Array  # (T, c, Q): angle at the follower's place
+    section: RectangularSection | None = None
+    stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA, where there is no section
+    shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA, where there is no section
+    modes: Array | None = None  # (Q, n): then unknowns, q0 and columns of B are of these curvatures, not of the nodes
+
+    @property
+    def size(self) -> int:
+        """T."""
+        return int(self.dead_force.shape[0])
+
+    @cached_property
+    def dead_pull(self) -> tuple[Array, Array]:
+        """(T, Q) N m each: the dead force beyond the nodes times L w, its components x and y."""
+        lw = self.length * self.weights
+        return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
+
+    @cached_property
+    def stiff(self) -> Array:
+        """(Q,) or (T, Q) N m: w k; (n,) 1 for modes, which are orthonormal in it."""
+        return self.weights * self.k if self.modes is None else np.ones(self.modes.shape[-1])
+
+    @cached_property
+    def couple(self) -> Array:
+        """(T, Q) or (T, n) N m: w times the point moments beyond the nodes, their work for each unknown."""
+        out = self.weights * self.moment
+        return out if self.modes is None else out @ self.modes
+
+    @cached_property
+    def compliance(self) -> tuple[Array, Array] | None:
+        """(Q,) or (T, Q) 1/N each: 1/EA and 1/kGA; None for a beam that neither stretches nor shears."""
+        if self.section is not None:
+            if self.stretch is not None or self.shear is not None:
+                raise MechanicsError("1/EA and 1/kGA follow from the section: give it or them, not both")
+            return self.section.compliance(self.k, self.weights, self.length)
+        if self.stretch is None and self.shear is None:
+            return None
+        given = [np.zeros(1) if x is None else x for x in (self.stretch, self.shear)]
+        if not all(np.all(x >= 0.0) for x in given):
+            raise MechanicsError("1/EA and 1/kGA must be 0 or more")
+        return (given[0], given[1]) if any(np.any(x) for x in given) else None
+
+    @cached_property
+    def strain_lever(self) -> Array | None:
+        """(Q,) or (T, Q) 1/(N m): delta / (L w) of `nodal_forces.py`, or None where `compliance` is."""
+        if self.compliance is None:
+            return None
+        stretch, shear = self.compliance
+        return np.asarray((stretch - shear) / (self.length * self.weights))
+
+    def under(self, dead_force: Array, q0: Array, alpha0: Array) -> Problem:
+        """The same beams under these dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle; what
+        follows from the beams by themselves is not worked out again."""
+        size, nodes = dead_force.shape[:2]
+        none = np.zeros((size, 0, nodes))
+        out = replace(
+            self,
+            q0=q0,
+            alpha0=alpha0,
+            dead_force=dead_force,
+            moment=np.zeros((size, nodes)),
+            follower=none[..., :2],
+            follower_beyond=none,
+            follower_rows=none,
+        )
+        of_beam = (self.compliance, self.strain_lever)
+        out.__dict__.update(zip(("compliance", "strain_lever"), of_beam, strict=True))
+        return out
+
+    def strained(self, share: Array) -> Problem:
+        """With 1/EA and 1/kGA times `share` (T,): 0 is the beam that neither stretches nor shears."""
+        if self.compliance is None:
+            return self
+        stretch, shear = (share[:, None] * compliance for compliance in self.compliance)
+        return replace(self, section=None, stretch=stretch, shear=shear)
+
+    def loaded(self, factor: Array) -> Problem:
+        """With all loads times `factor` (T,)."""
+        f = factor[:, None]
+        return replace(
+            self,
+            dead_force=f[..., None] * self.dead_force,
+            moment=f * self.moment,
+            follower=f[..., None] * self.follower,
+        )
+
+    def take(self, chosen: IntArray | BoolArray) -> Problem:
+        """Some frames of the batch."""
+
+        def pick(x: Array, plain: int) -> Array:
+            return x[chosen] if x.ndim > plain else x
+
+        return Problem(
+            grid=self.grid if self.grid.edges.ndim == 1 else Grid(self.grid.edges[chosen], self.grid.order),
+            weights=pick(self.weights, 1),
+            to_nodes=pick(self.to_nodes, 2),
+            length=pick(self.length, 0),
+            k=pick(self.k, 1),
+            q0=pick(self.q0, 1),
+            alpha0=pick(self.alpha0, 0),
+            dead_force=self.dead_force[chosen],
+            moment=self.moment[chosen],
+            follower=self.follower[chosen],
+            follower_beyond=self.follower_beyond[chosen],
+            follower_rows=self.follower_rows[chosen],
+            section=None if self.section is None else self.section.take(chosen),
+            modes=self.modes,
+            stretch=self.stretch if self.stretch is None else pick(self.stretch, 1),
+            shear=self.shear if self.shear is None else pick(self.shear, 1),
+        )
+
+
+def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
+    """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame."""
+    if not are_common(loads.places):
+        return None
+    places = tuple(float(place) for place in loads.places[0])
+    nodal = beam.memory.beams.get((*places, resolution))
+    if nodal is None:
+        grid = grid_for(loads.places, _edges([beam], resolution), resolution.order, resolution.widest)
+        line = (beam.stiffness, beam.rest_curvature, beam.mass_per_length)
+        nodal = nodal_beam(beam.length, *line, beam.masses, grid, places)
+        beam.memory.keep((*places, resolution), nodal)
+    return nodal
+
+
+def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+    """The arrays of a beam under loads; the beam remembers those that do not depend on the loads.
+
+    Raises:
+        MechanicsError: k(s) is not positive at every node.
+    """
+    loads = loads.spread(loads.size)
+    nodal = remembered(beam, loads, resolution)
+    if nodal is None:
+        return make_problems([beam], loads, resolution)
+    return Problem(
+        grid=nodal.grid,
+        weights=nodal.weights,
+        to_nodes=nodal.to_nodes,
+        length=np.asarray(beam.length),
+        k=nodal.k,
+        q0=nodal.q0,
+        alpha0=np.asarray(beam.clamp_angle),
+        section=beam.section,
+        **loads_at_nodes(nodal.grid, nodal.nodes, loads, nodal.mass_beyond),
+    )
+
+
+def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
+    """The arrays of several beams, one a frame (or one for all frames), on one grid.
+
+    Raises:
+        MechanicsError: k(s) is not positive at a node; as many beams as frames are needed, or one.
+    """
+    size = max(loads.size, len(beams))
+    if len(beams) not in (1, size):
+        raise MechanicsError(f"{len(beams)} beams do not fit loads for {size} frames")
+    loads = loads.spread(size)
+    grid = grid_for(loads.places, _edges(beams, resolution), resolution.order, resolution.widest)
+    nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
+    shared = len(beams) == 1
+    k = _stack([np.asarray(b.stiffness(nodes), dtype=float) for b in beams])
+    check_positive(k, nodes)
+    length = np.asarray(beams[0].length) if shared else np.array([[b.length] for b in beams])
+    alpha0 = np.asarray(beams[0].clamp_angle) if shared else np.array([[b.clamp_angle] for b in beams])
+    mass_beyond = np.zeros(nodes.shape)
+    if np.any(loads.gravity != 0.0):
+        line = length * _stack([np.asarray(b.mass_per_length(nodes)) for b in beams])
+        mass_beyond = np.sum(weights * line, axis=-1)[..., None] - apply(to_nodes, line)
+        mass_beyond = mass_beyond + _stack([riding_beyond(nodes, b.masses) for b in beams])
+    return Problem(
+        grid=grid,
+        weights=weights,
+        to_nodes=to_nodes,
+        length=length,
+        k=k,
+        q0=_stack([np.asarray(b.rest_curvature(nodes), dtype=float) for b in beams]),
+        alpha0=alpha0,
+        section=common_section([beam.section for beam in beams]),
+        **loads_at_nodes(grid, nodes, loads, mass_beyond),
+    )
+
+
+def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
+    """The coarsest that carries the beam's own curvatures, and the share of them by which its angles are off."""
+    places = loads.places
+    common = tuple(float(place) for place in places[0]) if are_common(places) else ()
+
+    def make() -> FirstGrid:
+        edges, knots = (*common, *_jumps([beam])), _knots([beam])
+        return first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
+
+    first = beam.memory.once((FirstGrid, common), make)
+    return Resolution(first.order, first.widest, first.at_knots), first.missed
+
+
+def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:
+    """Where a derivative of a profile of any of the beams jumps."""
+    return tuple(sorted({j for b in beams for p in (b.stiffness, b.rest_curvature) for j in knots_of(p)}))
+
+
+def _edges(beams: Sequence[Rod], resolution: Resolution) -> tuple[float, ...]:
+    return (*_jumps(beams), *_knots(beams)) if resolution.at_knots else _jumps(beams)
+
+
+def _jumps(beams: Sequence[Rod]) -> tuple[float, ...]:
+    """Where a profile of any of the beams jumps, and where a mass rides."""
+    jumps = {j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps}
+    return tuple(sorted(jumps.union(one.s for b in beams for one in b.masses)))
+
+
+def _stack(values: list[Array]) -> Array:
+    return values[0] if len(values) == 1 else np.stack(values)

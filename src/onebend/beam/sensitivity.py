@@ -1,0 +1,406 @@
+"""Derivatives of an equilibrium by the implicit function theorem: `dq/dp = -T^-1 dg/dp`, T the tangent.
+
+A `Perturbation` gives the derivatives of the balance's residual g with parameters: through the internal force and
+moment, the elastic term, the clamp's angle. Perturbations are joined with `+` and solved together: the tangent is
+factorised once, for the parameters or, where those are fewer, for the quantities asked for (the adjoint method).
+Nothing is differentiated through the iterations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+
+import numpy as np
+
+from onebend.beam.grid import apply, solve_each, transposed
+from onebend.beam.problem import Problem
+from onebend.beam.statics import Equilibrium, internal_force, strain_by_force, tangent, turned_followers
+from onebend.errors import MechanicsError
+from onebend.records import Array, IntArray
+
+# How parameters enter the balance of moments and, past it, the places of a beam that stretches and shears.
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T.
+
+    None where nothing of the kind changes.
+    """
+
+    force: Array | None  # (T, Q, 2, P) N per unit: of the dead force beyond each node
+    moment: Array | None  # (T, Q, P) N m per unit: of the moment beyond each node
+    elastic: tuple[Array, Array] | None  # of k (q - q0) at fixed q: (T, Q) times functions (Q, P) or (T, Q, P), N m
+    clamp: Array  # (P,) rad per unit
+    # of 1/EA and 1/kGA: (Q,) or (T, Q) each, times functions (Q, P) or (T, Q, P), 1/N
+    compliance: tuple[tuple[Array, Array], Array] | None = None
+
+    @property
+    def parts(self) -> tuple[Perturbation, ...]:
+        """Itself, as `Perturbations` has it."""
+        return (self,)
+
+    @property
+    def columns(self) -> list[tuple[slice, Perturbation]]:
+        """Itself with its place, as `Perturbations` has it."""
+        return [(slice(0, len(self.clamp)), self)]
+
+    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
+        """Both sets of parameters, one after the other."""
+        return Perturbations(self.parts + other.parts)
+
+    def take(self, chosen: IntArray) -> Perturbation:
+        """At some of the frames."""
+
+        def pick(x: Array, plain: int) -> Array:
+            return x[chosen] if x.ndim > plain and len(x) > 1 else x
+
+        elastic, compliance = self.elastic, self.compliance
+        if elastic is not None:
+            elastic = pick(elastic[0], 1), pick(elastic[1], 2)
+        if compliance is not None:
+            (stretch, shear), functions = compliance
+            compliance = (pick(stretch, 1), pick(shear, 1)), pick(functions, 2)
+        return Perturbation(
+            None if self.force is None else pick(self.force, 3),
+            None if self.moment is None else pick(self.moment, 2),
+            elastic,
+            self.clamp,
+            compliance,
+        )
+
+
+@dataclass(frozen=True)
+class Perturbations:
+    """Several sets of parameters, one after the other: P in all."""
+
+    parts: tuple[Perturbation, ...]
+
+    @property
+    def clamp(self) -> Array:
+        """(P,) rad per unit."""
+        return np.concatenate([part.clamp for part in self.parts])
+
+    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
+        """Those of `other` after these."""
+        return Perturbations(self.parts + other.parts)
+
+    def take(self, chosen: IntArray) -> Perturbations:
+        """At some of the frames."""
+        return Perturbations(tuple(part.take(chosen) for part in self.parts))
+
+    @cached_property
+    def columns(self) -> list[tuple[slice, Perturbation]]:
+        """The parts with their places among all parameters."""
+        ends = [0, *accumulate(len(part.clamp) for part in self.parts)]
+        return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], self.parts, strict=True)]
+
+
+def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:
+    """(T, Q, P): minus the derivative of the balance's gradient with the parameters at fixed q."""
+    problem = solved.problem
+    out = np.zeros((*solved.q.shape, len(perturbation.clamp)))
+    for columns, part in perturbation.columns:
+        turning = work_by_angle(solved, part)
+        if turning is not None:
+            out[..., columns] += transposed(problem.to_nodes) @ turning
+        if part.moment is not None:
+            out[..., columns] += problem.weights[..., None] * part.moment
+        if part.elastic is not None:
+            size, functions = part.elastic
+            out[..., columns] -= (problem.weights * size)[..., None] * functions
+        if np.any(part.clamp != 0.0):
+            out[..., columns] -= _by_turn(solved) * part.clamp
+    return out
+
+
+def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
+    """(T, Q, P) N m per unit: of `w dW/dalpha` at the nodes, at fixed angles; None where force and strain stay."""
+    problem, out = solved.problem, None
+    if part.force is not None:
+        lw = (problem.length * problem.weights)[..., None]
+        out = lw * _dot(solved.forces.lever, part.force)
+    if part.compliance is not None:
+        size, functions = _twisted(solved, part.compliance)
+        strained = size[..., None] * functions
+        out = strained if out is None else out + strained
+    return out
+
+
+def adjoint_times(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
+    """(T, S, P): rows (T, S, Q) times `minus_gradient`; functions that frames share are not written out for each."""
+    out, elastic, compliance = np.zeros((*rows.shape[:-1], len(part.clamp))), part.elastic, part.compliance
+    if elastic is not None and elastic[1].ndim == 2:
+        out += _times(rows * -(solved.problem.weights * elastic[0])[..., None, :], elastic[1])
+        elastic = None
+    if compliance is not None and compliance[1].ndim == 2:
+        size, functions = _twisted(solved, compliance)
+        out += _times((rows @ transposed(solved.problem.to_nodes)) * size[..., None, :], functions)
+        compliance = None
+    rest = Perturbation(part.force, part.moment, elastic, part.clamp, compliance)
+    entries = (rest.force, rest.moment, elastic, compliance)
+    if any(entry is not None for entry in entries) or np.any(rest.clamp != 0.0):
+        out += rows @ minus_gradient(solved, rest)
+    return out
+
+
+def _times(rows: Array, functions: Array) -> Array:
+    """(T, S, P): rows (T, S, Q) times functions (Q, P), in one product."""
+    return np.asarray((rows.reshape(-1, rows.shape[-1]) @ functions).reshape(*rows.shape[:-1], functions.shape[-1]))
+
+
+def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Array | None:
+    """(T, S, 2, P) m per unit: how places move by strain alone, all angles kept; `rows` (S, Q) or (T, S, Q) m
+    integrate r'. None where they stay."""
+    problem, out = solved.problem, None
+    if part.force is not None and problem.compliance is not None:
+        by_force, force = solved.strain_by_force, part.force
+        strained = by_force[..., :1] * force[..., :1, :] + by_force[..., 1:] * force[..., 1:, :]  # (T, Q, 2, P)
+        flat = rows @ strained.reshape(*strained.shape[:2], -1)
+        out = flat.reshape(*flat.shape[:2], *strained.shape[2:])
+    if part.compliance is not None:
+        size, functions = part.compliance
+        way = solved.strained if size is problem.compliance else solved.strained_by(size)
+        by_node = rows[..., None, :] * transposed(way)[:, None]
+        more = by_node @ (functions if functions.ndim == 2 else functions[:, None])
+        out = more if out is None else out + more
+    return out
+
+
+def followers_turned(solved: Equilibrium) -> Array:
+    """(T, c, Q, 2) N per rad: of the internal force with the angle where each follower acts."""
+    _, turning = turned_followers(solved.problem, solved.q)
+    return np.asarray(turning[:, :, None] * solved.problem.follower_beyond[..., None])
+
+
+def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array]) -> tuple[Array, Array]:
+    """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` with the compliance."""
+    (stretch, shear), functions = compliance
+    problem = solved.problem
+    normal, transverse = solved.normal_and_shear
+    return problem.length * problem.weights * (stretch - shear) * normal * transverse, functions
+
+
+def _by_turn(solved: Equilibrium) -> Array:
+    """(T, Q, 1): of the gradient with a common turn: T summed over a uniform turn, less elasticity."""
+    problem = solved.problem
+    along = solved.forces.along
+    if problem.follower.shape[1]:  # they turn alike
+        force = np.sum(followers_turned(solved), axis=1)[..., None]
+        along = along - (problem.length * problem.weights) * _dot(solved.forces.lever, force)[..., 0]
+    return apply(transposed(problem.to_nodes), along)[..., None]
+
+
+def _dot(way: Array, force: Array) -> Array:
+    """(T, Q, P) of ways (T, Q, 2) and forces (T, Q, 2, P)."""
+    return force[..., 1, :] * way[..., 1, None] + force[..., 0, :] * way[..., 0, None]
+
+
+@dataclass(frozen=True)
+class Response:
+    """How equilibria move with P parameters."""
+
+    solved: Equilibrium
+    perturbation: Perturbation | Perturbations
+
+    @cached_property
+    def q(self) -> Array:
+        """(T, Q, P) rad per unit, of the curvature at the nodes."""
+        return solve_each(tangent(self.solved.problem, self.solved.q), self._right)
+
+    @property
+    def alpha(self) -> Array:
+        """(T, Q, P) of the angle at the nodes."""
+        return self.solved.problem.to_nodes @ self.q + self.perturbation.clamp
+
+    def poses(self, s: Array) -> Array:
+        """(T, S, 3, P) m, m, rad per unit: of position and angle at places `s` (S,) or (T, S)."""
+        integral = self.solved.problem.grid.integral_to(s)
+        moved, turned = self._ways(integral)
+        angle = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))[:, :, None]
+        ones = np.ones((*moved.shape[:2], 1))
+        out = self._derivative_of(np.concatenate([moved, angle], axis=2), np.concatenate([turned, ones], axis=-1))
+        self._add_strain(out[:, :, :2], integral)
+        return out
+
+    def angle(self, s: Array) -> Array:
+        """(T, S, P) rad per unit, of the angle at places `s` (S,) or (T, S)."""
+        integral = self.solved.problem.grid.integral_to(s)
+        rows = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))
+        return self._derivative_of(rows, np.ones(rows.shape[:-1]))
+
+    def xy(self, s: Array) -> Array:
+        """(T, S, 2, P) m per unit, of the position at places `s` (S,) or (T, S)."""
+        integral = self.solved.problem.grid.integral_to(s)
+        out = self._derivative_of(*self._ways(integral))
+        self._add_strain(out, integral)
+        return out
+
+    def clamp_wrench(self) -> Array:
+        """(T, 3, P) N, N, N m per unit: of force and moment that the clamp puts on the beam (dead loads)."""
+        base, along = _at_base(self.solved.problem), self.solved.forces.along
+        out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
+        out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
+        for columns, part in self._parts:
+            turning = work_by_angle(self.solved, part)
+            if turning is not None:
+                out[:, 2, columns] -= np.sum(turning, axis=1)
+            if part.force is not None:
+                out[:, :2, columns] -= np.einsum("q,tqcp->tcp", base, part.force)
+            if part.moment is not None:
+                out[:, 2, columns] -= np.einsum("q,tqp->tp", base, part.moment)
+        return out
+
+    @cached_property
+    def _right(self) -> Array:
+        return minus_gradient(self.solved, self.perturbation)
+
+    @property
+    def _parts(self) -> list[tuple[slice, Perturbation]]:
+        return self.perturbation.columns
+
+    def _ways(self, integral: Array) -> tuple[Array, Array]:
+        """(T, S, 2, Q) m: how positions go with the curvature at the nodes; (T, S, 2) m: with a common turn.
+
+        `integral` (S, Q) or (T, S, Q) integrates from 0 to their places.
+        """
+        problem = self.solved.problem
+        rows = problem.length[..., None] * integral
+        ways = self.solved.forces.lever
+        turning = np.stack([ways[:, None, :, 0] * rows, ways[:, None, :, 1] * rows], axis=-2)
+        b = problem.to_nodes
+        by_q, by_turn = turning @ (b if b.ndim == 2 else b[:, None]), np.sum(turning, axis=-1)
+        if problem.follower.shape[1] and problem.compliance is not None:  # they strain the beam as they turn
+            strained = np.einsum(
+                "tqab,tcqb->tqac", strain_by_force(problem, self.solved.forces), followers_turned(self.solved)
+            )
+            moved = np.einsum("...sq,tqac->tsac" if rows.ndim == 2 else "tsq,tqac->tsac", rows, strained)
+            by_q = by_q + np.einsum("tsac,tcq->tsaq", moved, problem.follower_rows)
+            by_turn = by_turn + np.sum(moved, axis=-1)
+        return by_q, by_turn
+
+    def _derivative_of(self, rows: Array, turned: Array) -> Array:
+        """(T, ..., P) of quantities that go with curvature by `rows` (T, ..., Q), with the clamp by `turned` (T, ...).
+
+        Where they are fewer than the parameters, T is solved for them: `rows T^-1 right = (T^-T rows^T)^T right`.
+        """
+        flat = rows.reshape(len(rows), -1, rows.shape[-1])
+        clamp = self.perturbation.clamp
+        if "q" in self.__dict__ or flat.shape[1] >= len(clamp):
+            out = flat @ self.q
+        else:
+            matrices = tangent(self.solved.problem, self.solved.q)
+            adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
+            out = np.concatenate([adjoint_times(adjoint, self.solved, part) for _, part in self._parts], axis=-1)
+        out = out.reshape(*rows.shape[:-1], len(clamp))
+        return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
+
+    def _add_strain(self, out: Array, integral: Array) -> None:
+        """Adds how positions (T, S, 2, P) move by strain alone."""
+        rows = self.solved.problem.length[..., None] * integral
+        for columns, part in self._parts:
+            moved = moved_by_strain(self.solved, rows, part)
+            if moved is not None:
+                out[..., columns] += moved
+
+
+def respond(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Response:
+    """Derivatives of the equilibria with respect to all parameters of `perturbation`.
+
+    They are worked out when asked for. NaN in frames whose tangent is singular: at a limit point the response is
+    infinite.
+    """
+    return Response(solved, perturbation)
+
+
+def of_force(problem: Problem, at_s: Array) -> Perturbation:
+    """Two parameters: the components [N] of a dead force at `at_s`, a number or (T,)."""
+    beyond = _beyond(problem, at_s)
+    force = beyond[..., None, None] * np.eye(2)
+    return Perturbation(force, None, None, np.zeros(2))
+
+
+def of_moment(problem: Problem, at_s: Array) -> Perturbation:
+    """One parameter: a moment [N m] at `at_s`, a number or (T,)."""
+    return Perturbation(None, _beyond(problem, at_s)[..., None], None, np.zeros(1))
+
+
+def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
+    """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m].
+
+    Where the problem has a `section`, 1/EA and 1/kGA go with k by it; given arrays of them stay as they are.
+    """
+    problem, section, compliance = solved.problem, solved.problem.section, None
+    if section is not None and problem.compliance is not None:
+        compliance = problem.compliance, section.log_by_stiffness(problem.k, problem.weights, functions)
+    return Perturbation(None, None, (solved.q - problem.q0, functions), np.zeros(functions.shape[-1]), compliance)
+
+
+def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
+    """One parameter, with which log h0, the section's thickness, grows by `slope`; 1/EA and 1/kGA go with its square.
+
+    Raises:
+        MechanicsError: the problem has no section.
+    """
+    return _of_compliance(problem, problem.compliance, 2.0 * slope)
+
+
+def of_poisson(problem: Problem) -> Perturbation:
+    """One parameter: the section's Poisson's ratio; 1/kGA goes with `1 + nu`. Raises as `of_section_thickness`."""
+    if problem.section is None or problem.compliance is None:
+        return _of_compliance(problem, None, 0.0)
+    shear = problem.compliance[1]
+    return _of_compliance(problem, (np.zeros_like(shear), shear), 1.0 / (1.0 + problem.section.poisson))
+
+
+def _of_compliance(problem: Problem, size: tuple[Array, Array] | None, factor: float) -> Perturbation:
+    if problem.section is None or size is None:
+        raise MechanicsError("there is no section whose thickness sets 1/EA and 1/kGA: give the problem a `section`")
+    functions = np.full((problem.to_nodes.shape[-1], 1), factor)
+    return Perturbation(None, None, None, np.zeros(1), (size, functions))
+
+
+def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:
+    """P parameters: coefficients of functions (Q, P) added to q0(s) [rad]."""
+    return Perturbation(None, None, (-np.atleast_2d(problem.k), functions), np.zeros(functions.shape[-1]))
+
+
+def of_clamp_angle(problem: Problem) -> Perturbation:  # noqa: ARG001 - it takes what its sisters take
+    """One parameter: the clamp's angle [rad], the loads keeping their directions."""
+    return Perturbation(None, None, None, np.ones(1))
+
+
+def of_mass(problem: Problem, functions: Array, gravity: Array) -> Perturbation:
+    """P parameters: coefficients of functions (Q, P) added to mu(s) [kg/m] under gravity (T, 2) or (1, 2)."""
+    line = problem.length[..., None] * functions  # (Q, P) or (T, Q, P)
+    total = np.sum(problem.weights[..., None] * line, axis=-2, keepdims=True)
+    beyond = total - problem.to_nodes @ line
+    beyond = beyond if beyond.ndim == 3 else beyond[None]
+    return Perturbation(beyond[..., None, :] * gravity[:, None, :, None], None, None, np.zeros(functions.shape[-1]))
+
+
+def clamp_wrench(solved: Equilibrium) -> Array:
+    """(T, 3) N, N, N m: force and moment that the clamp puts on the beam."""
+    problem, base = solved.problem, _at_base(solved.problem)
+    n = internal_force(problem, solved.q)
+    moment = np.sum(solved.forces.across, axis=-1) + problem.moment @ base
+    return -np.concatenate([np.einsum("q,tqc->tc", base, n), moment[:, None]], axis=1)
+
+
+def _beyond(problem: Problem, at_s: Array) -> Array:
+    """(T or 1, Q): 1 where `at_s` lies beyond the node. The grid must have an edge at `at_s` to be exact."""
+    places = np.atleast_1d(np.asarray(at_s, dtype=float))[:, None]
+    return np.asarray(problem.grid.nodes < places, dtype=float)
+
+
+def _at_base(problem: Problem) -> Array:
+    """(Q,) row that evaluates a smooth quantity of the first panel at s = 0 by extrapolation of its polynomial."""
+    order = problem.grid.order
+    x, w = np.polynomial.legendre.leggauss(order)
+    degree = np.arange(order)
+    values = (degree + 0.5) * (-1.0) ** degree
+    row = np.zeros(problem.to_nodes.shape[-1])
+    row[:order] = (values @ np.polynomial.legendre.legvander(x, order - 1).T) * w
+    return row

@@ -1,0 +1,419 @@
+"""Equilibrium of a clamped beam: the balance, Newton's method, continuation in the load, and its derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf
+
+from onebend.beam.grid import apply, paired, solve_each, transposed
+from onebend.beam.problem import Problem
+from onebend.records import Array, BoolArray, IntArray
+
+# Internal force at the nodes, the strains it causes, and what the balance of moments takes of it.
+#
+# Planar rod of Simo and Reissner. With the directors d1 = (cos alpha, sin alpha) along the section's normal and
+# d2 = (-sin alpha, cos alpha), the internal force n(s) (the sum of all forces beyond s), N = n . d1 and Q = n . d2:
+#
+# r' = L [(1 + N/EA) d1 + (Q/kGA) d2]
+#
+# Stretch and shear follow from n, so the curvature stays the only unknown. The work of the loads per s,
+# `W(alpha) = L (N + N^2 / 2 EA + Q^2 / 2 kGA)`, has with delta = 1/EA - 1/kGA the derivatives
+#
+# dW/dalpha = L Q (1 + delta N) = -M' - m',    -d2W/dalpha2 = L (N + delta (N^2 - Q^2)).
+#
+# 1/EA = 1/kGA = 0 is the inextensible, unshearable beam, which takes no more work than without the terms.
+
+
+@dataclass(frozen=True)
+class NodalForces:
+    """Directions at the nodes, and derivatives of the loads' work `w W` with the angle there."""
+
+    cos: Array  # (T, Q)
+    sin: Array  # (T, Q)
+    along: Array  # (T, Q) N m: minus the second derivative; L w N where nothing stretches or shears
+    across: Array  # (T, Q) N m: the first derivative; L w Q where nothing stretches or shears
+    turned: tuple[Array, Array] | None  # (T, Q) each: `d(r'/L)/dalpha = turned[0] d1 + turned[1] d2`; None: it is d2
+
+    @cached_property
+    def lever(self) -> Array:
+        """(T, Q, 2): d(r'/L)/dalpha at fixed n, `(1 + delta N) d2 + delta Q d1`.
+
+        It is also the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal (Betti).
+        """
+        if self.turned is None:
+            return paired(-self.sin, self.cos)
+        first, second = self.turned
+        return paired(first * self.cos - second * self.sin, first * self.sin + second * self.cos)
+
+
+def node_angles(problem: Problem, q: Array) -> Array:
+    """(T, Q) `alpha = alpha0 + B q` (3)."""
+    return problem.alpha0 + apply(problem.to_nodes, q)
+
+
+def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q, 2) N: the sum of all forces beyond each node, followers turned to where they point now."""
+    factor = np.asarray(load_factor, dtype=float)[..., None, None]
+    if problem.follower.shape[1] == 0:
+        return np.asarray(factor * problem.dead_force)
+    turned, _ = turned_followers(problem, q)
+    return np.asarray(factor * (problem.dead_force + np.einsum("tcd,tcq->tqd", turned, problem.follower_beyond)))
+
+
+def turned_followers(problem: Problem, q: Array) -> tuple[Array, Array]:
+    """(T, c, 2) N the followers in the beam's frame, and their derivative with the angle there."""
+    angle = problem.alpha0 + np.einsum("tcq,tq->tc", problem.follower_rows, q)
+    cos, sin = np.cos(angle), np.sin(angle)
+    f = problem.follower
+    turned = np.stack([cos * f[..., 0] - sin * f[..., 1], sin * f[..., 0] + cos * f[..., 1]], axis=-1)
+    return turned, np.stack([-turned[..., 1], turned[..., 0]], axis=-1)
+
+
+def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> NodalForces:
+    """Of shapes (T, Q), all loads times `load_factor` (T,)."""
+    alpha = node_angles(problem, q)
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    x, y = problem.dead_pull
+    if problem.follower.shape[1]:
+        turned, _ = turned_followers(problem, q)
+        lw = problem.length * problem.weights
+        x, y = (d + lw * np.einsum("tc,tcq->tq", turned[..., i], problem.follower_beyond) for i, d in enumerate((x, y)))
+    along, across = factor * (x * cos + y * sin), factor * (y * cos - x * sin)
+    delta = problem.strain_lever
+    if delta is None:
+        return NodalForces(cos, sin, along, across, None)
+    tilted, stretched = delta * across, 1.0 + delta * along
+    return NodalForces(cos, sin, along * stretched - tilted * across, across * stretched, (tilted, stretched))
+
+
+def normal_and_shear(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
+    """(T, Q) N each: N and Q, the internal force along d1 and d2."""
+    alpha, n = node_angles(problem, q), internal_force(problem, q, load_factor)
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    return n[..., 0] * cos + n[..., 1] * sin, n[..., 1] * cos - n[..., 0] * sin
+
+
+def strains(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
+    """(T, Q) each: stretch N/EA and shear Q/kGA at the nodes."""
+    if problem.compliance is None:
+        nothing = np.zeros((problem.size, problem.to_nodes.shape[-1]))
+        return nothing, nothing
+    normal, transverse = normal_and_shear(problem, q, load_factor)
+    stretch, shear = problem.compliance
+    return stretch * normal, shear * transverse
+
+
+def centreline_slope(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
+    """(T, Q, 2): r'/L at the nodes, `(1 + N/EA) d1 + (Q/kGA) d2`."""
+    alpha = node_angles(problem, q)
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    if problem.compliance is None:
+        return np.stack([cos, sin], axis=-1)
+    stretch, shear = strains(problem, q, load_factor)
+    along = 1.0 + stretch
+    return np.stack([along * cos - shear * sin, along * sin + shear * cos], axis=-1)
+
+
+def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
+    """(T, Q, 2, 2) 1/N: d(r'/L)/dn at fixed angle, `d1 d1^T / EA + d2 d2^T / kGA`; of a beam that is compliant."""
+    assert problem.compliance is not None
+    stretch, shear = problem.compliance
+    cos, sin = forces.cos, forces.sin
+    out = np.empty((*cos.shape, 2, 2))
+    out[..., 0, 0] = stretch * cos**2 + shear * sin**2
+    out[..., 1, 1] = stretch * sin**2 + shear * cos**2
+    out[..., 0, 1] = out[..., 1, 0] = (stretch - shear) * cos * sin
+    return out
+
+
+# Equilibrium of a clamped beam, exact: nodal Gauss collocation (5)-(11).
+#
+# The potential of dead loads is `V(q) = int k/2 (q - q0)^2 - L int N . (cos alpha, sin alpha) - int m q`, where
+# `N(s)` is the sum of all forces beyond s and `m(s)` the sum of all point moments beyond s. With the integrals done
+# by Gauss's rule on panels that end at every load and at every jump of k, the gradient and the tangent are
+#
+# g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
+#
+# B the integration matrix, u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). The stiffness enters at the
+# nodes: no mode shapes, no quadrature of k against them. A beam that stretches and shears takes other values of `L N
+# . u'` and `L N . u`, and nothing else (`nodal_forces.py`): V is then its potential with the strains eliminated,
+# which minimise it at every angle, so that stability is decided by the same T. A follower force turns with the
+# tangent where it acts; it has no potential, and its part of T is not symmetric.
+#
+# `continuation.py` finds the branch of g = 0 that grows from the rest shape.
+
+_TABULATED = 300_000  # numbers up to which B^T diag(d) B is done by a table
+RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Solved shapes of a `Problem`, one a frame."""
+
+    problem: Problem
+    q: Array  # (T, Q) rad, curvature at the nodes
+    converged: BoolArray  # (T,) equilibrium reached on the branch that grows from rest, or fallen to where it is lost
+    stable: BoolArray  # (T,) the second variation of the potential is positive there
+    load_factor: Array  # (T,) share of the load reached: below 1 the branch ends there (snap-through)
+    buckled_at: Array  # (T,) share of the load at which the branch lost stability; NaN where it never did
+    fell: BoolArray  # (T,) the branch was lost, and the beam fell from it to the one it stands on now
+    iterations: int  # Newton iterations, the most that a frame took
+
+    @property
+    def resolved(self) -> BoolArray:
+        """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
+        return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
+
+    def take(self, chosen: IntArray) -> Equilibrium:
+        """Some of the frames."""
+        problem, q, converged, stable = self.problem.take(chosen), self.q[chosen], self.converged, self.stable
+        reached, buckled_at, fell = self.load_factor[chosen], self.buckled_at[chosen], self.fell[chosen]
+        return Equilibrium(problem, q, converged[chosen], stable[chosen], reached, buckled_at, fell, self.iterations)
+
+    @cached_property
+    def alpha(self) -> Array:
+        """(T, Q) the director's angle at the nodes: the tangent's, where nothing shears."""
+        return node_angles(self.problem, self.q)
+
+    @cached_property
+    def forces(self) -> NodalForces:
+        """Internal forces at the nodes under the full load."""
+        return nodal_forces(self.problem, self.q)
+
+    @cached_property
+    def normal_and_shear(self) -> tuple[Array, Array]:
+        """(T, Q) N each: N and Q at the nodes under the full load."""
+        return normal_and_shear(self.problem, self.q)
+
+    @cached_property
+    def strain_by_force(self) -> Array:
+        """(T, Q, 2, 2) 1/N: of r'/L with the internal force; of a beam that is compliant."""
+        return strain_by_force(self.problem, self.forces)
+
+    @cached_property
+    def strained(self) -> Array:
+        """(T, Q, 2): what strain adds to r'/L under the full load; of a beam that is compliant."""
+        assert self.problem.compliance is not None
+        return self.strained_by(self.problem.compliance)
+
+    def strained_by(self, compliance: tuple[Array, Array]) -> Array:
+        """The same, of these 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
+        (normal, transverse), cos, sin = self.normal_and_shear, self.forces.cos, self.forces.sin
+        along, across = compliance[0] * normal, compliance[1] * transverse
+        return paired(along * cos - across * sin, along * sin + across * cos)
+
+    def angle(self, s: Array) -> Array:
+        """(T, S) tangent's angle at places `s` (S,) or (T, S). Equation (3)."""
+        return self.problem.alpha0 + apply(self.problem.grid.integral_to(s), self.q)
+
+    def xy(self, s: Array) -> Array:
+        """(T, S, 2) m, position at places `s` (S,) or (T, S). Equation (4)."""
+        slope = centreline_slope(self.problem, self.q, self._factor)
+        rows = self.problem.grid.integral_to(s)
+        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
+        return np.asarray(self.problem.length[..., None] * unit)
+
+    def xy_by_s(self, s: Array) -> Array:
+        """(T, S, 2) m, d r / d s at places `s` (S,): how positions go along the beam, stretch and shear included."""
+        slope = centreline_slope(self.problem, self.q, self._factor)
+        rows = self.problem.grid.value_at(s)
+        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
+        return np.asarray(self.problem.length[..., None] * unit)
+
+    def strains(self) -> tuple[Array, Array]:
+        """(T, Q) each: stretch N/EA and shear Q/kGA at the nodes."""
+        return strains(self.problem, self.q, self._factor)
+
+    def moment(self) -> Array:
+        """(T, Q) N m, internal bending moment k (q - q0) at the nodes."""
+        return self.problem.k * (self.q - self.problem.q0)
+
+    @property
+    def _factor(self) -> Array:
+        """(T,) share of the loads that acts on the shapes."""
+        return np.where(np.isfinite(self.load_factor), self.load_factor, 1.0)
+
+
+def potential(problem: Problem, q: Array) -> Array:
+    """(T,) J: bending energy less the work of the dead loads, whose gradient `gradient` is. Followers have none."""
+    alpha = node_angles(problem, q)
+    elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
+    x, y = np.cos(alpha), np.sin(alpha)
+    if problem.compliance is not None:  # loads work on the whole strain, and half of it is stored
+        slope = centreline_slope(problem, q)
+        x, y = 0.5 * (x + slope[..., 0]), 0.5 * (y + slope[..., 1])
+    work = problem.length * (problem.dead_force[..., 0] * x + problem.dead_force[..., 1] * y)
+    return np.asarray(np.sum(problem.weights * (elastic - work), axis=-1))
+
+
+def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
+    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads; `forces`: of q, where known."""
+    return _gradient(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
+
+
+def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
+    """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
+    return _tangent(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
+
+
+def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
+    """Gradient and tangent together, for Newton's method."""
+    forces = nodal_forces(problem, q, load_factor)
+    return _gradient(problem, q, load_factor, forces), _tangent(problem, q, load_factor, forces)
+
+
+def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
+    """(T,) whether the equilibrium stands: the second variation is positive (a Cholesky factor of T exists).
+
+    With follower forces there is no potential: then "stable" means that no real eigenvalue of T is negative or zero
+    (no divergence). Flutter is a matter of dynamics and not seen here.
+    """
+    forces = nodal_forces(problem, q, load_factor)
+    if problem.follower.shape[1]:
+        values = np.linalg.eigvals(scaled(problem, _tangent(problem, q, load_factor, forces)))
+        real = np.abs(values.imag) < 1e-9 * np.abs(values)
+        return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
+    stable = _surely_stable(problem, forces.along)
+    doubtful = np.flatnonzero(~stable)
+    if doubtful.size:
+        part = problem if doubtful.size == len(q) else problem.take(doubtful)
+        stable[doubtful] = positive_definite(second_variation(part, forces.along[doubtful], part.stiff))
+    return stable
+
+
+def is_convex(problem: Problem) -> BoolArray:
+    """(T,) True where a bound proves the potential of dead loads convex at every shape: then there is one equilibrium.
+
+    It is that of `_surely_stable`, all forces taken as compression. Shear may add to what a force gains by turning the
+    beam, so that nothing is said of beams that are compliant.
+    """
+    if problem.compliance is not None or problem.follower.shape[1]:
+        return np.zeros(problem.size, dtype=bool)
+    return _surely_stable(problem, -problem.length * problem.weights * np.linalg.norm(problem.dead_force, axis=-1))
+
+
+def scaled(problem: Problem, matrices: Array) -> Array:
+    """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
+    scale = 1.0 / np.sqrt(problem.stiff)
+    return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
+
+
+def _gradient(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    elastic = problem.stiff * (q - problem.q0) - factor * problem.couple
+    return elastic - apply(transposed(problem.to_nodes), forces.across)
+
+
+def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
+    out = second_variation(problem, forces.along, problem.stiff)
+    if problem.follower.shape[1]:
+        _, turning = turned_followers(problem, q)
+        factor = np.asarray(load_factor, dtype=float)[..., None, None]
+        lw = (problem.length * problem.weights)[..., None, :]
+        per_turn = (
+            turning[..., 1, None] * forces.cos[:, None] - turning[..., 0, None] * forces.sin[:, None]
+        )  # (T, c, Q)
+        if forces.turned is not None:
+            first, second = (x[:, None] for x in forces.turned)
+            along = turning[..., 0, None] * forces.cos[:, None] + turning[..., 1, None] * forces.sin[:, None]
+            per_turn = first * along + second * per_turn
+        moved = factor * lw * per_turn * problem.follower_beyond @ problem.to_nodes
+        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
+    return out
+
+
+def second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
+    """(T, Q, Q) `diag(diagonal) + B^T diag(along) B`."""
+    out = _congruence(problem.to_nodes, along)
+    nodes = out.shape[-1]
+    out.reshape(-1, nodes * nodes)[:, :: nodes + 1] += diagonal
+    return out
+
+
+def _surely_stable(problem: Problem, along: Array) -> BoolArray:
+    """(T,) True where a bound that needs no factor proves the second variation positive.
+
+    A change of shape that costs the bending energy E turns node i by at most `2 E sum_j B_ij^2 / (w k)_j` squared
+    (Cauchy's inequality). Where compression gains less than E from such turns, nothing lowers the potential. For a
+    uniform column that holds up to 2 EI / L^2; Euler's load is 2.47.
+    """
+    gained = apply(problem.to_nodes**2, 1.0 / problem.stiff)
+    return np.asarray(np.sum(np.minimum(along, 0.0) * gained, axis=-1) > -(1.0 - 1e-9))
+
+
+def _congruence(b: Array, diagonal: Array) -> Array:
+    """(T, Q, Q) `B^T diag(d) B`: for a small shared B one product with a table of its rows' squares."""
+    nodes = b.shape[-1]
+    if b.ndim == 2 and b.size * nodes <= _TABULATED:
+        return np.asarray((diagonal @ _squares(b.tobytes(), nodes)).reshape(*diagonal.shape[:-1], nodes, nodes))
+    return np.asarray(transposed(b) @ (diagonal[..., None] * b))
+
+
+@lru_cache(maxsize=16)
+def _squares(matrix: bytes, nodes: int) -> Array:
+    """(Q, n * n): row q holds `B[q, i] B[q, j]`."""
+    b = np.frombuffer(matrix).reshape(-1, nodes)
+    return np.asarray((b[:, :, None] * b[:, None, :]).reshape(len(b), -1))
+
+
+def positive_definite(matrices: Array) -> BoolArray:
+    """(T,) of symmetric (T, n, n)."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return np.array([dpotrf(matrix, lower=1)[1] == 0 for matrix in matrices], dtype=bool)
+    return np.ones(len(matrices), dtype=bool)
+
+
+# Newton's method on the balance of a batch of beams, at fixed loads.
+
+TOLERANCE = 3e-7  # rad, of the last update: what is left then is its square
+
+
+def correct(
+    problem: Problem, start: Array, factor: Array, *, trust: Array, remaining: Array, max_iterations: int = 8
+) -> tuple[Array, BoolArray, int]:
+    """Newton from `start` (T, Q) with all loads times `factor` (T,); frames that are done are not solved again.
+
+    Returns the shapes, True where no more than about `remaining` (T,) rad is left to turn and no update took the beam
+    further than `trust` (T,) rad from the start, and the number of iterations. Updates fall with the square of the one
+    before: after updates u and v, `v (v / u)^2` is left. Where rounding keeps updates from falling (a tangent near
+    singular), one below `TOLERANCE` will do.
+    """
+    q = start.copy()
+    near = np.zeros(len(q), dtype=bool)
+    todo, part = np.arange(len(q)), problem
+    q_now, moved, count = q, np.zeros((len(q), problem.to_nodes.shape[-2])), 0
+    before = np.zeros(len(q))  # rad, the update before the last
+    while todo.size and count < max_iterations:
+        count += 1
+        residual, matrices = balance(part, q_now, factor)
+        update = solve_batch(matrices, residual)
+        q_now = q_now - update
+        turn = apply(part.to_nodes, update)
+        size = np.max(np.abs(turn), axis=-1)
+        moved = moved + turn
+        strayed = ~(np.max(np.abs(moved), axis=-1) < trust)
+        settled = size < TOLERANCE
+        if count > 1:
+            settled |= size**3 < remaining * before**2
+        q[todo] = q_now
+        near[todo] = settled & ~strayed
+        going = np.flatnonzero(~(settled | strayed))
+        if going.size == 0:
+            break
+        if going.size < todo.size:
+            todo, part = todo[going], part.take(going)
+            q_now, moved, size = q_now[going], moved[going], size[going]
+            factor, trust, remaining = factor[going], trust[going], remaining[going]
+        before = size
+    return q, near, count
+
+
+def solve_batch(matrices: Array, right_side: Array) -> Array:
+    """(T, n) solutions of (T, n, n) systems; frames whose matrix is singular come back as NaN."""
+    return solve_each(matrices, right_side[..., None])[..., 0]

@@ -1,0 +1,624 @@
+"""Families of the bending stiffness distribution k(s) [N m], and profiles along the beam in general.
+
+A profile is a frozen record that evaluates at any `s` in [0, 1], names the places where it jumps, and can be written
+as plain data and read back. What is linear in its coefficients also gives its basis, for regression.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from scipy.interpolate import BSpline, PchipInterpolator
+from scipy.special import ndtri
+
+from onebend.errors import MechanicsError
+from onebend.progress import one_blas_thread
+from onebend.records import Array, BoolArray, IntArray
+
+# Values that go straight from place to place, as a drawing or a table of measured sizes gives them.
+
+
+@dataclass(frozen=True)
+class Polyline:
+    """Straight between places, constant beyond the first and the last. A place that stands twice is a step: there the
+    second value holds."""
+
+    s: tuple[float, ...]
+    values: tuple[float, ...]
+    jumps: tuple[float, ...] = ()  # steps, and corners so sharp that a grid needs an edge there
+
+    def __post_init__(self) -> None:
+        if len(self.s) != len(self.values) or len(self.s) < 2:
+            raise MechanicsError("a polyline needs at least two places, and one value a place")
+        apart = np.diff(self.s)
+        if np.any(apart < 0.0) or apart[0] == 0.0 or apart[-1] == 0.0 or np.any((apart[1:] + apart[:-1]) == 0.0):
+            raise MechanicsError("a polyline's places must rise; one inside may stand twice, as a step")
+        if not np.all(np.isfinite([*self.s, *self.values])) or not all(0.0 < jump < 1.0 for jump in self.jumps):
+            raise MechanicsError("a polyline's numbers must be finite, and its jumps inside the beam")
+
+    def __call__(self, s: Array | float) -> Array:
+        places, values = np.asarray(self.s), np.asarray(self.values)
+        inside = np.clip(np.asarray(s, dtype=float), places[0], places[-1])
+        i = np.clip(np.searchsorted(places, inside, side="right") - 1, 0, len(places) - 2)
+        share = (inside - places[i]) / (places[i + 1] - places[i])
+        return np.asarray(values[i] + share * (values[i + 1] - values[i]))
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": "polyline", "s": list(self.s), "values": list(self.values), "jumps": list(self.jumps)}
+
+
+# A profile in polynomial pieces: any smooth function between given places, to machine precision, jumps kept.
+#
+# Sections of tapered and layered beams give k(s), mass and curvature as functions that are smooth between jumps but
+# of no named family. Legendre pieces hold them as plain numbers, and evaluate fast.
+
+_DEGREE = 15
+_NARROWEST = 2.0**-12  # in s: a piece is not cut further
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """On each piece between `edges` a Legendre series of the given degree, in x from -1 to 1 across the piece."""
+
+    edges: tuple[float, ...]  # rising from 0 to 1
+    degree: int
+    coefficients: tuple[float, ...]  # (P * (degree + 1),), piece after piece
+    jumps: tuple[float, ...] = ()  # those edges where the profile or its slope is not continuous
+
+    def __post_init__(self) -> None:
+        if len(self.edges) < 2 or self.edges[0] != 0.0 or self.edges[-1] != 1.0 or np.any(np.diff(self.edges) <= 0.0):
+            raise MechanicsError("the edges of pieces must rise from 0 to 1")
+        if self.degree < 0 or len(self.coefficients) != (len(self.edges) - 1) * (self.degree + 1):
+            raise MechanicsError(
+                f"{len(self.edges) - 1} pieces of degree {self.degree} need "
+                f"{(len(self.edges) - 1) * (self.degree + 1)} coefficients, got {len(self.coefficients)}"
+            )
+        if not set(self.jumps) <= set(self.edges[1:-1]):
+            raise MechanicsError("pieces can jump at their inner edges only")
+
+    def __call__(self, s: Array | float) -> Array:
+        places, edges = np.asarray(s, dtype=float), np.asarray(self.edges)
+        piece = np.searchsorted(edges[1:-1], places, side="right")
+        x = 2.0 * (places - edges[piece]) / np.diff(edges)[piece] - 1.0
+        series = np.asarray(self.coefficients).reshape(-1, self.degree + 1)
+        values = np.sum(np.polynomial.legendre.legvander(x, self.degree) * series[piece], axis=-1)
+        return np.asarray(values).reshape(places.shape)
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "kind": "pieces",
+            "edges": list(self.edges),
+            "degree": self.degree,
+            "coefficients": list(self.coefficients),
+            "jumps": list(self.jumps),
+        }
+
+
+def taper(first: float, last: float) -> Pieces:
+    """A profile that runs in a straight line from `first` at the base to `last` at the tip."""
+    return Pieces((0.0, 1.0), 1, (0.5 * (first + last), 0.5 * (last - first)))
+
+
+def broken_line(s: tuple[float, ...], values: tuple[float, ...]) -> Pieces:
+    """Straight lines through values at places from 0 to 1; a place given twice is a jump from one value to the next.
+
+    Raises:
+        MechanicsError: places that do not run from 0 to 1, or not one value a place.
+    """
+    if len(s) != len(values) or len(s) < 2:
+        raise MechanicsError(f"a broken line needs one value a place, got {len(s)} places and {len(values)} values")
+    pairs = list(zip(s, values, strict=True))
+    lines = [(a, b) for a, b in pairwise(pairs) if b[0] != a[0]]
+    edges = (lines[0][0][0], *(end[0] for _, end in lines))
+    flat = [c for (_, u), (_, v) in lines for c in (0.5 * (u + v), 0.5 * (v - u))]
+    return Pieces(edges, 1, tuple(flat), edges[1:-1])
+
+
+def in_pieces(
+    function: Callable[[Array], Array],
+    breaks: tuple[float, ...] = (),
+    *,
+    jumps: tuple[float, ...] = (),
+    tolerance: float = 1e-12,
+) -> Pieces:
+    """The pieces of a function of s, cut at `breaks` and `jumps`, and halved until each is resolved to `tolerance`.
+
+    `tolerance` is a share of the largest value. `jumps` are the places where the value or slope may jump.
+
+    Raises:
+        MechanicsError: values that are not finite, or a piece that halving does not resolve (a jump not listed).
+    """
+    inner = sorted({b for b in (*breaks, *jumps) if 0.0 < b < 1.0})
+    x = np.polynomial.legendre.leggauss(_DEGREE + 1)[0]
+    to_series = np.linalg.inv(np.polynomial.legendre.legvander(x, _DEGREE))
+    stops, edges, rows = [*inner, 1.0], [0.0], []
+    scale = float(np.max(np.abs(function(np.linspace(0.0, 1.0, 101)))))
+    while stops:
+        a, b = edges[-1], stops[0]
+        values = function(0.5 * (a + b) + 0.5 * (b - a) * x)
+        if not np.all(np.isfinite(values)):
+            raise MechanicsError(f"the profile is not finite between s = {a:.6g} and {b:.6g}")
+        row = to_series @ values
+        if np.max(np.abs(row[-2:])) <= tolerance * scale:
+            edges.append(stops.pop(0))
+            rows.append(row)
+        elif b - a > _NARROWEST:
+            stops.insert(0, 0.5 * (a + b))
+        else:
+            raise MechanicsError(f"the profile jumps near s = {a:.4f}: give that place as a break")
+    return Pieces(tuple(edges), _DEGREE, tuple(np.concatenate(rows).tolist()), tuple(j for j in inner if j in jumps))
+
+
+@runtime_checkable
+class Profile(Protocol):
+    """A quantity along the beam."""
+
+    def __call__(self, s: Array | float) -> Array:
+        """Value at `s` (any shape, in [0, 1])."""
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """Places strictly inside (0, 1) where the profile or its slope is not continuous."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data from which `profile_from_dict` makes an equal profile."""
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """The same value everywhere."""
+
+    value: float
+
+    def __call__(self, s: Array | float) -> Array:
+        return np.full(np.shape(s), float(self.value))
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": "uniform", "value": self.value}
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """`k(s) = sum_w gamma_w Pi_w(s)` with the paper's normalised Gaussians (15) at fixed centres."""
+
+    centres: tuple[float, ...]
+    width: float  # sigma of (15), in units of s
+    coefficients: tuple[float, ...]  # gamma, N m
+
+    def __post_init__(self) -> None:
+        if not self.width > 0.0:
+            raise MechanicsError(f"the Gaussians' width must be positive, got {self.width}")
+        if len(self.centres) != len(self.coefficients):
+            raise MechanicsError(f"{len(self.centres)} centres but {len(self.coefficients)} coefficients")
+
+    def __call__(self, s: Array | float) -> Array:
+        return np.asarray(gaussian_basis(s, self.centres, self.width) @ np.asarray(self.coefficients))
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "kind": "gaussians",
+            "centres": list(self.centres),
+            "width": self.width,
+            "coefficients": list(self.coefficients),
+        }
+
+
+@dataclass(frozen=True)
+class Powers:
+    """`k(s) = sum_w gamma_w s^w`, the paper's polynomial family (12)."""
+
+    coefficients: tuple[float, ...]  # gamma, N m, of s^0, s^1, ...
+
+    def __call__(self, s: Array | float) -> Array:
+        return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s, dtype=float), np.asarray(self.coefficients)))
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": "powers", "coefficients": list(self.coefficients)}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Values at given places: monotone cubic between them, constant beyond. For measured or computed profiles."""
+
+    s: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.s) != len(self.values) or len(self.s) < 2:
+            raise MechanicsError("a table needs at least two places, and one value a place")
+        if np.any(np.diff(self.s) <= 0.0):
+            raise MechanicsError("a table's places must rise")
+
+    def __call__(self, s: Array | float) -> Array:
+        inside = np.clip(np.asarray(s, dtype=float), self.s[0], self.s[-1])
+        return np.asarray(self._interpolator(inside))
+
+    @cached_property
+    def _interpolator(self) -> PchipInterpolator:
+        return PchipInterpolator(self.s, self.values)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": "table", "s": list(self.s), "values": list(self.values)}
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Constant pieces: `values[i]` between `edges[i]` and `edges[i + 1]`; edges run from 0 to 1."""
+
+    edges: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.edges) != len(self.values) + 1 or self.edges[0] != 0.0 or self.edges[-1] != 1.0:
+            raise MechanicsError("steps need edges from 0 to 1, one more than values")
+        if np.any(np.diff(self.edges) <= 0.0):
+            raise MechanicsError("the edges of steps must rise")
+
+    def __call__(self, s: Array | float) -> Array:
+        piece = np.searchsorted(self.edges[1:-1], np.asarray(s, dtype=float), side="right")
+        return np.asarray(self.values, dtype=float)[piece]
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return self.edges[1:-1]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": "steps", "edges": list(self.edges), "values": list(self.values)}
+
+
+@dataclass(frozen=True)
+class LogSpline:
+    """`log k(s)` as a B-spline, positive whatever the coefficients; beside a known part of log k where there is one."""
+
+    knots: tuple[float, ...]  # with the ends repeated, as scipy's BSpline takes them
+    coefficients: tuple[float, ...]  # of log(k / (N m))
+    degree: int = 3
+    offset: Polyline | None = None  # of log k, known beforehand: that of the section's second moment
+
+    def __call__(self, s: Array | float) -> Array:
+        s = np.asarray(s, dtype=float)
+        return np.asarray(np.exp(self._spline(s) + (0.0 if self.offset is None else self.offset(s))))
+
+    @cached_property
+    def _spline(self) -> BSpline:
+        return BSpline(np.asarray(self.knots), np.asarray(self.coefficients), self.degree)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return () if self.offset is None else self.offset.jumps
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "kind": "log-spline",
+            "knots": list(self.knots),
+            "coefficients": list(self.coefficients),
+            "degree": self.degree,
+            **({} if self.offset is None else {"offset": self.offset.as_dict()}),
+        }
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Another profile times a constant, e.g. E times the second moment of area over L."""
+
+    factor: float
+    profile: Profile
+
+    def __call__(self, s: Array | float) -> Array:
+        return self.factor * self.profile(s)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return self.profile.jumps
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": "scaled", "factor": self.factor, "profile": self.profile.as_dict()}
+
+
+def knots_of(profile: Profile) -> tuple[float, ...]:
+    """Places strictly inside (0, 1) where a derivative jumps: a spline's knots, a table's places."""
+    if isinstance(profile, Scaled):
+        return knots_of(profile.profile)
+    places = profile.s if isinstance(profile, Table) else profile.knots if isinstance(profile, LogSpline) else ()
+    return tuple(sorted({float(place) for place in places if 0.0 < place < 1.0}))
+
+
+def gaussian_basis(s: Array | float, centres: Array | tuple[float, ...], width: float) -> Array:
+    """The Gaussians of (15) at `s`: shape `s.shape + (m,)`, unit 1 (each has unit area over the real line)."""
+    z = (np.asarray(s, dtype=float)[..., None] - np.asarray(centres, dtype=float)) / width
+    return np.asarray(np.exp(-0.5 * z**2) / (width * math.sqrt(2.0 * math.pi)))
+
+
+def power_basis(s: Array | float, m: int) -> Array:
+    """`s^0 .. s^(m-1)` at `s`: shape `s.shape + (m,)`."""
+    return np.asarray(np.asarray(s, dtype=float)[..., None] ** np.arange(m))
+
+
+def equidistant(m: int) -> tuple[float, ...]:
+    """Centres of m Gaussians, the first at 0 and the last at 1 (the paper says equidistant, no more)."""
+    return tuple(float(c) for c in np.linspace(0.0, 1.0, m))
+
+
+_KINDS: dict[str, Callable[..., Profile]] = {
+    "uniform": Uniform,
+    "gaussians": Gaussians,
+    "powers": Powers,
+    "table": Table,
+    "steps": Steps,
+    "log-spline": LogSpline,
+    "pieces": Pieces,
+    "polyline": Polyline,
+}
+
+
+def profile_from_dict(data: dict[str, Any]) -> Profile:
+    """The profile that `as_dict` wrote. Raises `MechanicsError` on an unknown kind or missing entry."""
+    entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items() if key != "kind"}
+    try:
+        if data["kind"] == "scaled":
+            return Scaled(float(data["factor"]), profile_from_dict(data["profile"]))
+        if "offset" in entries:
+            entries["offset"] = profile_from_dict(data["offset"])
+        return _KINDS[data["kind"]](**entries)
+    except (KeyError, TypeError) as error:
+        raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error
+
+
+# A solid rectangular section: how far a beam stretches and shears follows from k(s) and one thickness.
+#
+# Bending stiffness EI = k L, second moment I = A h^2 / 12, shear factor 5/6 (Timoshenko), G = E / (2 (1 + nu)):
+#
+# EA = 12 k L / h^2,   kGA = 5/6 EA / (2 (1 + nu)),   h(s) = h0 (k / mean k)^p
+#
+# with p = 1/3 where the thickness makes k(s) vary (k goes with h^3) and p = 0 where the width does.
+
+POISSON = 0.48  # silicone and other rubbers: 0.45 to 0.5
+SHEAR_FACTOR = 5.0 / 6.0  # of a rectangle
+
+
+@dataclass(frozen=True)
+class RectangularSection:
+    """Thickness in the plane of bending, and what makes k(s) vary."""
+
+    thickness: float | Array  # h0, m, where k is its mean along the beam: a number, or (T, 1) for T beams
+    poisson: float = POISSON  # nu
+    varies: Literal["thickness", "width"] = "thickness"
+    share: float = 1.0  # of the stretch and shear that such a section has; 0: none
+
+    def __post_init__(self) -> None:
+        if not np.all(np.asarray(self.thickness) > 0.0):
+            raise MechanicsError(f"a section's thickness must be positive, got {np.min(self.thickness):.3g} m")
+        if not -1.0 < self.poisson <= 0.5:
+            raise MechanicsError(f"Poisson's ratio lies in (-1, 0.5], got {self.poisson:g}")
+        if self.varies not in ("thickness", "width"):
+            raise MechanicsError(f"k(s) varies with 'thickness' or 'width', got {self.varies!r}")
+
+    def take(self, chosen: IntArray | BoolArray) -> RectangularSection:
+        """That of some beams of the batch."""
+        h = self.thickness
+        return self if np.ndim(h) == 0 else replace(self, thickness=np.asarray(h)[chosen])
+
+    @property
+    def exponent(self) -> float:
+        """p of `h = h0 (k / mean k)^p`."""
+        return 1.0 / 3.0 if self.varies == "thickness" else 0.0
+
+    def compliance(self, k: Array, weights: Array, length: Array) -> tuple[Array, Array]:
+        """1/EA and 1/kGA [1/N] at nodes of quadrature `weights` (Q,) or (T, Q); `length` () or (T, 1) m."""
+        squared = self.share * np.asarray(self.thickness) ** 2
+        if self.exponent:
+            squared = squared * np.cbrt(k / _mean(k, weights)) ** 2
+        stretch = np.asarray(squared / (12.0 * length * k))
+        return stretch, stretch * (2.0 * (1.0 + self.poisson) / SHEAR_FACTOR)
+
+    def log_by_stiffness(self, k: Array, weights: Array, functions: Array) -> Array:
+        """(Q, P) or (T, Q, P): d log(1/EA), and equally d log(1/kGA), for coefficients of functions added to k [N m].
+
+        `d log(1/EA) = (2 p - 1) dk / k - 2 p d(mean k) / mean k`.
+        """
+        out = (2.0 * self.exponent - 1.0) * functions / k[..., None]
+        if self.exponent:
+            mean = _mean(functions, weights[..., None], axis=-2) / _mean(k, weights)[..., None]
+            out = out - 2.0 * self.exponent * mean
+        return np.asarray(out)
+
+
+def common_section(sections: Sequence[RectangularSection | None]) -> RectangularSection | None:
+    """One section for a batch, of thickness (T, 1) where several beams differ in it; None where no beam has one.
+
+    Raises:
+        MechanicsError: some have one and others none, or they differ in more than the thickness.
+    """
+    first, *others = sections
+    if first is None or not others or all(other == first for other in others):
+        if any(other is not None for other in others) and first is None:
+            raise MechanicsError("some beams of the batch have a thickness, others none: solve them apart")
+        return first
+    if any(o is None or (o.poisson, o.varies) != (first.poisson, first.varies) for o in others):
+        raise MechanicsError("beams of one batch share Poisson's ratio and what varies; solve the others apart")
+    return replace(first, thickness=np.array([[o.thickness] for o in (first, *others) if o is not None]))
+
+
+def _mean(values: Array, weights: Array, axis: int = -1) -> Array:
+    return np.asarray(np.sum(weights * values, axis=axis, keepdims=True))
+
+
+# A stiffness distribution that is not known exactly: log k(s) as a spline, its coefficients' mean and covariance.
+#
+# Where its bands differ from a normal's, their shape is known too.
+
+SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # of the bands that `UncertainStiffness.shape` holds
+SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
+IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
+
+
+def half_width_words(half: float) -> str:
+    """Half a band of log k as people read it: "± 7.4 %", or "a factor of 2.4" where k may be twice as large."""
+    share = 100.0 * float(np.expm1(half))
+    if share >= 99.5:
+        return f"a factor of {np.exp(half):.2g}"
+    decimals = 0 if share >= 9.95 else 1 if share >= 0.995 else 2
+    return f"± {share:.{decimals}f} %"
+
+
+def half_width(sd: Array | float, level: float = 0.95) -> Array:
+    """Half the width of the band between the quantiles of a normal of this sd that leave out `1 - level`."""
+    return np.asarray(ndtri(0.5 + 0.5 * level) * sd)
+
+
+@dataclass(frozen=True)
+class Band:
+    """k(s) and how sure it is, at places s (S,)."""
+
+    s: Array
+    k: Array  # N m
+    low: Array  # N m
+    high: Array  # N m
+    identified: BoolArray  # False where the prior rather than the data sets the band, or k(s) is in doubt as a whole
+
+
+@dataclass(frozen=True)
+class UncertainStiffness:
+    """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: an `offset` o that is known, coefficients c, and one common log scale
+    g, normal of sd `gain_sd`.
+
+    Where k may have a step or not, log k is a mixture: its 50 % band is narrower than a normal's of the same sd.
+    `shape` tells by how much; draws are normal.
+    """
+
+    knots: Array  # with the ends repeated, as scipy's BSpline takes them
+    mean: Array  # (p,) of the coefficients, log(N m)
+    covariance: Array  # (p, p)
+    gain_sd: float = 0.0  # what an uncertain force gain does to all of k alike
+    degree: int = 3
+    doubts: tuple[str, ...] = ()  # why none of it is to be relied on: then no place counts as identified
+    # (levels, S) widths of the bands of SHAPE_LEVELS at SHAPE_PLACES over those of a normal; None: all one
+    shape: Array | None = None
+    offset: Polyline | None = None  # of log k, where the section's shape is stated; None: zero
+    # `E(s) I(s) / L` with I as stated, where k(s) was learned as a stated section's shape times a modulus: k(s) itself
+    # also holds what that section is off by
+    nominal: UncertainStiffness | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.mean)
+        if self.shape is not None and self.shape.shape != (len(SHAPE_LEVELS), len(SHAPE_PLACES)):
+            raise MechanicsError(
+                f"the bands' shape must be ({len(SHAPE_LEVELS)}, {len(SHAPE_PLACES)}), got {self.shape.shape}"
+            )
+        if self.covariance.shape != (count, count) or len(self.knots) != count + self.degree + 1:
+            raise MechanicsError(
+                f"{count} coefficients need a ({count}, {count}) covariance and {count + self.degree + 1} knots, "
+                f"got {self.covariance.shape} and {len(self.knots)}"
+            )
+
+    @property
+    def profile(self) -> LogSpline:
+        """The most probable k(s)."""
+        return self._with(self.mean)
+
+    def log_at(self, s: Array) -> tuple[Array, Array]:
+        """(S,) mean and sd of log k at `s`, the common scale apart."""
+        basis = self.basis(s)
+        mean = basis @ self.mean + (0.0 if self.offset is None else self.offset(s))
+        return mean, np.sqrt(np.sum((basis @ self.covariance) * basis, axis=1))
+
+    @one_blas_thread
+    def band(self, s: Array, level: float = 0.95) -> Band:
+        """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
+        mean, sd = self.log_at(s)
+        wide = self.half_width(s, level)
+        return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
+
+    def best_known(self, s: Array) -> BoolArray:
+        """(S,) where the data tell k; where they tell it nowhere, the quarter of the places where they tell most.
+
+        Doubts do not count: this is what the axes of a picture go by, that nothing else may stretch them.
+        """
+        sd = self.log_at(s)[1]
+        known = sd < IDENTIFIED_SD
+        return np.asarray(known if np.any(known) else sd <= np.quantile(sd, 0.25))
+
+    def half_width(self, s: Array, level: float = 0.95) -> Array:
+        """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
+        return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
+
+    def log_covariance(self, s: Array, level: float = 0.95) -> Array:
+        """(S, S) covariance of log k at `s`, the common scale apart: of normals whose band at `level` is `band`'s."""
+        root = np.asarray(self._widening(s, level))[..., None] * self.basis(s)
+        return np.asarray(root @ self.covariance @ root.T)
+
+    def _widening(self, s: Array, level: float) -> Array | float:
+        """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
+        if self.shape is None:
+            return 1.0
+        at_places = [np.interp(level, SHAPE_LEVELS, widths) for widths in self.shape.T]
+        return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
+
+    def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
+        """Stiffness distributions as probable as this one says; a seed gives the same ones on every machine."""
+        rng = np.random.default_rng(seed)
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # the symmetric one: no sign or order is free
+        drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
+        drawn += self.gain_sd * rng.standard_normal((count, 1))
+        return tuple(self._with(c) for c in drawn)
+
+    def _with(self, coefficients: Array) -> LogSpline:
+        return LogSpline(tuple(self.knots.tolist()), tuple(coefficients.tolist()), self.degree, self.offset)
+
+    def basis(self, s: Array) -> Array:
+        """(S, p) the splines' values at `s`."""
+        s = np.clip(np.asarray(s, dtype=float), 0.0, 1.0)
+        return np.asarray(BSpline.design_matrix(s, self.knots, self.degree).toarray())
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "knots": self.knots.tolist(),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "gain_sd": self.gain_sd,
+            "degree": self.degree,
+            "doubts": list(self.doubts),
+            "shape": None if self.shape is None else self.shape.tolist(),
+            **({} if self.offset is None else {"offset": self.offset.as_dict()}),
+            **({} if self.nominal is None else {"nominal": self.nominal.as_dict()}),
+        }
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> UncertainStiffness:
+        """From `as_dict`. Raises `MechanicsError` where sizes do not fit or a number is not finite."""
+        arrays = [np.asarray(data[key], dtype=float) for key in ("knots", "mean", "covariance")]
+        shape = None if data.get("shape") is None else np.asarray(data["shape"], dtype=float)
+        arrays += [] if shape is None else [shape]
+        if not all(np.all(np.isfinite(array)) for array in arrays) or not float(data["gain_sd"]) >= 0.0:
+            raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
+        doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before, as the shape
+        gain_sd, degree = float(data["gain_sd"]), int(data["degree"])
+        offset = profile_from_dict(data["offset"]) if "offset" in data else None
+        if not (offset is None or isinstance(offset, Polyline)):
+            raise MechanicsError("the offset of an uncertain stiffness is no polyline")
+        nominal = UncertainStiffness.from_dict(data["nominal"]) if "nominal" in data else None
+        return UncertainStiffness(arrays[0], arrays[1], arrays[2], gain_sd, degree, doubts, shape, offset, nominal)

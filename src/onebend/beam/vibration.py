@@ -1,0 +1,267 @@
+"""Rest under steady actions, and small vibrations about an equilibrium.
+
+Near an equilibrium the motion obeys `B x'' + T x = 0` with the exact tangent T and the mass matrix B there, hence
+`T x = omega^2 B x`. With the curvature at Gauss nodes as coordinates the frequencies converge spectrally for any k(s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh, eigvals
+
+from onebend.beam.dynamics import Actions, Body, acting, body, mass_matrix
+from onebend.beam.integration import MotionState
+from onebend.beam.problem import Resolution, Rod, refuse_section
+from onebend.beam.statics import Equilibrium, tangent
+from onebend.beam.stiffness import Profile, Uniform
+from onebend.errors import MechanicsError
+from onebend.progress import one_blas_thread
+from onebend.records import Array, PointMass
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """Small vibrations about one equilibrium, the slowest first."""
+
+    body: Body
+    theta: Array  # (n,) rad, the equilibrium in the body's coordinates
+    base: Array  # (3,) the gripper's pose
+    squared: Array  # (m,) (rad/s)^2, omega^2; negative where the equilibrium is unstable
+    shapes: Array  # (n, m) kg^-1/2 m^-1: coordinates of each mode, scaled to x^T B x = 1
+
+    @property
+    def frequency(self) -> Array:
+        """(m,) Hz; NaN for a mode that grows instead of vibrating."""
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(self.squared) / (2.0 * np.pi)
+
+    def moved(self, s: ArrayLike) -> Array:
+        """(m, S, 2): how positions at `s` (S,) move per unit of each mode's coordinate, 1 / sqrt(kg)."""
+        places = np.atleast_1d(np.asarray(s, dtype=float))
+        alpha = self.body.rest_angle + self.base[2] + self.body.to_angle @ self.theta
+        turning = (self.body.to_angle @ self.shapes).T
+        rows = self.body.length * self.body.grid.integral_to(places)
+        return np.stack([(-np.sin(alpha) * turning) @ rows.T, (np.cos(alpha) * turning) @ rows.T], axis=-1)
+
+
+def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_steps: int = 20) -> MotionState:
+    """The state at rest under the actions as they stand at `time`: equilibrium within the coordinates (8).
+
+    Loads grow in equal steps, each solved by Newton's method from the one before.
+
+    Raises:
+        MechanicsError: no equilibrium found, or the one found is not stable.
+    """
+    now = acting(on, actions, np.array([time]))
+    pull, couple = now.pull[:, :, 0], now.couple[:, 0]
+    clamped = on.rest_angle + now.base[0, 2]
+    theta = np.zeros(on.n)
+    for factor in np.linspace(0.0, 1.0, load_steps + 1)[1:]:
+        for _ in range(30):
+            alpha = clamped + on.to_angle @ theta
+            across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]
+            gradient = on.stiffness @ theta - factor * (across @ on.to_angle + couple)
+            update = np.linalg.solve(_tangent(on, alpha, factor * pull), gradient)
+            theta = theta - update
+            if np.max(np.abs(update)) < 1e-12 * (1.0 + np.max(np.abs(theta))):
+                break
+        else:
+            raise MechanicsError(f"no equilibrium within {on.n} coordinates at {factor:.0%} of the load")
+    if not np.linalg.eigvalsh(_tangent(on, clamped + on.to_angle @ theta, pull))[0] > 0.0:
+        raise MechanicsError("the equilibrium under these actions is not stable: a beam at rest there would not stay")
+    return MotionState(theta, np.zeros(on.n), time)
+
+
+def vibration_of(on: Body, state: MotionState, actions: Actions = Actions(), *, count: int = 6) -> Vibration:
+    """The `count` slowest small vibrations of a body about an equilibrium `state` under steady actions.
+
+    Raises:
+        MechanicsError: the state is not an equilibrium under these actions.
+    """
+    now = acting(on, actions, np.array([state.time]))
+    alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ state.theta
+    pull = now.pull[:, :, 0]
+    across = np.cos(alpha) * pull[1] - np.sin(alpha) * pull[0]
+    terms = (on.stiffness @ state.theta, across @ on.to_angle, now.couple[:, 0])
+    residual = np.max(np.abs(terms[0] - terms[1] - terms[2]))
+    if residual > 1e-6 * max(np.max(np.abs(term)) for term in terms):
+        raise MechanicsError(f"vibrations are about an equilibrium, but {residual:.3g} N m are left unbalanced here")
+    squared, shapes = _modes(_tangent(on, alpha, pull), mass_matrix(on, state.theta), count)
+    return Vibration(on, state.theta, now.base[0], squared, shapes)
+
+
+def vibration(
+    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
+) -> Vibration:
+    """The `count` slowest small vibrations about an exact equilibrium of the statics, its far end free.
+
+    `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; without it the beam is Euler-Bernoulli's.
+
+    Raises:
+        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass or has a
+            thickness, or follower forces act (their vibrations are `exponents`).
+    """
+    if solved.problem.follower.shape[1]:
+        raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
+    on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
+    squared, shapes = _modes(stiff, mass_matrix(on, theta), count)
+    return Vibration(on, theta, np.zeros(3), squared, shapes)
+
+
+def exponents(
+    beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
+) -> NDArray[np.complex128]:
+    """(m,) 1/s, z of small motions exp(z t) about any equilibrium, follower forces included; slowest first.
+
+    Of each pair +-z the one that does not decay. A real part above rounding means loss of stability: by divergence
+    where the imaginary part is 0, else by flutter. Arguments and errors as for `vibration`.
+    """
+    on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
+    inverse = eigvals(mass_matrix(on, theta), stiff)  # 1 / omega^2, the slow ones large
+    inverse = inverse[np.argsort(-np.abs(inverse))][:count]
+    z = 1j / np.sqrt(inverse.astype(complex))
+    return np.asarray(np.where(z.real < 0.0, -z, z))
+
+
+def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) -> tuple[Body, Array, Array]:
+    """Body on the grid of one equilibrium, its state there, and its tangent."""
+    if not solved.converged[frame]:
+        raise MechanicsError(f"load {frame} has no equilibrium to vibrate about")
+    refuse_section(beam, "the equation of motion")
+    problem = solved.problem.take(np.array([frame]))
+    grid = problem.grid if problem.grid.edges.ndim == 1 else replace(problem.grid, edges=problem.grid.edges[0])
+    on = body(beam, rotary_inertia=rotary_inertia, grid=grid)
+    if not (np.allclose(problem.k, beam.stiffness(grid.nodes)) and np.allclose(problem.length, beam.length)):
+        raise MechanicsError(f"the equilibrium of load {frame} is not one of this beam")
+    return on, solved.q[frame] - on.rest_curvature, tangent(problem, solved.q[frame : frame + 1])[0]
+
+
+def _tangent(on: Body, alpha: Array, pull: Array) -> Array:
+    """(n, n) N m: second derivative of the potential at node angles (Q,) under dead loads (2, Q)."""
+    along = np.cos(alpha) * pull[0] + np.sin(alpha) * pull[1]
+    return np.asarray(on.stiffness + on.to_angle.T @ (along[:, None] * on.to_angle))
+
+
+def _modes(stiff: Array, mass: Array, count: int) -> tuple[Array, Array]:
+    """omega^2 rising and shapes, from `mass x = (stiff + shift mass) x / (omega^2 + shift)`.
+
+    The mass matrix is nearly singular in many coordinates, so it stands on the left: its large eigenvalues, the slow
+    modes, then come out to full relative precision. The shift makes the right side positive about unstable equilibria.
+    """
+    shift, scale = 0.0, float(np.max(np.diag(stiff)) / np.max(np.diag(mass)))
+    for i in range(40):
+        right = stiff + shift * mass
+        if np.linalg.eigvalsh(right)[0] > 1e-13 * np.max(np.diag(right)):
+            inverse, shapes = eigh(mass, right)
+            order = np.argsort(inverse)[::-1][: min(count, len(inverse))]
+            inverse, shapes = inverse[order], shapes[:, order]
+            if np.any(inverse <= 0.0):
+                raise MechanicsError("some modes carry no mass: ask for fewer modes, or refine the grid")
+            return 1.0 / inverse - shift, shapes / np.sqrt(inverse)
+        shift = scale * 2.0 ** (i - 10)
+    raise MechanicsError("the tangent at this equilibrium has no finite frequencies")
+
+
+# Natural frequencies of a clamped beam about its static equilibrium under gravity, and their derivatives.
+#
+# A beam that hangs, stands or lies swings at three frequencies: its weight is an axial force, which stiffens or
+# softens it, and makes it sag. Near rest the motion obeys `T v = omega^2 B v`, see `vibration.py`, so that to first
+# order
+#
+# d omega^2 = v' (dT - omega^2 dB) v,     v' B v = 1
+#
+# (Rayleigh). T and B also change with the shape at rest, whose change follows from the balance of moments.
+
+_RESOLUTION = Resolution(order=12, widest=0.25)
+_MOST = 12  # modes: more are not resolved to 1e-5
+
+
+@dataclass(frozen=True)
+class FrequencySlopes:
+    """Derivatives of log frequencies of M modes with what the beam is, at its Q nodes."""
+
+    log_k: Array  # (M, Q)
+    mass_per_length: Array  # (M, Q) m/kg
+    rest_curvature: Array  # (M, Q) 1/rad
+    log_length: Array  # (M,), k [N m] and all masses [kg] staying as they are
+
+
+@one_blas_thread
+def natural_frequencies(
+    beam: Rod, *, gravity: ArrayLike = (0.0, 0.0), points: Sequence[PointMass] = (), count: int = 3
+) -> Array:
+    """(count,) Hz, undamped and small, the slowest first, about the beam's rest under its weight; its far end is free.
+
+    Args:
+        beam: with a mass; it neither stretches nor shears, and its sections have no rotary inertia.
+        gravity: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, and (0, 0) swings
+            across gravity (level, and so stiff that it does not sag).
+        points: masses on the beam.
+
+    Raises:
+        MechanicsError: a beam without a mass, or with a thickness; one that gravity makes buckle; a `count` out of
+            range, a point mass off the beam.
+    """
+    if not 1 <= count <= _MOST:
+        raise MechanicsError(f"frequencies of 1 to {_MOST} modes can be had, not of {count}")
+    on = body(beam, resolution=_RESOLUTION, points=points)
+    actions = Actions(gravity=gravity)
+    return vibration_of(on, settle(on, actions, load_steps=_steps(gravity)), actions, count=count).frequency
+
+
+def frequency_slopes(found: Vibration, gravity: Array, modes: Sequence[int]) -> FrequencySlopes:
+    """Derivatives for some modes (by index) of a body whose coordinates are the curvatures at its nodes.
+
+    `gravity` (2,) m/s^2 is that under which it was found.
+    """
+    on, weights = found.body, found.body.grid.weights
+    rows, length = on.to_angle, on.length
+    alpha = on.rest_angle + rows @ found.theta
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    along, across = cos * gravity[0] + sin * gravity[1], cos * gravity[1] - sin * gravity[0]
+    stiff = on.stiffness + rows.T @ ((on.lever * along)[:, None] * rows)
+    out = []
+    for i in modes:
+        squared, v = float(found.squared[i]), found.shapes[:, i]
+        u = rows @ v
+        carried_x, carried_y = on.carried @ (u * sin), on.carried @ (u * cos)
+        by_angle = u**2 * on.lever * across + 2.0 * squared * u * (sin * carried_y - cos * carried_x)
+        y = np.linalg.solve(stiff, rows.T @ by_angle)
+        turned, strain = rows @ y, np.diag(on.stiffness)
+        by_lever = u**2 * along + turned * across  # (Q,) of what pulls beyond each node
+        moved = length**2 * ((rows @ (sin * u)) ** 2 + (rows @ (cos * u)) ** 2)
+        slopes = (
+            strain * (v**2 - y * found.theta),
+            length * weights * (length * rows @ by_lever - squared * moved),
+            rows.T @ (by_angle - on.lever * along * turned),
+            np.array(on.lever @ by_lever - 2.0 * squared),
+        )
+        out.append([0.5 * slope / squared for slope in slopes])
+    return FrequencySlopes(*(np.stack(column) for column in zip(*out, strict=True)))
+
+
+def shear_share(found: Vibration, compliance: Array, modes: Sequence[int]) -> Array:
+    """(M,) by which shear lowers the squares of frequencies, to first order: `squared / (1 + share)`.
+
+    The largest energy of shear, `1/2 int Q^2 / kGA`, over that of bending and weight, `1/2 omega^2` of a mode scaled to
+    `v' B v = 1`, with Q the shear force of the mode's own inertia. `compliance` (Q,) 1/N: 1/kGA at the nodes.
+    """
+    on = found.body
+    alpha = on.rest_angle + on.to_angle @ found.theta
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    out = []
+    for i in modes:
+        squared, u = float(found.squared[i]), on.to_angle @ found.shapes[:, i]
+        # (Q,) of each node, times L w: the inertial forces of all that lies beyond it, along x and y
+        x, y = squared * (on.carried @ (-sin * u)), squared * (on.carried @ (cos * u))
+        shear = (cos * y - sin * x) / (on.length * on.grid.weights)
+        out.append(on.length * float(on.grid.weights @ (compliance * shear**2)) / squared)
+    return np.array(out)
+
+
+def _steps(gravity: ArrayLike) -> int:
+    return 20 if np.any(np.asarray(gravity)) else 1

@@ -1,1 +1,0 @@
-"""Cameras and force sensors, one module a kind of wire."""

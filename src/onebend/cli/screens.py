@@ -1,0 +1,623 @@
+"""What each command says in the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
+from onebend.cli.common import facts_table, force_words, remarks_list, say_written, warnings_list
+from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.posterior import Nuisance, Posterior
+from onebend.learning.swing import Damping, SwingFit
+from onebend.learning.swing_frequencies import FoundFrequencies
+from onebend.learning.verdict import fitted_rms
+from onebend.records import Array, BoolArray, Observations
+from onebend.report.confidence import (
+    MeasuredBeam,
+    ModulusRows,
+    allowance_rows,
+    load_error_words,
+    measured_beam,
+    modulus_rows,
+    modulus_words,
+    mounting_words,
+    nuisance_rows,
+    scale_words,
+    stop_words,
+    tradeoff_words,
+    unidentified_words,
+)
+from onebend.report.verdict import hopeless, verdict_of
+from onebend.report.wording import (
+    UNKNOWN,
+    Findings,
+    all_remarks,
+    bic_words,
+    millimetres,
+    only_frequencies,
+    pair_remarks,
+    percent,
+    significant,
+    stage_rows,
+    tag_words,
+)
+from onebend.results.model import StoredModel
+
+if TYPE_CHECKING:
+    from onebend.learning.endings import Edge
+    from onebend.learning.sensing.sense import Sensed
+    from onebend.learning.sensing.sensor import SensorCheck
+
+
+# The tables of the terminal.
+
+FEW = 4  # tags whose columns fit side by side in 80
+WIDE = 91  # columns of a plot: eleven numbers fit below it
+
+
+def selection_table(learned: Learned) -> Table:
+    """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
+    table = Table(title=title, title_justify="left", box=None)
+    table.add_column("")
+    names, errors = _trial_errors(learned)
+    for name in ("n", "m", *names, "BIC"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", overflow="fold")
+    for i, trial in enumerate(learned.trials):
+        chosen = i == learned.chosen
+        cells = [str(trial.n), str(trial.m), *errors[i], bic_words(trial.bic)]
+        style = "bold green" if chosen else "dim" if trial.why_out else ""
+        table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
+    return table
+
+
+def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
+    """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
+    if len(learned.training.tag_id) <= FEW:
+        return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
+            list(map(millimetres, t.rms)) for t in learned.trials
+        ]
+    worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
+    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
+
+
+def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
+    """Tables IV to VI, one tag a row: RMS, the force noise, and what is likely."""
+    meaning = "force noise: from the log's noise alone; likely: with the band of k(s) and the push's place"
+    table = Table(title=f"{what}: RMS distance ({meaning})", title_justify="left", box=None)
+    table.add_column("recording", overflow="fold", ratio=1)
+    table.add_column("frames", justify="right", no_wrap=True)
+    table.add_column("tag", no_wrap=True)
+    for name in ("s", "RMS \\[mm]", "force noise \\[mm]", "likely \\[mm]"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for one in comparisons:
+        for i, s in enumerate(one.marker_s):
+            whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
+            beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
+            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
+    return table
+
+
+def band_places(columns: int) -> Array:
+    """Six or eleven places, as many as fit below a plot of so many columns."""
+    return np.linspace(0.0, 1.0, 11 if columns >= WIDE else 6)
+
+
+def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: ModulusRows | None = None) -> Table:
+    """k and its band at `band_places`, as they lie below a plot of so many columns; Young's modulus there below it."""
+    s = band_places(columns)
+    count, band = len(s), uncertain.band(s)
+    table = Table(box=None, show_header=False, pad_edge=False, padding=0)
+    table.add_column(width=9)
+    for i in range(count):
+        table.add_column(width=(columns - 1) // (count - 1) if i < count - 1 else None, no_wrap=True)
+    styles = ["" if known else "bright_black" for known in band.identified]
+
+    def add(name: str, cells: Sequence[str]) -> None:
+        table.add_row(Text(f"{name:>8}", "dim"), *(Text(*pair) for pair in zip(cells, styles, strict=True)))
+
+    add("s", ["0 clamp", *(f"{value:.1f}" for value in s[1:-1]), "1 tip"])
+    rows: list[tuple[str, Sequence[str]]] = [
+        (name, [significant(float(value)) for value in values])
+        for name, values in (("k [N m]", band.k), ("from", band.low), ("to", band.high))
+    ]
+    rows.insert(1, ("±", half_widths(band)))
+    if modulus is not None:
+        rows += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
+    for name, cells in rows:
+        add(name, [cell if known else f"({cell})" for cell, known in zip(cells, band.identified, strict=True)])
+    return table
+
+
+def half_widths(band: Band) -> list[str]:
+    """Half the band at each place: "7.4 %", "x 2.4"."""
+    halves = 0.5 * np.log(band.high / band.low)
+    return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
+
+
+def estimate_table(
+    uncertain: UncertainStiffness, regression: Learned | None, modulus: ModulusRows | None = None
+) -> Table:
+    """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
+    s = np.linspace(0.0, 1.0, 11)
+    band = uncertain.band(s)
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for name in ("s", "k [N m]", "± 95 %", "from", "to", "identified"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    if regression is not None:
+        table.add_column("paper's k", justify="right", no_wrap=True)
+    if modulus is not None:
+        for name in (f"E [{modulus.unit}]", "from", "to"):
+            table.add_column(escape(name), justify="right", no_wrap=True)
+    columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
+    for i, (place, k, half, low, high, known) in enumerate(columns):
+        cells = [f"{place:.1f}", significant(k), half, significant(low), significant(high), "yes" if known else "no"]
+        if regression is not None:
+            cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
+        if modulus is not None:
+            cells += [modulus.values[i], modulus.low[i], modulus.high[i]]
+        table.add_row(*cells, style="" if known else "bright_black")
+    return table
+
+
+def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
+    """What else was fitted, before and after the data; what lies more than 2 sd off in colour."""
+    table = Table(title="Fitted with k(s)", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("", overflow="fold")
+    for name in ("value", "sd before", "sd after", ""):
+        table.add_column(name, justify="right" if name else "left", no_wrap=True)
+    for row in nuisance_rows(nuisances):
+        style = "yellow" if row.moved > 2.0 else ""
+        table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
+    return table
+
+
+def allowance_table(posterior: Posterior) -> Table:
+    """What the fit allows for, and what each costs; what matters stands out."""
+    table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("", overflow="fold")
+    for name in ("widens the band by", "k(s) without it", "sd from nothing"):
+        table.add_column(name, justify="right")
+    for row in allowance_rows(posterior):
+        table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
+    return table
+
+
+def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
+    """Time of every stage, and its share of the video's length."""
+    table = Table(title=f"Time (the video plays {video_seconds:.1f} s)", title_justify="left", box=None)
+    table.add_column("stage")
+    table.add_column("s", justify="right")
+    table.add_column("of the video", justify="right")
+    *stages, total = stage_rows(seconds)
+    for name, value in stages:
+        table.add_row(escape(name), f"{value:.2f}", percent(value, video_seconds))
+    table.add_row(total[0], f"{total[1]:.2f}", percent(total[1], video_seconds), style="bold")
+    return table
+
+
+# k(s) drawn with block characters, with numbers below.
+
+BLOCKS = " ▁▂▃▄▅▆▇█"
+MOST = 4.0  # times k: a band that says nothing may leave the picture
+CURVE, BAND = ("-", "━"), ("·", "░")  # where k is not identified, and where it is
+
+
+def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12, log: bool = False) -> RenderableType:
+    """k(s) as a line in its 95 % band; thinner and grey where it is not identified.
+
+    What is known sets the axis, the rest may leave the picture. `log`: a logarithmic axis.
+    """
+    s = np.linspace(0.0, 1.0, columns)
+    band = uncertain.band(s)
+    edges = _edges(band, uncertain.best_known(s), rows, log=log)
+    lines = []
+    for row in range(rows - 1, -1, -1):
+        low, high = edges[row], edges[row + 1]
+        text = Text(_mark(row, rows, edges), "dim")
+        for i in range(columns):
+            known = bool(band.identified[i])
+            inside = band.high[i] > low and band.low[i] < high
+            cell = CURVE[known] if low <= band.k[i] < high else BAND[known] if inside else " "
+            text.append(cell, "blue" if known else "bright_black")
+        lines.append(text)
+    unknown = "" if band.identified.all() else "; - and (): not identified"
+    heading = Text(f"k(s) = EI / L [N m], with its 95 % band{unknown}", "italic")
+    return Group(heading, *lines, _axis(columns)[0])
+
+
+def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
+    """(rows + 1,) N m, where the rows of a plot begin and end, the lowest first."""
+    top = min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown])))
+    if log:
+        low = max(float(np.min(band.low[shown])) / 1.05, float(np.min(band.k[shown])) / MOST)
+        return np.asarray(np.geomspace(low, top, rows + 1))
+    return np.linspace(0.0, top, rows + 1)
+
+
+def stiffness_plot(beam: Beam, *, columns: int = 61, rows: int = 8) -> RenderableType:
+    """k(s) as an area of block characters, with numbers at eleven places below."""
+    k = beam.stiffness(np.linspace(0.0, 1.0, columns))
+    top = max(float(k.max()), 0.0)
+    edges = np.linspace(0.0, top, rows + 1)
+    level = np.zeros(columns) if top == 0.0 else np.clip(k / top, 0.0, 1.0) * rows * 8
+    lines = []
+    for row in range(rows - 1, -1, -1):
+        cells = np.clip(np.round(level - 8 * row), 0, 8).astype(int)
+        lines.append(Text(_mark(row, rows, edges), "dim") + Text("".join(BLOCKS[c] for c in cells), "blue"))
+    heading = Text("Bending stiffness k(s) = EI / L [N m]", "italic")
+    return Group(heading, *lines, *_axis(columns), _numbers(beam))
+
+
+def _mark(row: int, rows: int, edges: Array) -> str:
+    if row not in (0, rows - 1):
+        return " " * 9 + "│"
+    return f"{significant(float(edges[-1] if row else edges[0])):>8} ┤"
+
+
+def _axis(columns: int) -> tuple[Text, Text]:
+    ends = " " * 10 + "s = 0 (clamp)" + " " * (columns - 24) + "s = 1 (tip)"
+    return Text(" " * 9 + "└" + "─" * columns, "dim"), Text(ends, "dim")
+
+
+def _numbers(beam: Beam) -> Table:
+    """k at eleven places, in two lines."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 1, 0, 0))
+    s = np.linspace(0.0, 1.0, 11)
+    table.add_row("[dim]s[/]", *(f"[dim]{place:.1f}[/]" for place in s))
+    table.add_row("k", *(significant(k) for k in beam.stiffness(s)))
+    return table
+
+
+# What `onebend damp`, `onebend frequencies` and `onebend sense` say.
+
+_AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
+
+
+def damping_words(damping: Damping) -> str:
+    """One sentence."""
+    return (
+        f"damping d / k = {1000 * damping.loss_time:.3g} ms (sd {1000 * damping.loss_time_sd:.2g}), "
+        f"{damping.frequency[0]:.4g} Hz at a damping ratio of {damping.ratio[0]:.3g}, "
+        f"from the swing in {damping.recording}"
+    )
+
+
+def swing_table(fit: SwingFit) -> Table:
+    """What the swing says, one quantity a row."""
+    table = Table(title="From the free swing", title_justify="left", box=None)
+    for name in ("", "value", "sd"):
+        table.add_column(name, justify="left" if not name else "right")
+    damping = fit.damping
+    table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
+    table.add_row("natural frequency \\[Hz]", f"{damping.frequency[0]:.5g}", f"{damping.frequency_sd:.2g}")
+    table.add_row("damping ratio", f"{damping.ratio[0]:.4g}", f"{damping.ratio_sd:.2g}")
+    for i in range(1, len(damping.frequency)):
+        table.add_row(f"mode {i + 1}, simulated", f"{damping.frequency[i]:.4g} Hz", f"ratio {damping.ratio[i]:.3g}")
+    if fit.mass_known:
+        sd = float(np.hypot(fit.factor_sd, fit.model_sd))
+        table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")
+    else:
+        table.add_row(
+            "mass \\[g]", significant(1000 * fit.mass), f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?"
+        )
+    return table
+
+
+def frequency_table(found: FoundFrequencies) -> Table:
+    """One mode a row."""
+    table = Table(title="Frequencies of the free swing", title_justify="left", box=None)
+    for name in ("Hz", "sd", "damping ratio", "sd", "size"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for one in found.modes:
+        said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
+        cells = (f"{one.damping_ratio:.3g}", f"{one.damping_ratio_sd:.2g}", f"{100 * one.share:.3g} %", said)
+        table.add_row(f"{one.frequency:.6g}", f"{one.sd:.2g}", *cells)
+    return table
+
+
+def frequency_entries(found: FoundFrequencies) -> str:
+    """What to write in recording.toml: the slowest is taken to be mode 1, and learning numbers the others."""
+    rows = []
+    for i, one in enumerate(one for one in found.modes if not one.multiple_of):
+        mode = "mode = 1\n" if i == 0 else ""
+        numbers = f"hz = {one.frequency:.6g}\nsd_hz = {one.sd:.2g}\ndamping_ratio = {one.damping_ratio:.3g}\n"
+        rows.append(f"[[frequencies]]\n{numbers}{mode}base_angle_deg =    # -90 hangs, 90 stands, 0 lies\n")
+    return "\n".join(rows)
+
+
+def show_frequencies(console: Console, found: FoundFrequencies) -> None:
+    """All that `onebend frequencies` says."""
+    console.print(frequency_table(found))
+    console.print(
+        f"\n{found.samples} samples from {found.begin:.2f} to {found.end:.2f} s at {found.rate:.4g} a second; "
+        f"{100 * found.left:.2g} % of the motion is in no mode.\n",
+        highlight=False,
+    )
+    if found.remarks:
+        console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+        console.print()
+    console.print("For recording.toml:\n", highlight=False)
+    console.print(frequency_entries(found), markup=False, highlight=False)
+
+
+def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
+    """All that `onebend damp` says."""
+    end = fit.swing.begin + float(fit.swing.time[-1])
+    console.print(swing_table(fit))
+    rms = ", ".join(f"{1000 * value:.2g}" for value in fit.rms)
+    console.print(
+        f"\n{len(fit.swing.time)} frames from {fit.swing.begin:.2f} to {end:.2f} s of the film; the tags are {rms} mm "
+        "(RMS) from the fitted motion.\n",
+        highlight=False,
+    )
+    console.print(remarks_list([(fit.swing.name, remark) for remark in fit.remarks]))
+    if out is not None:
+        console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
+
+
+def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
+    """When something touched the beam, the largest force, and how sure it is in which direction."""
+    table, peak = facts_table(), found.peak
+    table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
+    for one in found.contacts:
+        table.add_row("contact", f"{_when('from', one.begin, 'before')} {_when('to', one.end, 'after')} (95 %)")
+    if peak is None:
+        table.add_row("force", "none that leaves its 95 % region at zero")
+    else:
+        table.add_row("largest force", f"{force_words(found.force[peak])}, at {found.time[peak]:.3f} s")
+        weak = math.degrees(found.weak_angle[peak])
+        strong = significant(1.96 * float(found.strong_sd[peak]))
+        table.add_row("sure to within", f"± {strong} N at {(weak + 90.0) % 180.0:.0f} deg, where it is known best")
+        table.add_row("", f"± {significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)")
+        share = 100.0 * found.prior_share[peak]
+        table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
+        table.add_row("place", _place(found, peak))
+        for row in _more_rows(found, peak):
+            table.add_row(*row)
+        if found.smoothed is not None:
+            smooth, sd = found.smoothed.force[peak], np.sqrt(np.diag(found.smoothed.covariance[peak]))
+            said = f"{force_words(smooth)}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
+            table.add_row("smoothed there", said)
+    if found.misfit is not None:
+        table.add_row("misfit", f"{found.misfit.ratio:.3g} times what band, mounting and noise let expect (squared)")
+    difference = found.against_log
+    if difference is not None:
+        table.add_row("against the log", f"{significant(difference[0])} N RMS where the force is known best")
+    for row in sensor_rows(found.sensor):
+        table.add_row(*row)
+    console.print(table, highlight=False)
+    console.print(remarks_list([(found.name, one) for one in found.remarks]))
+    say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
+
+
+def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
+    """The force log as the shape judges it, with 95 % bands."""
+    if check is None:
+        return []
+
+    def pair(values: tuple[Array, Array]) -> str:
+        return ", ".join(f"{v:.3g} ± {1.96 * sd:.2g}" for v, sd in zip(*values, strict=True))
+
+    turn, turn_sd = (math.degrees(v) for v in check.direction)
+    return [
+        ("the log's gain", f"{check.gain[0]:.4g} ± {1.96 * check.gain[1]:.2g} (1: right, if the model's k is)"),
+        ("its axes turned by", f"{turn:.2g} ± {1.96 * turn_sd:.2g} deg"),
+        ("its delay", f"{1e3 * check.delay[0]:.3g} ± {1.96e3 * check.delay[1]:.2g} ms"),
+        ("its bias x, y", f"{pair(check.bias)} N"),
+        ("its drift x, y", f"{pair(check.drift)} N/s"),
+    ]
+
+
+def _more_rows(found: Sensed, peak: int) -> list[tuple[str, str]]:
+    """The moment, and the second force, where they were asked for."""
+    rows, moment, two, second = [], found.moment, found.two, found.second
+    if moment is not None:
+        value, share = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)", moment.prior_share[peak]
+        rows.append(("its moment", f"{value}, {100.0 * share:.2g} % from the prior (sd {moment.prior_sd:.3g} N m)"))
+    if two is not None:
+        rows.append(("two contacts", f"log evidence {two.evidence:.3g} against one"))
+        for near, far in two.others:
+            rows.append(("", f"places s = {near:.2f} and {far:.2f} explain the shapes about as well"))
+    if second is not None:
+        sd = np.sqrt(np.diag(second.covariance[peak]))
+        said = f"{force_words(second.force[peak])}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
+        rows.append(("second force", said))
+        place = f"s = {second.place:.3f} ± {1.96 * second.place_sd:.2g}"
+        rows.append(("its place", "not told by the shape" if math.isnan(second.place) else place))
+    return rows
+
+
+def _when(word: str, edge: Edge, outside: str) -> str:
+    if not math.isfinite(edge.sd):
+        return f"{word} {outside} the film"
+    return f"{word} {edge.time:.3f} ± {1.96 * edge.sd:.2g} s"
+
+
+def _place(found: Sensed, t: int) -> str:
+    if found.settings.place == "known":
+        told = f"s = {found.place[t]:.3g}"
+        said = found.settings.at_s
+        return told if said is None or abs(found.place[t] - said) < _AS_SAID else f"{told}; said {said:.3g}"
+    if not math.isnan(found.other_place[t]):
+        return f"two places explain it about as well; one is s = {found.other_place[t]:.2g}"
+    if math.isnan(found.place[t]):
+        return "not told by the shape"
+    return f"s = {found.place[t]:.3f} ± {1.96 * found.place_sd[t]:.2g}"
+
+
+_COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trusted": "red", "no band": "yellow"}
+_FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
+
+
+def show_run(
+    console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
+) -> None:
+    """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it.
+
+    Without a `report` it says where the results are.
+    """
+    if verbose:
+        for part in _everything(run):
+            console.print(part)
+            console.print()
+    console.print(verdict_rows(run))
+    console.print()
+    for part in [] if hopeless(run) else _stiffness(console, run, log=log):
+        console.print(part)
+    console.print()
+    remarks = all_remarks(run)
+    warnings = [pair for pair in remarks if pair[1].level == "warning"]
+    if warnings and not verbose:
+        console.print(warnings_list(warnings))
+    if (notes := len(remarks) - len(warnings)) and not verbose:
+        what = "1 note is" if notes == 1 else f"{notes} notes are"
+        where = "in the report, or here" if report else "shown"
+        console.print(f"[dim]{what} {where} with --verbose[/]")
+    say_path(console, "report" if report else "results", out / "report.html" if report else out)
+
+
+def verdict_rows(run: Findings) -> Table:
+    """The verdict, a row each."""
+    verdict = verdict_of(run)
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="dim")
+    table.add_column(overflow="fold")
+    table.add_row("verdict", Text(verdict.headline, f"bold {_COLOURS[verdict.grade]}"))
+    for label, words in verdict.rows:
+        table.add_row(label, Text(words))
+    return table
+
+
+def _stiffness(console: Console, run: Findings, *, log: bool) -> list[RenderableType]:
+    """The plot as large as the screen lets it be, and the numbers below."""
+    columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
+    rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
+    measured = measured_beam(run)
+    words = modulus_words(measured)
+    below: list[RenderableType] = [_sentences(words)] if words else []
+    if run.posterior is None:
+        return [stiffness_plot(run.beam, rows=rows), *below]
+    uncertain = run.posterior.stiffness
+    numbers = band_table(uncertain, columns=columns, modulus=modulus_rows(measured, band_places(columns)))
+    return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
+
+
+def _everything(run: Findings) -> list[RenderableType]:
+    """What the answer does not need: it stands in the report as well."""
+    parts: list[RenderableType] = []
+    if run.learned is not None:
+        parts.append(selection_table(run.learned))
+    if run.posterior is not None:
+        parts += _fit(run, run.posterior)
+    seen = not only_frequencies(run.recordings)
+    if seen:
+        parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
+    if seen and run.posterior is not None:
+        parts.append(_sentences(_as_logged_words(run, run.posterior)))
+    if run.validations:
+        parts.append(comparison_table(run.validations, "Validation"))
+    return [*parts, remarks_list(all_remarks(run))]
+
+
+def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
+    """Why there are two errors of what was learned from."""
+    words = []
+    for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
+        largest = millimetres(float(np.nanmax(rms)))
+        text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every tag."
+        if not comparison.static:
+            text += " The table is larger by the slow error of the force log, which the fit takes off."
+        words.append(text)
+    return words
+
+
+def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
+    """The estimate beside the paper's, where it is blind, and what else was fitted."""
+    uncertain = posterior.stiffness
+    blind = unidentified_words(uncertain, len(run.recordings))
+    found: list[RenderableType] = [
+        estimate_table(uncertain, run.learned, modulus_rows(measured_beam(run), np.linspace(0.0, 1.0, 11)))
+    ]
+    force = [scale_words(posterior.gain_sd, run.recordings), *load_error_words(posterior.load_error)]
+    if len(run.recordings) > 1:
+        force.append(mounting_words(posterior))
+    found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
+    if posterior.attributions:
+        found.append(allowance_table(posterior))
+    found.append(nuisance_table(posterior.nuisances()))
+    words = tradeoff_words(posterior)
+    return (
+        [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
+        if words
+        else found
+    )
+
+
+def show_times(console: Console, run: Findings, seconds: Mapping[str, float]) -> None:
+    """The time that each stage took."""
+    console.print()
+    console.print(stages_table(seconds, run.video_seconds))
+
+
+def _sentences(words: Sequence[str]) -> Text:
+    return Text("\n".join(words))
+
+
+def say_path(console: Console, what: str, path: Path) -> None:
+    """Where something is, on one line whatever the width, so that it can be copied."""
+    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True, highlight=False)
+
+
+def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
+    """All that `onebend validate` says."""
+    console.print(comparison_table([comparison for comparison, _ in pairs], "Validation"))
+    console.print()
+    console.print(
+        remarks_list(
+            [
+                (comparison.name, remark)
+                for comparison, recording in pairs
+                for remark in pair_remarks(comparison, recording)
+            ]
+        )
+    )
+    if out is not None:
+        say_path(console, "\ntables and figures", out)
+
+
+def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
+    """What `onebend show` draws."""
+    beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
+    measured = MeasuredBeam(beam, uncertain, stored.section)
+    if uncertain is None:
+        console.print(stiffness_plot(beam))
+    else:
+        console.print(band_plot(uncertain, log=log))
+        console.print(band_table(uncertain, columns=61, modulus=modulus_rows(measured, band_places(61))))
+        for text in unidentified_words(uncertain):
+            console.print(text, markup=False, highlight=False)
+    for text in modulus_words(measured):
+        console.print(text, markup=False, highlight=False)
+    lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
+    if lowest <= 0.0:
+        console.print(f"[yellow]k(s) falls to {significant(lowest)} N m: this is no beam and cannot be simulated.[/]")
+    console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
+    if stored.damping is not None:
+        console.print(damping_words(stored.damping), markup=False, highlight=False)
+    if origin is not None:
+        modes = "" if origin.n is None else f"n = {origin.n}, "
+        text = f"learned from {origin.recording} by {origin.method}: {modes}m = {origin.m} {origin.family}"
+        console.print(text, markup=False, highlight=False)

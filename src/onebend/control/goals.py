@@ -1,0 +1,364 @@
+"""What a beam is wanted to do: target shapes, goals that move, and the files they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import PchipInterpolator, make_interp_spline
+
+from onebend.beam.statics import Equilibrium
+from onebend.errors import ControlError
+from onebend.records import Array, BoolArray
+from onebend.text_files import csv_rows, listed_columns, quoted
+
+# Targets of a shape: points, angles or a whole curve, each with a weight.
+
+BEYOND = 2.0  # times the length, from the clamp: a target there must be a mistake
+METRES = "Positions are in metres: is this in millimetres?"
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Wanted positions and angles at N places; NaN where a position or an angle is of no concern.
+
+    What is minimised is `sum_i weight_i (|r(s_i) - xy_i|^2 + arm^2 (alpha(s_i) - angle_i)^2)`, the arm of an angle
+    being the beam's length unless `shape.ShapeSettings` says otherwise.
+    """
+
+    s: Array  # (N,)
+    xy: Array  # (N, 2) m, in the beam's frame
+    angle: Array  # (N,) rad, full turns count
+    weight: Array  # (N,) 1
+
+    def __post_init__(self) -> None:
+        count = len(self.s)
+        if count == 0 or self.xy.shape != (count, 2) or self.angle.shape != (count,) or self.weight.shape != (count,):
+            raise ControlError(f"targets need at least one place, and a value for each; got {count} places")
+        if not np.all((self.s >= 0.0) & (self.s <= 1.0)):
+            raise ControlError(f"targets are at s in [0, 1], got {self.s[~((self.s >= 0) & (self.s <= 1))][0]}")
+        if not np.all(np.isfinite(self.weight) & (self.weight > 0.0)):
+            raise ControlError("a target's weight must be a positive number; leave out what does not count")
+        if np.any(np.isinf(self.xy)) or np.any(np.isinf(self.angle)):
+            raise ControlError("a target's position and angle must be finite, or NaN where of no concern")
+        if np.any(np.isnan(self.xy[:, 0]) != np.isnan(self.xy[:, 1])):
+            raise ControlError("a target has both x and y, or neither")
+        if np.any(np.isnan(self.xy[:, 0]) & np.isnan(self.angle)):
+            raise ControlError("a target has neither a position nor an angle; leave it out")
+
+    @property
+    def placed(self) -> BoolArray:
+        """(N,) whether a position is wanted."""
+        return np.asarray(np.isfinite(self.xy[:, 0]))
+
+    @property
+    def turned(self) -> BoolArray:
+        """(N,) whether an angle is wanted."""
+        return np.asarray(np.isfinite(self.angle))
+
+    def __add__(self, other: Targets) -> Targets:
+        """Both together."""
+        return Targets(
+            np.concatenate([self.s, other.s]),
+            np.concatenate([self.xy, other.xy]),
+            np.concatenate([self.angle, other.angle]),
+            np.concatenate([self.weight, other.weight]),
+        )
+
+
+def numbers(values: ArrayLike) -> str:
+    """Plain numbers in brackets, as a message shows them."""
+    return f"({', '.join(f'{one:g}' for one in np.ravel(np.asarray(values, dtype=float)))})"
+
+
+def check_metres(xy: Array, length: float) -> None:
+    """Raises `ControlError` where positions (N, 2) lie so far from the clamp that they cannot be meant in metres."""
+    away = np.nan_to_num(np.linalg.norm(xy, axis=-1)).ravel()
+    if away.size and np.max(away) > BEYOND * length:
+        worst = np.reshape(xy, (-1, 2))[int(np.argmax(away))]
+        where = f"the position {numbers(worst)} m is {np.max(away):.4g} m from the clamp"
+        raise ControlError(f"{where}, the beam {length:.4g} m long. {METRES}")
+
+
+def points(s: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
+    """Wanted positions xy (N, 2) or (2,) m at places s (N,) or a number."""
+    places = np.atleast_1d(np.asarray(s, dtype=float))
+    wanted = np.atleast_2d(np.asarray(xy, dtype=float))
+    if wanted.shape != (len(places), 2):
+        raise ControlError(f"{len(places)} places need positions of shape ({len(places)}, 2), got {np.shape(xy)}")
+    return Targets(places, wanted, np.full(len(places), np.nan), _spread(weight, len(places)))
+
+
+def angles(s: ArrayLike, angle: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
+    """Wanted angles of the tangent (N,) or a number [rad] at places s (N,) or a number."""
+    places = np.atleast_1d(np.asarray(s, dtype=float))
+    wanted = np.atleast_1d(np.asarray(angle, dtype=float))
+    if wanted.shape != places.shape:
+        raise ControlError(f"{len(places)} places need as many angles, got {len(wanted)}")
+    return Targets(places, np.full((len(places), 2), np.nan), wanted, _spread(weight, len(places)))
+
+
+def curve(s: ArrayLike, xy: ArrayLike) -> Targets:
+    """A whole curve as points xy (N, 2) m at rising places s (N,), weighted by the stretch of s that each stands for.
+
+    The sum of squares is then the integral over the curve, however unevenly its points are spread.
+    """
+    places = np.asarray(s, dtype=float)
+    if places.ndim != 1 or len(places) < 2 or not np.all(np.diff(places) > 0.0):
+        raise ControlError("a curve needs two or more points at rising s")
+    step = np.diff(places)
+    return points(places, xy, weight=0.5 * (np.append(step, 0.0) + np.append(0.0, step)))
+
+
+def curve_of_length(xy: ArrayLike, length: float) -> Targets:
+    """A curve drawn from the clamp on as points (N, 2) m, without their s: it is their distance along the curve over L.
+
+    Raises `ControlError` where the curve is longer than the beam (`length`, m), by more than 1e-6 of it.
+    """
+    drawn = np.asarray(xy, dtype=float)
+    if drawn.ndim != 2 or drawn.shape[1] != 2 or len(drawn) < 2 or not np.all(np.isfinite(drawn)):
+        raise ControlError(f"a curve is two or more points (N, 2), finite; got an array of shape {np.shape(xy)}")
+    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(drawn, axis=0), axis=1))) / length
+    if s[-1] > 1.0 + 1e-6:
+        raise ControlError(f"the curve is {s[-1] * length:.6g} m long, the beam {length:.6g} m; shorten the curve")
+    return curve(np.minimum(s, 1.0), drawn)
+
+
+def _spread(weight: ArrayLike, count: int) -> Array:
+    return np.array(np.broadcast_to(np.asarray(weight, dtype=float), (count,)))
+
+
+@dataclass(frozen=True)
+class TargetResiduals:
+    """Weighted residuals of T shapes against their targets, and derivatives by the curvature at the nodes; over L."""
+
+    value: Array  # (T, R) weighted
+    jacobian: Array  # (T, R, Q) derivative of `value`
+    curvature_term: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(curvature_term) B`
+
+    @property
+    def cost(self) -> Array:
+        """(T,) sum of the weighted squares."""
+        return np.asarray(np.sum(self.value**2, axis=-1))
+
+
+def target_residuals(solved: Equilibrium, targets: Targets, arm: float) -> TargetResiduals:
+    """Weighted residuals of one shape; `arm` [m] turns angle errors into lengths."""
+    return target_residuals_along(solved, targets, targets.xy[None], targets.angle[None], arm)
+
+
+def target_residuals_along(
+    solved: Equilibrium, targets: Targets, xy: Array, angle: Array, arm: float
+) -> TargetResiduals:
+    """The same for T shapes with targets xy (T, N, 2) and angle (T, N); places and weights are those of `targets`."""
+    problem, length = solved.problem, float(solved.problem.length)
+    to, alpha = problem.grid.integral_to(targets.s), solved.alpha
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    placed, turned, root = targets.placed, targets.turned, np.sqrt(targets.weight)
+    at = root[placed, None] * to[placed]  # (n, Q)
+    wanted = root[placed, None] * xy[:, placed] / length
+    off_x, off_y = cos @ at.T - wanted[..., 0], sin @ at.T - wanted[..., 1]
+    b = problem.to_nodes
+    x, y = -(sin[:, None] * at) @ b, (cos[:, None] * at) @ b
+    lever = root[turned] * arm / length
+    twisted = lever * (solved.angle(targets.s)[:, turned] - angle[:, turned])
+    turning = np.broadcast_to(lever[:, None] * to[turned], (len(alpha), len(lever), to.shape[1]))
+    return TargetResiduals(
+        np.concatenate([off_x, off_y, twisted], axis=1),
+        np.concatenate([x, y, turning], axis=1),
+        -((off_x @ at) * cos + (off_y @ at) * sin),
+    )
+
+
+# Goals that move: the same targets at one time after another, and smoothly in between.
+
+Between = Literal["smooth", "monotone", "linear"]
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Targets at N places whose values change over K times.
+
+    `between`: "smooth" is a cubic spline (velocity and acceleration without jumps, the path may swing a little beyond
+    its goals); "monotone" does not swing beyond (acceleration jumps at the goals); "linear" goes straight from goal to
+    goal (velocity jumps). Only goals that slow down at the ends begin and end at rest.
+    """
+
+    time: Array  # (K,) s, rising
+    targets: Targets  # places, weights, and what is wanted at the first time
+    xy: Array  # (K, N, 2) m; NaN where of no concern, at all times alike
+    angle: Array  # (K, N) rad
+    between: Between = "smooth"
+
+    def __post_init__(self) -> None:
+        count, places = len(self.time), len(self.targets.s)
+        if count < 2 or self.xy.shape != (count, places, 2) or self.angle.shape != (count, places):
+            raise ControlError(f"a path needs two or more times with values for each of its {places} places")
+        if not np.all(np.isfinite(self.time)) or not np.all(np.diff(self.time) > 0.0):
+            at = int(np.argmin(np.diff(self.time))) + 1
+            raise ControlError(f"the times of a path must rise; time {at + 1} is {self.time[at]:g} s")
+        if np.any(np.isinf(self.xy)) or np.any(np.isinf(self.angle)):
+            raise ControlError("positions and angles along a path must be finite, or NaN where of no concern")
+        same = np.all(np.isfinite(self.xy) == self.targets.placed[:, None], axis=(1, 2))
+        same &= np.all(np.isfinite(self.angle) == self.targets.turned, axis=1)
+        if not np.all(same):
+            raise ControlError(
+                f"at {self.time[np.argmin(same)]:g} s other things are wanted than at the start; "
+                "every place needs its position, or its angle, at all times or at none"
+            )
+
+    def along(self, time: Array) -> tuple[Array, Array]:
+        """xy (T, N, 2) m and angle (T, N) rad at times (T,) s within the path's."""
+        flat = np.concatenate([self.xy.reshape(len(self.time), -1), self.angle], axis=1)
+        known = np.isfinite(flat[0])
+        out = np.full((len(time), flat.shape[1]), np.nan)
+        out[:, known] = _curve(self.time, flat[:, known], self.between)(np.clip(time, self.time[0], self.time[-1]))
+        split = self.xy.shape[1] * 2
+        return out[:, :split].reshape(len(time), -1, 2), out[:, split:]
+
+    def at(self, time: float) -> Targets:
+        """What is wanted at one time."""
+        xy, angle = self.along(np.array([time]))
+        return replace(self.targets, xy=xy[0], angle=angle[0])
+
+
+def point_goals(time: ArrayLike, xy: ArrayLike, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
+    """One point of the beam, at `point_s`, wanted at xy (K, 2) m at times (K,) s."""
+    times, wanted = np.asarray(time, dtype=float), np.asarray(xy, dtype=float)
+    if times.ndim != 1 or wanted.shape != (len(times), 2):
+        raise ControlError(f"{len(times)} times need positions ({len(times)}, 2), got {wanted.shape}")
+    first = Targets(np.array([point_s]), wanted[:1], np.array([np.nan]), np.ones(1))
+    return Goals(times, first, wanted[:, None], np.full((len(times), 1), np.nan), between)
+
+
+def _curve(time: Array, values: Array, between: Between) -> Callable[[Array], Array]:
+    """The values (K, c) as functions of time; a spline through fewer than four goals is of a lower degree."""
+    if between == "monotone":
+        return PchipInterpolator(time, values)  # type: ignore[no-any-return]
+    return make_interp_spline(time, values, k=min(3, len(time) - 1) if between == "smooth" else 1)  # type: ignore[no-any-return]
+
+
+# Targets and goals from CSV files; every fault is named with its file and line.
+
+TARGET_COLUMNS = ("s", "x_m", "y_m", "angle_rad", "weight")
+GOAL_COLUMNS = ("time_s", *TARGET_COLUMNS)
+MOST_GOALS = 100_000
+LARGEST = 1e30  # m, rad, s
+_MAY_BE_BLANK = ("x_m", "y_m", "angle_rad")
+
+
+def read_targets(path: Path, length: float) -> Targets:
+    """Targets from a CSV with columns of `TARGET_COLUMNS`: one row a place.
+
+    A blank cell, or a column that is not there, is of no concern; without `weight` all count alike. Without `s` the
+    rows are a curve drawn from the clamp on, and `length` [m] gives their places.
+
+    Raises `ControlError`: no such file, unknown or missing columns, a cell that is no number, a value out of range.
+    """
+    table = _table(path, TARGET_COLUMNS)
+    if "s" not in table:
+        _need(path, table, ("x_m", "y_m"), "targets without a column s are a drawn curve")
+        with _in(path):
+            return curve_of_length(np.stack([table["x_m"], table["y_m"]], axis=1), length)
+    with _in(path):
+        return _targets(table, np.ones(len(table["s"]), dtype=bool))
+
+
+def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
+    """Goals from a CSV with columns of `GOAL_COLUMNS`: one row a place and time, the same places at every time.
+
+    Without `s` each row is where the point at `point_s` is wanted.
+
+    Raises `ControlError` as `read_targets`, and where a time lacks a place or times do not rise.
+    """
+    table = _table(path, GOAL_COLUMNS)
+    _need(path, table, ("time_s",), "a path needs times")
+    if "s" not in table:
+        table["s"] = np.full(len(table["time_s"]), point_s)
+    time, first = np.unique(table["time_s"], return_index=True)
+    if np.any(np.diff(table["time_s"]) < 0.0):
+        line = int(table["line"][np.argmax(np.diff(table["time_s"]) < 0.0) + 1])
+        raise ControlError(f"{path}, line {line}: the times must rise; this one is earlier than that before it")
+    ends = np.append(first[1:], len(table["time_s"]))
+    count = int(ends[0] - first[0])
+    for a, b in zip(first, ends, strict=True):
+        if b - a != count or np.any(table["s"][a:b] != table["s"][:count]):
+            raise ControlError(
+                f"{path}, line {int(table['line'][a])}: at {table['time_s'][a]:g} s there are other places than at the "
+                "first time; give the same rows of s for every time"
+            )
+    with _in(path):
+        every = [_targets(table, _rows_of(table, a, count)) for a in first]
+        xy, angle = np.stack([row.xy for row in every]), np.stack([row.angle for row in every])
+        return Goals(time, every[0], xy, angle, between)
+
+
+def _rows_of(table: dict[str, Array], first: int, count: int) -> Array:
+    rows = np.zeros(len(table["line"]), dtype=bool)
+    rows[first : first + count] = True
+    return rows
+
+
+def _targets(table: dict[str, Array], rows: Array) -> Targets:
+    blank = np.full(int(np.sum(rows)), np.nan)
+    x, y, angle = (table[name][rows] if name in table else blank for name in _MAY_BE_BLANK)
+    weight = table["weight"][rows] if "weight" in table else np.ones(len(blank))
+    return Targets(table["s"][rows], np.stack([x, y], axis=1), angle, weight)
+
+
+@contextmanager
+def _in(path: Path) -> Iterator[None]:
+    """Errors of what is made of a file, with the file's name."""
+    try:
+        yield
+    except ControlError as error:
+        raise ControlError(f"{path}: {error}") from error
+
+
+def _need(path: Path, table: dict[str, Array], names: tuple[str, ...], why: str) -> None:
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise ControlError(f"{path}, line 1: no column {missing[0]}; {why}")
+
+
+def _table(path: Path, known: tuple[str, ...]) -> dict[str, Array]:
+    """Columns by name, and `line`."""
+    reader = csv_rows(path, ControlError)
+    header = [cell.strip() for cell in next(reader, (1, []))[1]]
+    for name in header:
+        if name not in known or header.count(name) > 1:
+            what = "stands twice" if name in known else "is not known"
+            shown = quoted(name) if listed_columns(path, [name]) else "in its first line"
+            raise ControlError(f"{path}, line 1: column {shown} {what}; the columns are {', '.join(known)}")
+    rows: list[list[float]] = []
+    for line, cells in reader:
+        if len(rows) == MOST_GOALS:
+            raise ControlError(f"{path}, line {line}: at most {MOST_GOALS} rows are read; give fewer, farther apart")
+        if len(cells) != len(header):
+            raise ControlError(f"{path}, line {line}: {len(cells)} cells, but {len(header)} columns")
+        where = f"{path}, line {line}"
+        rows.append([line, *(_number(where, n, c) for n, c in zip(header, cells, strict=True))])
+    if not rows:
+        raise ControlError(f"{path}: no rows; the first line names the columns ({', '.join(known)})")
+    return dict(zip(["line", *header], np.array(rows).T, strict=True))
+
+
+def _number(where: str, name: str, cell: str) -> float:
+    if not cell.strip() and name in _MAY_BE_BLANK:
+        return float("nan")
+    try:
+        value = float(cell)
+    except ValueError as error:
+        raise ControlError(f"{where}: {name} is {quoted(cell.strip())}, not a number") from error
+    if not abs(value) <= LARGEST:
+        raise ControlError(f"{where}: {name} is '{cell.strip()}'; leave a cell blank where it is of no concern")
+    if name == "s" and not 0.0 <= value <= 1.0:
+        raise ControlError(f"{where}: s is {value:g}; places are from 0 (clamp) to 1 (tip)")
+    if name == "weight" and not value > 0.0:
+        raise ControlError(f"{where}: weight is {value:g}; it must be positive")
+    return value

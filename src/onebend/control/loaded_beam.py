@@ -1,0 +1,578 @@
+"""A beam loaded at one place, and one point of it: balance, tangent and positions as arrays for Newton's method.
+
+The balance is that of `beam/statics.py`, for one frame and without its batch. Beyond the load a beam
+without weight keeps its rest curvature: those nodes are no unknowns.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgesv, dposv, dpotrf
+
+from onebend.beam.continuation import follow
+from onebend.beam.grid import Modes, jacobians, make_grid, places, positions
+from onebend.beam.loads import push, twist, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Problem, Resolution, make_problem, refuse_section
+from onebend.control.goals import numbers
+from onebend.errors import ControlError
+from onebend.records import Array
+
+
+@dataclass(frozen=True)
+class LoadedState:
+    """A shape and a load; an equilibrium only if a solver found it."""
+
+    q: Array  # (n,) rad, curvature at the loaded nodes
+    load: Array  # (3,) N, N, N m at the push
+
+
+class PushedBeam:
+    """A beam loaded at one place, and one point of it, with the arrays for Newton's method."""
+
+    def __init__(
+        self,
+        beam: Beam,
+        push_s: float,
+        point_s: float,
+        *,
+        gravity: ArrayLike = (0.0, 0.0),
+        resolution: Resolution = Resolution(),
+    ) -> None:
+        """Raises `ControlError` for a place outside (0, 1], `MechanicsError` where no shape carries the weight or the
+        beam has a thickness."""
+        refuse_section(beam, "reaching for a point")
+        for name, place in (("push_s", push_s), ("point_s", point_s)):
+            if not 0.0 < place <= 1.0:
+                raise ControlError(f"{name} lies in (0, 1], 1 the tip; got {place:g}")
+        self._heavy = heavy = bool(np.any(np.asarray(gravity, dtype=float) != 0.0))
+        loads = weight(gravity) + push((0.0, 0.0), push_s) + twist(0.0, push_s)
+        self.problem: Problem = make_problem(beam, loads, resolution)
+        self.beam, self.push_s, self.point_s, self.resolution = beam, push_s, point_s, resolution
+        x, y = np.asarray(gravity, dtype=float).tolist()
+        self.gravity: tuple[float, float] = (x, y)
+        problem, nodes = self.problem, self.problem.grid.nodes
+        self.count = n = len(nodes) if heavy else int(np.sum(nodes < push_s))
+        if n == 0:
+            raise ControlError(
+                f"a force at s = {push_s:g} is too near the clamp to bend the beam. Give s from 1e-6 to 1"
+            )
+        self.b = np.asfortranarray(problem.to_nodes[:, :n])
+        self.square = np.ascontiguousarray(problem.to_nodes[:n, :n])
+        beyond = np.asarray(nodes[:n] < push_s, dtype=float)
+        self._lw = problem.length * problem.weights[:n]
+        self.pull, self._twist = self._lw * beyond, problem.weights[:n] * beyond
+        self._weight = self._lw[:, None] * problem.dead_force[0, :n]
+        self.stiff = problem.weights[:n] * problem.k[:n]
+        self.rest = np.array(problem.q0[:n], dtype=float)
+        self._beyond = problem.alpha0 + problem.to_nodes[:, n:] @ problem.q0[n:]
+        self._angle_row = problem.grid.integral_to(np.array([point_s]))[0]
+        self._minus_row = -problem.length * self._angle_row
+        self.row = problem.length * self._angle_row
+        self._push_row = problem.length * problem.grid.integral_to(np.array([push_s]))[0]
+        self._base_row = problem.grid.value_at(np.zeros(1))[0, :n]
+        self.force_scale = float(np.mean(problem.k)) / (problem.length * push_s**2)
+        self.scale = np.array([self.force_scale, self.force_scale, self.force_scale * problem.length])
+        self.start = LoadedState(self._hanging() if heavy else self.rest, np.zeros(3))
+
+    def _hanging(self) -> Array:
+        hanging = follow(self.problem)
+        if not (hanging.converged[0] and hanging.stable[0]):
+            raise ControlError("the beam does not stand under its own weight. Turn the clamp, or the gravity")
+        return np.asarray(hanging.q[0])
+
+    def loaded(self, load: Array) -> Problem:
+        """The problem of `beam.statics` under the load (3,)."""
+        beyond = np.asarray(self.problem.grid.nodes < self.push_s, dtype=float)
+        force = self.problem.dead_force + beyond[None, :, None] * load[:2]
+        return replace(self.problem, dead_force=force, moment=load[2] * beyond[None])
+
+    def angles(self, q: Array) -> Array:
+        """(Q,) rad at all nodes."""
+        return np.asarray(self.b @ q + self._beyond)
+
+    def pose(self, q: Array) -> Array:
+        """(3,) m, m, rad: the point's place and the tangent's angle there."""
+        alpha = self.angles(q)
+        return self.place(np.cos(alpha), np.sin(alpha), q, 3)
+
+    def shape_xy(self, q: Array, s: Array) -> Array:
+        """(S, 2) m: places `s` (S,) of the beam."""
+        alpha = self.angles(q)
+        return np.asarray(
+            self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1)
+        )
+
+    def whole(self, q: Array) -> Array:
+        """(Q,) the curvature at all nodes."""
+        return np.concatenate([q, self.problem.q0[self.count :]])
+
+    def balance(self, q: Array, load: Array) -> tuple[Array, Array, Array, Array]:
+        """Gradient (n,), tangent (n, n), cos and sin (Q,)."""
+        alpha = self.angles(q)
+        cos, sin = np.cos(alpha), np.sin(alpha)
+        n = self.count
+        across, tangent = self._pulled(load, cos[:n], sin[:n])
+        unbalanced = self.stiff * (q - self.rest) - load[2] * self._twist - across @ self.square
+        return unbalanced, tangent, cos, sin
+
+    def linear(self, q: Array, load: Array, cos: Array, sin: Array, loads: int) -> tuple[Array, bool]:
+        """(n, 1 + P) X = T^-1 g and Y = T^-1 R beside it, NaN for a singular T; whether T is positive definite."""
+        n = self.count
+        across, tangent = self._pulled(load, cos[:n], sin[:n])
+        rows = np.empty((3, n))
+        rows[0] = across
+        np.multiply(self.pull, sin[:n], out=rows[1])
+        np.multiply(self.pull, cos[:n], out=rows[2])
+        right = np.empty((n, 1 + loads), order="F")
+        np.matmul(rows, self.square, out=right[:, :3].T)
+        np.negative(right[:, :2], out=right[:, :2])
+        right[:, 0] += self.stiff * (q - self.rest) - load[2] * self._twist
+        if loads == 3:
+            right[:, 3] = self._twist
+        _, solved, info = dposv(tangent, right, lower=1)
+        if info == 0:
+            return np.asarray(solved), True
+        _, _, solved, info = dgesv(tangent, right)
+        return np.asarray(solved) if info == 0 else np.full_like(right, np.nan), False
+
+    def _pulled(self, load: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
+        """The pull across (n,), and the tangent (n, n) by the pull along."""
+        x, y = load[0] * self.pull, load[1] * self.pull
+        if self._heavy:
+            x, y = x + self._weight[:, 0], y + self._weight[:, 1]
+        along = x * cos + y * sin
+        tangent = self.square.T @ (along[:, None] * self.square)
+        tangent.reshape(-1)[:: self.count + 1] += self.stiff
+        return y * cos - x * sin, tangent
+
+    def place(self, cos: Array, sin: Array, q: Array, size: int) -> Array:
+        """(2,) m or (3,) m, m, rad: as `pose`, where cos and sin are known."""
+        x, y = float(self.row @ cos), float(self.row @ sin)
+        return np.array([x, y]) if size == 2 else np.array([x, y, self._turn(q)])
+
+    def point_motion(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
+        """(2 or 3, P): the point's motion when curvatures (n, P) turn the nodes by (Q, P)."""
+        rows = np.empty((2, len(cos)))
+        np.multiply(self._minus_row, sin, out=rows[0])
+        np.multiply(self.row, cos, out=rows[1])
+        moved = rows @ turned
+        return moved if size == 2 else np.vstack([moved, self._angle_row[: self.count] @ curved])
+
+    def _turn(self, q: Array) -> float:
+        n = self.count
+        return float(self.problem.alpha0 + self._angle_row[:n] @ q + self._angle_row[n:] @ self.problem.q0[n:])
+
+    def of_load(self, cos: Array, sin: Array) -> Array:
+        """(n, 3) R: minus the derivative of the gradient with the load."""
+        n = self.count
+        return np.stack(
+            [-(self.pull * sin[:n]) @ self.square, (self.pull * cos[:n]) @ self.square, self._twist], axis=1
+        )
+
+    def of_shape(self, cos: Array, sin: Array) -> Array:
+        """(3, n) J: derivative of the point's pose with the curvature."""
+        x, y = -(self.row * sin) @ self.b, (self.row * cos) @ self.b
+        return np.stack([x, y, self._angle_row[: self.count]])
+
+    def bend(self, q: Array) -> float:
+        """1/m: the largest curvature beyond that at rest, at the nodes and at the clamp."""
+        away = q - self.rest
+        return float(max(np.max(np.abs(away)), abs(self._base_row @ away)) / self.problem.length)
+
+    def response(self, state: LoadedState) -> Array:
+        """(3, 3) S: how the point's pose goes with the load, in equilibrium; NaN at a limit point."""
+        _, tangent, cos, sin = self.balance(state.q, state.load)
+        _, _, solved, info = dgesv(tangent, self.of_load(cos, sin))
+        return self.of_shape(cos, sin) @ solved if info == 0 else np.full((3, 3), np.nan)
+
+    def stable(self, state: LoadedState) -> bool:
+        """Whether the tangent is positive definite."""
+        _, tangent, _, _ = self.balance(state.q, state.load)
+        return bool(dpotrf(tangent, lower=1)[1] == 0)
+
+
+def prepared(
+    beam: Beam, push_s: float, point_s: float, gravity: tuple[float, float], resolution: Resolution
+) -> PushedBeam:
+    """The `PushedBeam`, which the beam remembers: its arrays take some milliseconds to make."""
+    key = (PushedBeam, push_s, point_s, gravity, resolution)
+    return beam.memory.once(key, lambda: PushedBeam(beam, push_s, point_s, gravity=gravity, resolution=resolution))
+
+
+# Newton's method on shape and load together: the load at one place that puts a point on a goal, (23) made exact.
+#
+# Unknown are the curvature q at the nodes and the load p at s_a: the balance `g(q, p) = 0` of
+# `beam/statics.py` and the goal `r(s_p; q) = goal`. With `X = T^-1 g` and `Y = T^-1 R` (T the tangent, R
+# = -dg/dp) one step is
+#
+# dq = Y dp - X,      S dp = goal - r(s_p) + J X,      S = J Y,
+#
+# J = dr(s_p)/dq. S is the Jacobian J_F of (25) with the exact tangent in place of K.
+
+TOLERANCE = 3e-7  # rad, of the last update: convergence is quadratic, the error its square
+_REMAINING = 1e-8  # rad, of the error that may remain
+_FINAL_UPDATE = 1e-2  # rad: the remaining error is predicted from last updates up to this one
+_MINUS_ONE = np.array([-1.0])
+_LARGEST_TURN = 0.7  # rad, the largest turn of a step
+
+
+@dataclass(frozen=True, slots=True)
+class NewtonResult:
+    """Where Newton's method ended, with the derivatives before its last step."""
+
+    state: LoadedState
+    iterations: int
+    converged: bool
+    positive: bool = False  # the tangent was positive definite
+    curvature_per_load: Array | None = None  # (n, P) rad a unit load: Y
+    compliance: Array | None = None  # (2 or 3, P): S
+
+
+def solve_goal(
+    pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2, *, most: int = 20, trust: float = math.inf
+) -> NewtonResult:
+    """Newton from `start` to the goal (2,) or (3,) with the first 2 or all 3 `loads`.
+
+    It stops unconverged where the beam turns by more than `trust` rad. After successive updates u and v the remaining
+    error is `v (v / u)^2`. With more loads than the goal has numbers, the smallest load (in units of
+    `PushedBeam.scale`) is found.
+    """
+    q, load, size = start.q, start.load.copy(), len(goal)
+    alpha = pushed.angles(q)
+    begin, before = alpha, 0.0
+    for iteration in range(1, most + 1):
+        cos, sin = np.cos(alpha), np.sin(alpha)
+        solved, positive = pushed.linear(q, load, cos, sin, loads)
+        turned = pushed.b @ solved
+        moved = pushed.point_motion(cos, sin, turned, solved, size)  # (m, 1 + P): J X, J Y
+        away = goal - pushed.place(cos, sin, q, size)
+        change = _change(moved[:, 1:], away + moved[:, 0], load, pushed.scale)
+        by = np.concatenate([_MINUS_ONE, change])
+        turn = turned @ by
+        largest = max(float(turn.max()), -float(turn.min()))
+        if not math.isfinite(largest):
+            return NewtonResult(LoadedState(q, load), iteration, False)
+        if largest > _LARGEST_TURN:
+            shorter = _LARGEST_TURN / largest
+            by, turn, change = by * shorter, turn * shorter, change * shorter
+        q, alpha = q + solved @ by, alpha + turn
+        load[:loads] += change
+        if trust < math.inf and not float(np.abs(alpha - begin).max()) < trust:
+            return NewtonResult(LoadedState(q, load), iteration, False)
+        if largest < TOLERANCE or (iteration > 1 and largest**3 < _REMAINING * before**2 and largest < _FINAL_UPDATE):
+            return NewtonResult(LoadedState(q, load), iteration, True, positive, solved[:, 1:], moved[:, 1:])
+        before = min(largest, _LARGEST_TURN)
+    return NewtonResult(LoadedState(q, load), most, False)
+
+
+def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:
+    """(P,) the change of the loads: S dp = wanted, and of many the one that makes the load smallest; NaN for none."""
+    if s.shape == (2, 2):
+        (a, b), (c, d) = s.tolist()
+        x, y = wanted.tolist()
+        det = a * d - b * c
+        return np.array([(d * x - b * y) / det, (a * y - c * x) / det]) if det != 0.0 else np.full(2, np.nan)
+    if s.shape == (3, 3):
+        _, _, out, info = dgesv(s, wanted)
+        return np.asarray(out) if info == 0 else np.full(3, np.nan)
+    if not np.all(np.isfinite(s)):
+        return np.full(3, np.nan)
+    now = load / scale
+    return np.asarray(scale * (np.linalg.pinv(s * scale) @ (wanted + s @ load) - now))
+
+
+# Numerical continuation of equilibria: as a load grows in proportion, or as a goal moves.
+
+_LARGEST_STEP_TURN, _TRUST, _TRUST_GROWTH, _LEAST_TRUST = 0.7, 0.25, 0.5, 1e-3  # as `continuation.Search`
+_GOAL_TRUST, _SHORTEST_GOAL_STEP = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
+_SHORTEST_LOAD_STEP = 1e-6  # share of the load: a shorter step has met the end of the branch
+_SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
+
+
+@dataclass(frozen=True)
+class EquilibriumPath:
+    """Equilibria under a load that grows in proportion, each reached from the one before."""
+
+    states: tuple[LoadedState, ...]  # the first at rest
+    share: tuple[float, ...]  # of the load
+    arrived: bool  # at the full load, stable all the way
+
+
+def trace(
+    pushed: PushedBeam,
+    load: Array,
+    *,
+    start: LoadedState | None = None,
+    widest: float = 1.0,
+    shortest: float = _SHORTEST_LOAD_STEP,
+) -> EquilibriumPath:
+    """Shapes while the load grows from that of `start` (default: rest) straight to `load` (3,), stable all the way.
+
+    `widest`, `shortest`: the largest step, and the step that counts as none, as shares of the way.
+
+    As in `beam/continuation.py`, a step counts only where the corrector moved the shape little and it is
+    stable.
+    """
+    begin_state = start or pushed.start
+    begin, way = begin_state.load, load - begin_state.load
+    states, shares = [begin_state], [0.0]
+    share, step = 0.0, 1.0
+    q = begin_state.q
+    _, tangent, cos, sin = pushed.balance(q, begin)
+    while share < 1.0:
+        _, slope, info = dposv(tangent, pushed.of_load(cos, sin) @ way, lower=1)
+        if info != 0:
+            return EquilibriumPath(tuple(states), tuple(shares), False)
+        turn = float(np.max(np.abs(pushed.b @ slope)))
+        step = min(step, 1.0 - share, widest, _LARGEST_STEP_TURN / max(turn, 1e-300))
+        corrected = None
+        while corrected is None:
+            if step < shortest:
+                return EquilibriumPath(tuple(states), tuple(shares), False)
+            now = 1.0 if share + step > 1.0 - 1e-12 else share + step
+            trust = min(_TRUST, _LEAST_TRUST + _TRUST_GROWTH * step * turn)
+            corrected = _correct(pushed, q + step * slope, begin + now * way, trust)
+            step = step * (2.0 if corrected is not None else 0.25)
+        q, tangent, cos, sin = corrected
+        share = now
+        states.append(LoadedState(q, begin + share * way))
+        shares.append(share)
+    return EquilibriumPath(tuple(states), tuple(shares), True)
+
+
+def lead(pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) -> EquilibriumPath:
+    """Equilibria while the goal moves straight from where `start` has the point to `goal`, stable all the way.
+
+    The loads follow the goal; `share` is of the way. It ends early where no force leads on (the edge of what can be
+    reached, or of stability).
+    """
+    begin = pushed.pose(start.q)[: len(goal)]
+    states, shares, step = [start], [0.0], 1.0
+    while shares[-1] < 1.0 and step > _SHORTEST_GOAL_STEP:
+        now = min(1.0, shares[-1] + step)
+        result = solve_goal(pushed, states[-1], begin + now * (goal - begin), loads, most=8, trust=_GOAL_TRUST)
+        if result.converged and pushed.stable(result.state):
+            states.append(result.state)
+            shares.append(now)
+            step *= 2.0
+        else:
+            step *= 0.25
+    return EquilibriumPath(tuple(states), tuple(shares), shares[-1] == 1.0)
+
+
+def _correct(pushed: PushedBeam, q: Array, load: Array, trust: float) -> tuple[Array, Array, Array, Array] | None:
+    """Newton at a fixed load, proved stable by Cholesky's factor at every iteration."""
+    moved: Array | float = 0.0
+    for _ in range(8):
+        unbalanced, tangent, cos, sin = pushed.balance(q, load)
+        _, update, info = dposv(tangent, unbalanced, lower=1)
+        if info != 0:
+            return None
+        q = q - update
+        turn = pushed.b @ update
+        moved = moved + turn
+        if not float(np.max(np.abs(moved))) < trust:
+            return None
+        if float(np.max(np.abs(turn))) < TOLERANCE:
+            return q, tangent, cos, sin
+    return None
+
+
+def densified(pushed: PushedBeam, states: tuple[LoadedState, ...], steps: int) -> tuple[LoadedState, ...]:
+    """The same path with at least `steps` steps: intermediate equilibria are added where the loads allow."""
+    between = -(-steps // max(len(states) - 1, 1))
+    out = [states[0]]
+    for begin, end in pairwise(states):
+        finer = trace(pushed, end.load, start=begin, widest=1.0 / between)
+        same = finer.arrived and float(np.max(np.abs(pushed.b @ (finer.states[-1].q - end.q)))) < _SAME_SHAPE
+        out += [*(finer.states[1:-1] if same else ()), end]
+    return tuple(out)
+
+
+# Starts of Newton's method on shape and load: shapes bent by simple moments, one of which is near the goal.
+#
+# A push at s_a bends the beam by a moment that falls to nothing at s_a. Two such moments, a straight line and one
+# that changes sign, make a family of shapes; the point's places in them are a table that is made once for a beam. Its
+# entry nearest to a goal, of near ones the least bent, is the start; the load that fits its moments best goes with
+# it.
+
+_TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
+_CURLS = np.array([-1.6, -1.1, -0.7, -0.4, -0.2, 0.0, 0.2, 0.4, 0.7, 1.1, 1.6])  # rad, by the second
+_TURN_WEIGHT, _CURL_WEIGHT = 0.03, 0.3  # of L: the distance that a radian of each weighs
+_SAME_START = 0.5  # rad: starts that differ by less are one
+
+
+@dataclass(frozen=True)
+class StartTable:
+    """A table of shapes of a `PushedBeam` and where they bring its point."""
+
+    pushed: PushedBeam
+    shapes: Array  # (2, n) rad a unit turn: the two curvatures
+    amounts: Array  # (C, 2) rad
+    places: Array  # (C, 2) m
+
+    def near(self, goal: Array, count: int) -> list[LoadedState]:
+        """Up to `count` starts for a goal (2,), the best first."""
+        length = float(self.pushed.problem.length)
+        away = np.sum((self.places - goal) ** 2, axis=1) / length**2
+        score = away + self.amounts**2 @ np.array([_TURN_WEIGHT**2, _CURL_WEIGHT**2])
+        if count == 1:
+            return [self._state(int(np.argmin(score)))]
+        chosen: list[int] = []
+        for i in np.argsort(score):
+            if all(np.max(np.abs(self.amounts[i] - self.amounts[j])) > _SAME_START for j in chosen):
+                chosen.append(int(i))
+            if len(chosen) == count:
+                break
+        return [self._state(i) for i in chosen]
+
+    def _state(self, i: int) -> LoadedState:
+        """The shape and the force that balances it best, in the measure of bending energy."""
+        pushed = self.pushed
+        q = pushed.start.q + self.amounts[i] @ self.shapes
+        unbalanced, _, cos, sin = pushed.balance(q, np.zeros(3))
+        r = pushed.of_load(cos, sin)[:, :2]
+        weighed = r / pushed.stiff[:, None]
+        normal = weighed.T @ r
+        normal = normal + 1e-6 * np.trace(normal) * np.eye(2)  # a straight beam does not feel a force along itself
+        return LoadedState(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
+
+
+@lru_cache(maxsize=32)
+def starts_of(pushed: PushedBeam) -> StartTable:
+    """The table for a beam; bent from its rest shape, or from how it hangs."""
+    t = np.clip(pushed.problem.grid.nodes[: pushed.count] / pushed.push_s, 0.0, 1.0)
+    shapes = np.stack([1.0 - t, (1.0 - t) * (1.0 - 3.0 * t)]) / pushed.problem.k[: pushed.count]
+    shapes = shapes / np.max(np.abs(shapes @ pushed.b.T), axis=1, keepdims=True)
+    amounts = np.stack(np.meshgrid(_TURNS, _CURLS, indexing="ij"), axis=-1).reshape(-1, 2)
+    alpha = pushed.angles(pushed.start.q) + amounts @ (shapes @ pushed.b.T)
+    places = np.stack([np.cos(alpha) @ pushed.row, np.sin(alpha) @ pushed.row], axis=-1)
+    return StartTable(pushed, shapes, amounts, places)
+
+
+# Algorithm 1 of the paper to the letter: gradient iteration on the force of a modal beam, (23)-(25).
+#
+# Per turn: `theta <- theta0 + K^-1 J(s_a)^T F` with J at the theta before (line 2), the point by the forward
+# kinematics (line 3), `F <- F + gamma J_F^+ (goal - point)` with `J_F = J(s_p) K^-1 J(s_a)^T` (lines 4, 5, (25)). K
+# is that of (6), not the tangent. The modes are the paper's span of powers, carried by Legendre polynomials (the
+# iteration does not depend on the basis). The paper leaves gamma and the tolerance open: ours are settings. So is the
+# cutoff of the pseudo-inverse: a straight beam does not feel a force along itself, J_F is all but singular next to
+# it, and without a cutoff the iteration runs away from rest at its second or third turn.
+
+
+@dataclass(frozen=True)
+class PaperSettings:
+    """What the paper leaves open in Algorithm 1."""
+
+    n: int = 5  # curvature modes
+    gamma: float = 0.3  # step
+    cutoff: float = 0.01  # singular values of J_F below this share of the largest count as none in its pseudo-inverse
+    tolerance: float = 1e-3  # m, epsilon; the paper reports errors of a millimetre or less
+    most: int = 500  # turns
+
+
+@dataclass(frozen=True)
+class PaperForce:
+    """Where Algorithm 1 ended."""
+
+    force: Array  # (2,) N
+    point: Array  # (2,) m, where the modal beam has the point
+    iterations: int
+    converged: bool  # the modal point is within the tolerance of the goal
+
+
+def paper_force(
+    beam: Beam, goal: Array, push_s: float, point_s: float, settings: PaperSettings = PaperSettings()
+) -> PaperForce:
+    """Algorithm 1 from no force, for a goal (2,) m. It ends unconverged where it has not settled or runs away."""
+    modes = Modes(settings.n)
+    grid = make_grid(beam.stiffness.jumps, order=30)
+    phi, weights = modes.curvature(grid.nodes), grid.weights
+    flexible = np.linalg.inv(phi.T @ ((weights * beam.stiffness(grid.nodes))[:, None] * phi))
+    mass = phi.T @ (weights[:, None] * phi)
+    rest = np.linalg.solve(mass, phi.T @ (weights * beam.rest_curvature(grid.nodes)))
+    at = places(beam.length, modes, np.array([push_s, point_s]))
+    theta, force, point = np.asarray(rest, dtype=float), np.zeros(2), np.full(2, np.nan)
+    for turn in range(1, settings.most + 1):
+        push = jacobians(at, theta[None], beam.clamp_angle)[0, 0]
+        theta = np.asarray(rest + flexible @ (push.T @ force), dtype=float)
+        point = positions(at, theta[None], beam.clamp_angle)[0, 1]
+        away = goal - point
+        if np.linalg.norm(away) <= settings.tolerance:
+            return PaperForce(force, point, turn, True)
+        both = jacobians(at, theta[None], beam.clamp_angle)[0]
+        step = np.linalg.pinv(both[1] @ flexible @ both[0].T, rcond=settings.cutoff) @ away
+        force = force + settings.gamma * step
+        if not np.all(np.isfinite(force)) or np.max(np.abs(theta)) > 1e3:
+            return PaperForce(np.nan_to_num(force), point, turn, False)
+    return PaperForce(force, point, settings.most, False)
+
+
+# Settings and bounds of a reach, and checks against them.
+
+FARTHEST_GOAL = 1e9  # m or rad
+
+
+@dataclass(frozen=True)
+class ReachSettings:
+    """How a force is sought, and within which bounds."""
+
+    method: Literal["newton", "paper"] = "newton"
+    max_force: float | None = None  # N; infinite is none, as it is below
+    max_curvature: float | None = None  # 1/m beyond that at rest, anywhere along the beam
+    direction: float | None = None  # rad: the force can only push this way
+    moment: bool = False  # whether the gripper gives a moment too
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
+    tolerance: float = 1e-6  # m: a point this near to its goal is there
+    steps: int = 20  # of the path of forces; fewer only where a growing load does not connect the shapes
+    paper: PaperSettings = field(default_factory=PaperSettings)
+
+    def __post_init__(self) -> None:
+        if self.direction is not None and (self.moment or not math.isfinite(self.direction)):
+            raise ControlError("a force in one direction is one finite angle [rad], and goes without a moment")
+        for name, words in (("max_force", "the largest force"), ("max_curvature", "the largest curvature")):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise ControlError(f"{words} must be positive, got {value:g}")
+            if value == math.inf:
+                object.__setattr__(self, name, None)
+        if not self.tolerance > 0.0 or self.steps < 1:
+            raise ControlError("the tolerance must be positive, and the path needs at least one step")
+        bound = self.max_force is not None or self.max_curvature is not None or self.direction is not None
+        if self.method == "paper" and (bound or self.moment or any(self.gravity)):
+            raise ControlError("the paper's iteration knows no bounds, moment or weight; take the method newton")
+
+    @property
+    def loads(self) -> int:
+        """How many of the two components of the force and the moment may be given."""
+        return 3 if self.moment else 2
+
+
+def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
+    """The goal as an array (2,) or (3,). Raises `ControlError` where it has no meaning."""
+    wanted = np.asarray(goal, dtype=float)
+    if wanted.shape not in ((2,), (3,)) or not np.all(np.abs(wanted) < FARTHEST_GOAL):
+        raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {numbers(wanted)}")
+    if len(wanted) == 3 and not settings.moment:
+        raise ControlError("a force alone cannot hold a point at an angle: allow a moment, or leave the angle out")
+    return wanted
+
+
+def broken_bound(pushed: PushedBeam, state: LoadedState, settings: ReachSettings) -> str:
+    """The bound that the state breaks, in words; empty where it breaks none."""
+    size = math.hypot(state.load[0], state.load[1])
+    if settings.max_force is not None and size > settings.max_force * (1.0 + 1e-9):
+        return f"it needs {size:.3g} N, and {settings.max_force:.3g} N are allowed"
+    if settings.max_curvature is not None:
+        bend = pushed.bend(state.q)
+        if bend > settings.max_curvature * (1.0 + 1e-9):
+            return f"it bends the beam by {bend:.3g} 1/m, and {settings.max_curvature:.3g} 1/m are allowed"
+    return ""

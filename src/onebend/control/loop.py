@@ -1,0 +1,699 @@
+"""The closed loop: design with margins, correction by what the camera sees, simulation in full motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from math import hypot, inf, isfinite, sqrt
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from onebend.beam.continuation import equilibrium, follow
+from onebend.beam.loads import push, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, Rod, has_mass
+from onebend.beam.sensitivity import of_force, respond
+from onebend.beam.vibration import vibration
+from onebend.control.loaded_beam import prepared
+from onebend.control.reach import ReachSettings, reach
+from onebend.errors import ControlError, MechanicsError
+from onebend.progress import one_blas_thread
+from onebend.records import Array
+
+# The beam about a working point, as a loop sees it: from the force at `push_s` to the position of `point_s`.
+#
+# Near an equilibrium the beam moves as its small vibrations do, `eta_i'' + 2 zeta_i omega_i eta_i' + omega_i^2 eta_i
+# = phi_i(push)^T F`, and the point by `sum_i phi_i(point) eta_i`. What the modes left out would add is taken as
+# moving at once, so that at rest the compliance is the exact `J(s_p) T^-1 J(s_a)^T` of (24).
+
+MODES = 6
+_SHORTEST_LAG = 1e-4  # s, the shortest lag of an actuator: far below a frame, and still well-conditioned
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A beam linearised about an equilibrium; m modes, none where its mass is not known (it then moves at once)."""
+
+    omega: Array  # (m,) rad/s
+    damping: Array  # (m,) damping ratios
+    pushed: Array  # (m, 2) kg^-1/2: modes at the place of the force
+    seen: Array  # (m, 2) kg^-1/2: modes at the point
+    compliance: Array  # (2, 2) m/N, exact
+
+    @property
+    def at_once(self) -> Array:
+        """(2, 2) m/N: compliance of the modes that are left out."""
+        return np.asarray(self.compliance - self.seen.T @ (self.pushed / self.omega[:, None] ** 2))
+
+    def stiffer(self, factor: float) -> Plant:
+        """The same shape of the beam with all of k(s) times `factor`, damping ratios kept.
+
+        Without weight that is exact: the force that holds the shape grows by `factor`, and so does the tangent.
+        """
+        return replace(self, omega=sqrt(factor) * self.omega, compliance=self.compliance / factor)
+
+
+def plant_at(
+    beam: Rod,
+    force: ArrayLike,
+    *,
+    push_s: float = 1.0,
+    point_s: float = 1.0,
+    damping_ratio: float = 0.05,
+    gravity: ArrayLike | None = None,
+) -> Plant:
+    """The beam about its equilibrium under `force` (2,) N.
+
+    `damping_ratio`: of the slowest vibration; those above have more in proportion to their frequency (Kelvin-Voigt).
+
+    Raises:
+        MechanicsError: no stable equilibrium under this force.
+    """
+    loads = push(np.asarray(force, dtype=float)[None], push_s)
+    if gravity is not None:
+        loads = loads + weight(gravity)
+    solved = equilibrium(beam, loads)
+    if not (solved.converged[0] and solved.stable[0]):
+        raise MechanicsError(f"the beam has no stable shape under {np.asarray(force)} N to control it about")
+    point = np.array([point_s])
+    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(point)[0, 0]
+    if not has_mass(beam):
+        return Plant(np.zeros(0), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), compliance)
+    small = vibration(beam, solved, count=MODES)
+    omega = np.sqrt(small.squared)
+    moved = small.moved(np.array([push_s, point_s]))
+    return Plant(omega, damping_ratio * omega / omega[0], moved[:, 0], moved[:, 1], compliance)
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """`x' = a x + b u`, `y = c x`: the plant behind its actuator. N = 2 m + 2 states."""
+
+    a: Array  # (N, N) 1/s
+    b: Array  # (N, 2)
+    c: Array  # (2, N)
+
+    def over(self, time: float) -> tuple[Array, Array]:
+        """(N, N), (N, 2): the state after `time` s at constant input, from the state and the input."""
+        n = len(self.a)
+        moved = expm(time * np.block([[self.a, self.b], [np.zeros((2, n + 2))]]))
+        return moved[:n, :n], moved[:n, n:]
+
+
+def behind_actuator(plant: Plant, lag: float) -> StateSpace:
+    """The plant driven by an actuator of first order with time constant `lag` s."""
+    m, slow = len(plant.omega), max(lag, _SHORTEST_LAG)
+    a = np.zeros((2 * m + 2, 2 * m + 2))
+    a[:m, m : 2 * m] = np.eye(m)
+    a[m : 2 * m, :m] = -np.diag(plant.omega**2)
+    a[m : 2 * m, m : 2 * m] = -np.diag(2.0 * plant.damping * plant.omega)
+    a[m : 2 * m, 2 * m :] = plant.pushed
+    a[2 * m :, 2 * m :] = -np.eye(2) / slow
+    b = np.vstack([np.zeros((2 * m, 2)), np.eye(2) / slow])
+    c = np.hstack([plant.seen.T, np.zeros((2, m)), plant.at_once])
+    return StateSpace(a, b, c)
+
+
+# Stability margins of the sampled loop: gain, phase, delay, and the error of k that it tolerates.
+#
+# Every frame at `t_k = k / fps` the controller takes what the camera saw `delay` earlier, filters the error and adds
+# it to the integral, and the force is held to the next frame:
+#
+# f_k = a f_(k-1) + (1 - a) e_k,    g_k = a g_(k-1) + (1 - a) f_k,    a = exp(-corner / fps)
+# u_k = u_(k-1) + (rate / fps) C^+ g_k
+#
+# With the plant of `plant.py` this is one linear recursion, whose largest eigenvalue decides (`SampledLoop.radius`),
+# and whose characteristic loci (the eigenvalues of the 2 x 2 loop transfer on the unit circle) give the phase margin.
+
+ComplexArray = NDArray[np.complex128]
+
+_FREQUENCIES = 600
+_SCAN_RATIO = 1.04  # of a scan for the onset of instability
+_MOST_SCAN_STEPS = 200  # steps of it
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The loop's clock: what lies between a position and the force that answers it."""
+
+    fps: float = 30.0  # 1/s
+    delay: float = 0.05  # s, from exposure to the force that answers it
+    lag: float = 0.02  # s, time constant of the actuator
+
+    def __post_init__(self) -> None:
+        known = np.isfinite([self.fps, self.delay, self.lag])
+        if not np.all(known) or not (self.fps > 0.0 and self.delay >= 0.0 and self.lag >= 0.0):
+            raise ControlError(
+                f"a loop needs a frame rate above zero, a delay and a lag that are not negative, got "
+                f"{self.fps:g} 1/s, {self.delay:g} s and {self.lag:g} s"
+            )
+
+
+@dataclass(frozen=True)
+class Gains:
+    """The integral's rate, and the corner of the two equal filters before it."""
+
+    rate: float  # 1/s: the error falls as exp(-rate t) where all is as modelled and slow
+    corner: float  # rad/s
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.rate, self.corner]).all() and self.rate > 0.0 and self.corner > 0.0):
+            raise ControlError(f"gains must be finite and positive, got {self.rate:g} and {self.corner:g}")
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """One sampled loop: a plant, and a controller whose map from error to force is `inverse`."""
+
+    plant: Plant
+    inverse: Array  # (2, 2) N/m: C^+
+    gains: Gains
+    timing: Timing
+
+    def matrix(self) -> Array:
+        """(M, M): the closed loop from one frame to the next."""
+        linear, frame = behind_actuator(self.plant, self.timing.lag), 1.0 / self.timing.fps
+        whole, part = _split(self.timing)
+        (a, b), (a_seen, b_seen) = linear.over(frame), linear.over((1.0 - part) * frame)
+        keep, n = float(np.exp(-self.gains.corner * frame)), len(linear.a)
+        eye = np.eye(n + 2 * (whole + 4))
+        state, late = eye[:n], eye[n : n + 2 * whole]  # what the camera saw and has not delivered yet, then the oldest
+        arrived, f, g, u = np.split(eye[n + 2 * whole :], 4)
+        f = keep * f - (1.0 - keep) * arrived
+        g = keep * g + (1.0 - keep) * f
+        u = u + self.gains.rate * frame * self.inverse @ g
+        seen = linear.c @ (a_seen @ state + b_seen @ u)
+        return np.vstack([a @ state + b @ u, seen, late, f, g, u])
+
+    @property
+    def radius(self) -> float:
+        """Largest size of an eigenvalue: the loop is stable where it is below 1."""
+        return float(np.max(np.abs(np.linalg.eigvals(self.matrix()))))
+
+    def loci(self, frequency: Array) -> ComplexArray:
+        """(R, 2): characteristic loci at frequencies (R,) [rad/s], each a continuous curve."""
+        linear, frame = behind_actuator(self.plant, self.timing.lag), 1.0 / self.timing.fps
+        whole, part = _split(self.timing)
+        (a, b), (a_seen, b_seen) = linear.over(frame), linear.over((1.0 - part) * frame)
+        keep = np.exp(-self.gains.corner * frame)
+        z = np.exp(1j * frequency * frame)
+        inside = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - a, np.broadcast_to(b, (len(z), *b.shape)))
+        seen = linear.c @ (a_seen @ inside + b_seen)
+        of_error = self.gains.rate * frame * z / (z - 1.0) * ((1.0 - keep) * z / (z - keep)) ** 2
+        found = np.linalg.eigvals((of_error * z ** -(whole + 1.0))[:, None, None] * (seen @ self.inverse))
+        before, here = found[:-1], found[1:]
+        crossed = np.sum(np.abs(here - before), axis=1) > np.sum(np.abs(here[:, ::-1] - before), axis=1)
+        swapped = np.append(False, np.cumsum(crossed) % 2 == 1)
+        return np.where(swapped[:, None], found[:, ::-1], found)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far a loop is from instability. Infinite: no onset found within a factor of 2500."""
+
+    gain: float  # factor on the loop's gain
+    phase: float  # rad, lag in all directions alike; infinite where the gain never reaches 1
+    delay: float  # s, in addition to the loop's own
+    softest: float  # k may be this share of the model's everywhere, the shape of k(s) being right; below it rings
+    radius: float  # of the loop itself; the rest is 0 or NaN where it is not below 1
+
+    @property
+    def stable(self) -> bool:
+        return self.radius < 1.0
+
+
+def margins(loop: SampledLoop) -> Margins:
+    """The margins of a sampled loop."""
+    radius = loop.radius
+    if not radius < 1.0:
+        return Margins(0.0, 0.0, 0.0, np.nan, radius)
+
+    def stiffer(factor: float) -> SampledLoop:
+        return replace(loop, plant=loop.plant.stiffer(1.0 / factor))
+
+    def later(extra: float) -> SampledLoop:
+        return replace(loop, timing=replace(loop.timing, delay=loop.timing.delay + extra - _SHORTEST_DELAY))
+
+    return Margins(
+        gain=onset(lambda g: replace(loop, gains=replace(loop.gains, rate=g * loop.gains.rate))),
+        phase=phase_margin(loop),
+        delay=onset(later, first=_SHORTEST_DELAY) - _SHORTEST_DELAY,
+        softest=1.0 / onset(stiffer),
+        radius=radius,
+    )
+
+
+_SHORTEST_DELAY = 0.01  # s: delays are scanned from here in equal ratios
+
+
+def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
+    """The smallest number above `first` at which the loop `of` it is unstable; to 1e-4 of it."""
+    low = first
+    for _ in range(_MOST_SCAN_STEPS):
+        high = low * _SCAN_RATIO
+        if of(high).radius >= 1.0:
+            while high - low > 1e-4 * low:
+                middle = 0.5 * (low + high)
+                low, high = (low, middle) if of(middle).radius >= 1.0 else (middle, high)
+            return 0.5 * (low + high)
+        low = high
+    return np.inf
+
+
+def phase_margin(loop: SampledLoop) -> float:
+    """rad: the least further lag, in all directions alike, at which a locus meets -1."""
+    loci = loop.loci(frequencies(loop.timing))
+    return min((_least_lag(curve) for curve in loci.T), default=np.inf)
+
+
+def frequencies(timing: Timing) -> Array:
+    """rad/s: from far below the loop's rate to half the frame rate."""
+    return np.geomspace(1e-4, 1.0, _FREQUENCIES) * np.pi * timing.fps
+
+
+def _least_lag(curve: ComplexArray) -> float:
+    size, angle = np.log(np.abs(curve)), np.unwrap(np.angle(curve))
+    at = np.flatnonzero(size[:-1] * size[1:] < 0.0)
+    share = size[at] / (size[at] - size[at + 1])
+    lags = np.mod(angle[at] + share * (angle[at + 1] - angle[at]) + np.pi, 2.0 * np.pi)
+    return float(np.min(lags, initial=np.inf))
+
+
+def _split(timing: Timing) -> tuple[int, float]:
+    """The delay in frames: whole ones, and the rest in [0, 1)."""
+    frames = timing.delay * timing.fps
+    whole = int(np.floor(frames + 1e-9))
+    return whole, max(frames - whole, 0.0)
+
+
+# The force on the beam, felt while the loop runs: what is asked of the robot is put right by it.
+#
+# A robot that is asked for a force gives another one: its own estimate of the force is off, and its hand has
+# friction. The force felt in a frame is compared with the force that was wanted at the moment it shows, behind two
+# filters as the position is, at half its rate. Where the camera sees the point, its position alone corrects the
+# force, and how much more is felt than wanted is remembered. Where it does not, an offset is added to what is asked
+# for, so that as much is felt as then or, where the point never was seen, as is wanted. With C the covariance of what
+# is felt and `sd^2 I` that of how far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
+#
+# A force that was told by the model from the beam's shape is the force under which the model has this shape. Where
+# all of k(s) is wrong by a factor it is wrong by that factor, and so is the force that the model wants for a goal:
+# the beam still comes to the goal, which with the true force it does not.
+
+# Of the position's rate and corner: inertia counts as force, in the direction in which little force bends the beam too.
+_SLOWER = 0.5
+_MOST_OFF = 3.0  # sds: a robot is not farther off than this; what is felt beyond is not the robot
+
+
+class Felt(Protocol):
+    """A force and how exactly it is known, as `learning.sensing.sense.LiveForce` has them."""
+
+    @property
+    def force(self) -> Array:
+        """(2,) N on the beam, in its frame; NaN where nothing is known."""
+
+    @property
+    def covariance(self) -> Array:
+        """(2, 2) N^2."""
+
+
+@dataclass(frozen=True)
+class FeltForce:
+    """A force and how exactly it is known."""
+
+    force: Array  # (2,) N
+    covariance: Array  # (2, 2) N^2
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What is added to the force that is asked for, and what it goes on from."""
+
+    force: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N
+    more: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N felt than wanted, when the point was seen last
+    correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at the moment of exposure
+    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) N more, behind the first filter and both
+    frame_at: float = 0.0  # s: when the last frame that told a force arrived
+
+
+@dataclass(frozen=True)
+class FeltFrame:
+    """A frame that told a force."""
+
+    felt: Felt
+    wanted: Array  # (2,) N on the beam at the moment of exposure, by the feedforward
+    correction: Array  # (2,) N, the integral of the position now
+    seen: bool  # whether it showed the point as well
+    time: float  # s, when it arrived
+    late: float  # s, from exposure to then
+
+
+def felt_in(offset: Offset, frame: FeltFrame, gains: Gains, *, fps: float, sd: float) -> Offset:
+    """After a frame; `sd` N of how far the robot's force is off."""
+    told = np.asarray(frame.felt.force, dtype=float)
+    passed = min(frame.time - offset.frame_at, 1.0 / fps)
+    if not (passed > 0.0 and np.isfinite(told).all()):
+        return offset
+    then = frame.correction + np.exp(-passed / max(frame.late, 1e-9)) * (offset.correction - frame.correction)
+    keep = np.exp(-_SLOWER * gains.corner * passed)
+    once = keep * offset.filtered[0] + (1.0 - keep) * (told - frame.wanted - then)
+    twice = keep * offset.filtered[1] + (1.0 - keep) * once
+    filtered = np.stack([once, twice])
+    if frame.seen:
+        return Offset(offset.force, twice, then, filtered, frame.time)
+    believed = believed_share(np.asarray(frame.felt.covariance, dtype=float), sd)
+    step = believed @ (offset.more - twice) - (np.eye(2) - believed) @ offset.force
+    force = offset.force + _SLOWER * gains.rate * passed * step
+    size = float(np.linalg.norm(force))
+    return Offset(force * min(1.0, _MOST_OFF * sd / max(size, 1e-300)), offset.more, then, filtered, frame.time)
+
+
+def believed_share(covariance: Array, sd: float) -> Array:
+    """(2, 2) of a difference that is believed: `sd^2 (sd^2 I + C)^-1`."""
+    return np.asarray(sd**2 * np.linalg.inv(sd**2 * np.eye(2) + covariance))
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """What there is to be seen in a frame of a simulated loop."""
+
+    time: float  # s
+    force: Array  # (2,) N on the beam
+    pose: Callable[[Array], Array]  # of places (m,): (m, 3) m, m, rad, the beam there
+
+
+class ForceSense(Protocol):
+    """What tells a simulated loop the force in a frame."""
+
+    def __call__(self, seen: Exposure) -> Felt | None:
+        """None: nothing."""
+
+
+class LoggedForce:
+    """A force sensor: off by `bias` (2,) N, with noise of sd `noise` N; `sd` N is how exactly it is said to be."""
+
+    def __init__(self, bias: Array, *, noise: float = 0.0, sd: float = 0.0, seed: int = 0) -> None:
+        self._bias, self._noise, self._rng = np.asarray(bias, dtype=float), noise, np.random.default_rng(seed)
+        self._covariance = sd**2 * np.eye(2)
+
+    def __call__(self, seen: Exposure) -> FeltForce:
+        """The force of this frame."""
+        told = seen.force + self._bias + self._noise * self._rng.standard_normal(2)
+        return FeltForce(told, self._covariance)
+
+
+# The fastest integral gain that keeps the margins for the model's k(s), and for k(s) softer and stiffer.
+
+_CORNERS = np.geomspace(1.0, 100.0, 13)  # rad/s, of the filter
+_FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, rates of the integral
+
+
+@dataclass(frozen=True)
+class RequiredMargins:
+    """The margins that a loop must have at every stiffness it may meet."""
+
+    gain: float = 2.0  # factor
+    phase: float = np.deg2rad(40.0)  # rad
+    k_error: float = 0.3  # share by which all of k(s) may be wrong, either way
+
+    def __post_init__(self) -> None:
+        if not (self.gain > 1.0 and 0.0 < self.phase < 0.5 * np.pi and 0.0 <= self.k_error < 1.0):
+            raise ControlError(
+                "wanted margins are a gain above 1, a phase between 0 and a right angle, and an error of k below 1, "
+                f"got {self.gain:g}, {np.rad2deg(self.phase):g} deg and {self.k_error:g}"
+            )
+
+
+def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: RequiredMargins) -> Gains:
+    """Gains for plants, each with the map (2, 2) [N/m] from error to force that is used there.
+
+    For each corner the largest rate whose loci keep the margins, taken from the loci at rate 1; then the corner that
+    allows the largest rate.
+    """
+    best = Gains(_SLOWEST, float(_CORNERS[0]))
+    grid = frequencies(timing)
+    for corner in _CORNERS:
+        rate = min(
+            _largest(SampledLoop(plant.stiffer(factor), inverse, Gains(1.0, float(corner)), timing).loci(grid), wanted)
+            for plant, inverse in plants
+            for factor in (1.0 - wanted.k_error, 1.0, 1.0 + wanted.k_error)
+        )
+        if rate > best.rate:
+            best = Gains(rate, float(corner))
+    return best
+
+
+def _largest(loci: ComplexArray, wanted: RequiredMargins) -> float:
+    """The largest factor on loci (R, 2) that begin at -90 degrees and keep both margins, at every resonance too."""
+    lag, size = -np.unwrap(np.angle(loci), axis=0), np.abs(loci)
+    unit = float(np.max(size, initial=1e-9, where=lag > np.pi - wanted.phase))
+    real = float(np.max(size, initial=1e-9, where=lag > np.pi))
+    return min(_FASTEST, 1.0 / unit, 1.0 / (wanted.gain * real))
+
+
+# The closed loop: the model's force for a goal, corrected by what the camera sees.
+#
+# The model gives forces that lead from the beam's present state to the goal (feedforward), and the positions that
+# belong to them (the reference). In every frame the measured position is compared with the reference at the time of
+# exposure. The error is filtered, multiplied by the inverse compliance of the model at that working point, and
+# integrated (integral action in task space). Where k(s) is wrong, the integral converges to the force that was
+# missing. Where the force on the beam is felt as well, the robot is asked for more or less until it is the wanted one
+# (`felt.py`).
+
+_REFERENCE_PLACES = 33  # of the reference path
+_GOAL_TOLERANCE = 1e-4  # share of the length by which the path's end may miss the goal
+_COARSE_RESOLUTION = Resolution(8)  # of the shape behind the map from error to force, which need not be exact
+_COMPLIANCE_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)  # of the model's compliance
+# Share of the length: an error of the position this large is as likely as a factor e in k.
+_POSITION_TRUST = 0.02
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What is known about the loop, and the margins it must have."""
+
+    timing: Timing = field(default_factory=Timing)  # as known or guessed
+    longest_delay: float = 0.1  # s: the margins are kept up to here
+    damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
+    wanted: RequiredMargins = field(default_factory=RequiredMargins)
+    gains: Gains | None = None  # None: the fastest that keep the margins
+    weak: float = 0.01  # a direction whose compliance is below this share of the largest is corrected slowly
+    most_force: float = inf  # N, the bound on the wanted force; `felt` adds to it what the robot lacks
+    force_sd: float = 0.2  # N, of how far the robot's force is off; counts where the force is felt
+    rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
+    feedforward: bool = True
+    feedback: bool = True
+
+    def __post_init__(self) -> None:
+        if not (self.most_force > 0.0 and self.weak > 0.0 and 0.0 < self.damping_ratio < 1.0):
+            raise ControlError(
+                "a loop needs a bound on the force and a share `weak` above zero, and a damping ratio between 0 and 1, "
+                f"got {self.most_force} N, {self.weak} and {self.damping_ratio}"
+            )
+        if not (isfinite(self.force_sd) and self.force_sd > 0.0):
+            raise ControlError(f"a robot's force is off by a finite sd above zero, got {self.force_sd} N")
+        if not isfinite(self.longest_delay) or self.longest_delay < 0.0:
+            raise ControlError(f"the longest delay must be finite and not negative, got {self.longest_delay} s")
+        if self.rise is not None and not (isfinite(self.rise) and self.rise > 0.0):
+            raise ControlError(f"the way to a goal takes a positive time, got {self.rise} s")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the model's beam is on its way to the goal: P places, at equal steps of the force."""
+
+    begins: Array  # (2,) N
+    ends: Array  # (2,) N
+    rise: float  # s
+    xy: Array  # (P, 2) m: the point's positions
+
+    def share(self, time: float) -> float:
+        """Of the way, `time` s after its start: the quintic that starts and ends without velocity or acceleration."""
+        x = min(max(time / self.rise, 0.0), 1.0)
+        return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+    def force(self, time: float) -> Array:
+        """(2,) N."""
+        return np.asarray(self.begins + self.share(time) * (self.ends - self.begins))
+
+    def position(self, time: float) -> Array:
+        """(2,) m."""
+        low, part = self._place(time)
+        return np.asarray((1.0 - part) * self.xy[low] + part * self.xy[low + 1])
+
+    def _place(self, time: float) -> tuple[int, float]:
+        along = self.share(time) * (len(self.xy) - 1)
+        low = min(int(along), len(self.xy) - 2)
+        return low, along - low
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """The state of a controller. `Controller.begin` makes the first."""
+
+    began: float  # s
+    correction: Array  # (2,) N: the integral
+    filtered: Array  # (2, 2) m: the error behind the first filter, and behind both
+    frame_at: float  # s: when the last frame that counted arrived
+    offset: Offset = field(default_factory=Offset)  # what the felt force adds to what is asked for
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A controller for one goal. It is constant; what changes is its `ControllerState`."""
+
+    beam: Beam
+    goal: Array  # (2,) m
+    push_s: float
+    point_s: float
+    gravity: Array  # (2,) m/s^2
+    reference: Reference
+    inverse: Array  # (2, 2) N/m: the map from position error to force at the goal
+    plant: Plant  # the model at the goal
+    gains: Gains
+    settings: ControllerSettings
+
+    @one_blas_thread
+    def begin(self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)) -> ControllerState:
+        """The state in which the way to the goal starts at `time` s; `offset` (2,) N: of the state before."""
+        carried = np.asarray(correction, dtype=float)
+        begun = Offset(np.asarray(offset, dtype=float), carried, frame_at=time)
+        return ControllerState(time, carried, np.zeros((2, 2)), time, begun)
+
+    @one_blas_thread
+    def step(
+        self, state: ControllerState, seen: ArrayLike | None, time: float, *, felt: Felt | None = None
+    ) -> tuple[ControllerState, Array]:
+        """The force (2,) N to ask for from `time` s on, and the state after it.
+
+        `seen`: the point's position (2,) m in a frame that has just arrived; None where none has, NaN where the point
+        was hidden in it. Both leave the integral as it is. `felt`: the force on the beam in a frame that has just
+        arrived, as a sensor or the beam's shape tells it. Call it as often as the force can be set.
+        """
+        shown = False
+        if seen is not None and self.settings.feedback:
+            position = np.asarray(seen, dtype=float)
+            if position.shape != (2,):
+                raise ControlError(f"the loop sees one position (2,) [m], got shape {position.shape}")
+            shown = isfinite(position[0]) and isfinite(position[1])
+            if shown:
+                state = self._corrected(state, position, time)
+        if felt is not None:
+            timing = self.settings.timing
+            late = timing.delay + timing.lag
+            wanted = self._feedforward(time - state.began - late)
+            frame = FeltFrame(felt, wanted, state.correction, shown, time, late)
+            put_right = felt_in(state.offset, frame, self.gains, fps=timing.fps, sd=self.settings.force_sd)
+            state = replace(state, offset=put_right)
+        return state, self._wished(state, time)
+
+    @one_blas_thread
+    def margins(self) -> Margins:
+        """How far the loop at the goal is from ringing, k(s) being the model's."""
+        return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
+
+    def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
+        """The state after one frame. A gap counts as one frame: time without a measurement adds no correction."""
+        since = time - state.began
+        passed = min(time - state.frame_at, 1.0 / self.settings.timing.fps)
+        if not passed > 0.0:
+            return state
+        late = self.settings.timing.delay + self.settings.timing.lag
+        error = self.reference.position(since - late) - position
+        keep = np.exp(-self.gains.corner * passed)
+        once = keep * state.filtered[0] + (1.0 - keep) * error
+        twice = keep * state.filtered[1] + (1.0 - keep) * once
+        feedforward = self._feedforward(since)
+        inverse = self.inverse_at(feedforward + state.correction, since)
+        correction = state.correction + self.gains.rate * passed * inverse @ twice
+        within = bounded(feedforward + correction, self.settings.most_force) - feedforward
+        return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
+
+    def inverse_at(self, force: Array, since: float) -> Array:
+        """(2, 2) N/m: the map from position error to force where the beam stands under `force` at `since` s.
+
+        Among the beams with k(s) of the model times 1/c, the one nearest to the reference under this force is taken.
+        Its shape is that of the model under c times the force, its compliance c times the model's there. Where the
+        model has no stable shape, the map at the goal is used.
+        """
+        point = np.array([self.point_s])
+        x, y = self.gravity.tolist()
+        under = prepared(self.beam, self.push_s, self.point_s, (x, y), _COARSE_RESOLUTION).loaded(np.append(force, 0.0))
+        solved = follow(under.take(np.zeros(len(_COMPLIANCE_SCALES), dtype=int)).loaded(_COMPLIANCE_SCALES))
+        off = solved.xy(point)[:, 0] - self.reference.position(since)
+        cost = np.sum(off**2, axis=1) + (_POSITION_TRUST * self.beam.length * np.log(_COMPLIANCE_SCALES)) ** 2
+        cost[~(solved.converged & solved.stable)] = inf
+        best = int(np.argmin(cost))
+        if not isfinite(cost[best]):
+            return self.inverse
+        compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(point)[best, 0]
+        return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
+
+    def _wished(self, state: ControllerState, time: float) -> Array:
+        wanted = self._feedforward(time - state.began) + state.correction
+        return bounded(wanted, self.settings.most_force) + state.offset.force
+
+    def _feedforward(self, since: float) -> Array:
+        return self.reference.force(since) if self.settings.feedforward else self.reference.begins
+
+
+def bounded(force: Array, most: float) -> Array:
+    """(2,) N: the force, shortened to `most`."""
+    size = hypot(force[0], force[1])
+    return force if size <= most else np.asarray(force * (most / size))
+
+
+@one_blas_thread
+def controller(
+    beam: Beam,
+    goal: ArrayLike,
+    *,
+    push_s: float = 1.0,
+    point_s: float = 1.0,
+    gravity: ArrayLike = (0.0, 0.0),
+    start: ArrayLike = (0.0, 0.0),
+    settings: ControllerSettings = ControllerSettings(),
+) -> Controller:
+    """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
+    wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
+    result = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
+    if not result.converged:
+        raise ControlError(result.reason)
+    ends = result.force
+    forces = begins + np.linspace(0.0, 1.0, _REFERENCE_PLACES)[:, None] * (ends - begins)
+    solved = equilibrium(beam, push(forces, push_s) + weight(gravity))
+    xy = solved.xy(np.array([point_s]))[:, 0]
+    if not np.all(solved.converged & solved.stable) or np.linalg.norm(xy[-1] - wanted) > _GOAL_TOLERANCE * beam.length:
+        raise ControlError(
+            f"the force cannot go straight from {np.round(begins, 4)} N to the goal's {np.round(ends, 4)} N: the beam "
+            "would snap through on the way. Give goals between"
+        )
+    compliance = respond(solved, of_force(solved.problem, np.array([push_s]))).xy(np.array([point_s]))[-1, 0]
+    inverse = damped_inverse(compliance, settings.weak)
+    places = (_REFERENCE_PLACES // 2, _REFERENCE_PLACES - 1)
+    plants = [
+        plant_at(beam, forces[i], push_s=push_s, point_s=point_s, damping_ratio=settings.damping_ratio, gravity=gravity)
+        for i in places
+    ]
+    late = replace(settings.timing, delay=max(settings.longest_delay, settings.timing.delay))
+    ways = [(plant, damped_inverse(plant.compliance, settings.weak)) for plant in plants]
+    gains = settings.gains or tuned(ways, late, settings.wanted)
+    periods = [4.0 * np.pi / plant.omega[0] for plant in plants if len(plant.omega)]
+    rise = settings.rise if settings.rise is not None else max([1.0, *periods])
+    reference = Reference(begins, ends, rise, xy)
+    down = np.asarray(gravity, dtype=float)
+    return Controller(beam, wanted, push_s, point_s, down, reference, inverse, plants[-1], gains, settings)
+
+
+def damped_inverse(compliance: Array, weak: float) -> Array:
+    """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`. A direction with little compliance is corrected slowly."""
+    least = weak * np.linalg.norm(compliance, 2)
+    return np.asarray(compliance.T @ np.linalg.inv(compliance @ compliance.T + least**2 * np.eye(2)))
+
+
+def _as_reach(gravity: ArrayLike, settings: ControllerSettings) -> ReachSettings:
+    x, y = np.asarray(gravity, dtype=float)
+    most = settings.most_force if isfinite(settings.most_force) else None
+    return ReachSettings(gravity=(float(x), float(y)), max_force=most)

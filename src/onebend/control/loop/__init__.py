@@ -1,1 +1,0 @@
-"""The closed loop: design with margins, correction by what the camera sees, simulation in full motion."""

@@ -1,0 +1,355 @@
+"""Simulation of the closed loop: a beam that is not the model, in full motion (7), with an actuator and a camera."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from onebend.beam.dynamics import Actions, Body, acting, body
+from onebend.beam.grid import Modes
+from onebend.beam.integration import Method, MotionState, Stepper, tableau
+from onebend.beam.model import Beam
+from onebend.beam.problem import has_mass
+from onebend.beam.stiffness import Profile, Scaled, UncertainStiffness, Uniform
+from onebend.beam.vibration import settle, vibration_of
+from onebend.control.loop import Controller, ControllerSettings, Exposure, ForceSense, RequiredMargins, Timing
+from onebend.errors import ControlError, MechanicsError
+from onebend.progress import one_blas_thread
+from onebend.records import Array
+
+TICK = 1.0 / 120.0  # s, between two forces
+AXIS_PLACES = np.linspace(0.0, 1.0, 41)  # s, of the beam's axis in `LoopSimulation`
+_METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as the strong damping up there does
+
+
+@dataclass(frozen=True)
+class LoopCamera:
+    """The camera and all that lies between it and the controller."""
+
+    fps: float = 30.0
+    delay: float = 0.05  # s, from exposure to arrival
+    jitter: float = 0.0  # s, sd of the delay of a frame
+    noise: float = 5e-5  # m, sd of each coordinate
+    dropped: float = 0.0  # share of frames that never arrive
+    hidden: tuple[tuple[float, float], ...] = ()  # s, times in which the point is not seen
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """The robot that applies the force."""
+
+    lag: float = 0.02  # s, time constant
+    gain: float = 1.0
+    bias: tuple[float, float] = (0.0, 0.0)  # N
+
+
+@dataclass(frozen=True)
+class TrueSystem:
+    """The simulated real beam, its camera and its actuator."""
+
+    beam: Beam
+    damping_ratio: float = 0.05  # of the slowest vibration about rest
+    push_s: float = 1.0
+    point_s: float = 1.0
+    gravity: tuple[float, float] = (0.0, 0.0)
+    eye: LoopCamera = field(default_factory=LoopCamera)
+    hand: Actuator = field(default_factory=Actuator)
+    modes: int = 8
+
+
+@dataclass(frozen=True)
+class LoopSimulation:
+    """A simulated run at T times."""
+
+    goal: Array  # (2,) m
+    time: Array  # (T,) s
+    xy: Array  # (T, 2) m, where the point was
+    asked: Array  # (T, 2) N, the force that the controller asked for
+    force: Array  # (T, 2) N, the force on the beam
+    axis: Array  # (T, P, 2) m, the beam's axis at `AXIS_PLACES`
+
+    @property
+    def error(self) -> Array:
+        """(T,) m, distance from the goal."""
+        return np.asarray(np.linalg.norm(self.xy - self.goal, axis=1))
+
+    def steady(self, last: float = 1.0) -> float:
+        """m: the largest distance from the goal in the last seconds."""
+        return float(np.max(self.error[self.time > self.time[-1] - last]))
+
+    def settled(self, within: float) -> float:
+        """s: time from which the point stays `within` m of the goal. Infinite where it does not do so for at least
+        the last second."""
+        if self.steady() > within:
+            return np.inf
+        outside = np.flatnonzero(self.error > within)
+        return float(self.time[outside[-1] + 1]) if outside.size else 0.0
+
+
+@one_blas_thread
+def simulate_loop(
+    control: Controller,
+    truth: TrueSystem,
+    duration: float,
+    *,
+    seed: int = 0,
+    tick: float = TICK,
+    feel: ForceSense | None = None,
+) -> LoopSimulation:
+    """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s. `feel` tells the
+    force in every frame that arrives, hidden point or not; it may remember, so give each run its own.
+
+    Raises:
+        MechanicsError: the beam's mass is not known, or its motion could not be followed.
+    """
+    arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
+    moving = _MovingBeam(truth, tick)
+    state = control.begin(0.0)
+    rows = np.zeros((int(np.ceil(duration / tick)) + 1, 7))
+    axis, bent = np.zeros((len(rows), len(AXIS_PLACES), 2)), np.zeros((len(rows), moving.body.n))
+    for i, row in enumerate(rows):
+        row[1:3], axis[i] = moving.point_and_axis()
+        row[0], row[5:], bent[i] = i * tick, moving.force, moving.theta
+        state, row[3:5] = control.step(state, None, row[0])
+        while arrivals and arrivals[0][0] <= row[0] + 1e-9:
+            _, exposed, noise = arrivals.popleft()
+            first = max(0, int(exposed / tick))
+            before = rows[first : i + 1]
+            position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
+            felt = None if feel is None else feel(_exposure(moving, exposed, before, bent[first : i + 1]))
+            state, row[3:5] = control.step(state, position, row[0], felt=felt)
+        moving.advance(row[3:5], row[0])
+    return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:], axis)
+
+
+def _exposure(moving: _MovingBeam, exposed: float, rows: Array, bent: Array) -> Exposure:
+    """At `exposed` s, between the first two of the `rows` or at the only one, where the modes were `bent`."""
+    share = 0.0 if len(rows) < 2 else min((exposed - rows[0, 0]) / (rows[1, 0] - rows[0, 0]), 1.0)
+    last = min(1, len(rows) - 1)
+    force, theta = ((1.0 - share) * each[0] + share * each[last] for each in (rows[:, 5:], bent))
+    return Exposure(exposed, force, lambda s: moving.pose(theta, s))
+
+
+class _MovingBeam:
+    """The true beam in motion behind its actuator. Lives only inside `simulate_loop`."""
+
+    def __init__(self, truth: TrueSystem, tick: float) -> None:
+        self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
+        self._numbers = tableau(_METHOD)
+        self._stepper = Stepper(self.body, self._numbers, tick, tolerance=1e-8)
+        places = np.array([truth.push_s, truth.point_s, *AXIS_PLACES])
+        levers = self.body.length * self.body.grid.integral_to(places)
+        self._lever, self._places = levers[0], levers[1:]
+        weighed = Actions(gravity=truth.gravity)
+        self._weight = acting(self.body, weighed, tick * self._numbers.c)
+        start = settle(self.body, weighed)
+        self.theta, self._momentum, self.force = start.theta, np.zeros(self.body.n), np.zeros(2)
+        self._guess = np.zeros((self.body.n, len(self._numbers.c)))
+
+    def point_and_axis(self) -> tuple[Array, Array]:
+        """(2,) m, where the point is; (P, 2) m, the beam's axis."""
+        alpha = self.body.rest_angle + self.body.to_angle @ self.theta
+        found = self._places @ np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
+        return found[0], found[1:]
+
+    def pose(self, theta: Array, s: Array) -> Array:
+        """(m, 3) m, m, rad: the beam at `s` (m,) where its modes are `theta`."""
+        alpha, grid = self.body.rest_angle + self.body.to_angle @ theta, self.body.grid
+        along = self.body.length * grid.integral_to(s)
+        return np.column_stack([along @ np.cos(alpha), along @ np.sin(alpha), grid.value_at(s) @ alpha])
+
+    def advance(self, asked: Array, now: float) -> None:
+        """One tick with the force going to what is asked for, by the actuator's lag."""
+        goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
+        decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
+        force = goes_to + decay[:, None] * (self.force - goes_to)
+        pull = self._weight.pull + self._lever[:, None] * force[:-1].T[:, None]
+        acts = replace(self._weight, pull=pull, force=force[:-1])
+        step = self._stepper.advance(self.theta, self._momentum, self._guess, acts, now)
+        self.theta, self._momentum, self.force = step.theta, step.momentum, force[-1]
+        self._guess = step.velocity @ self._numbers.ahead.T
+
+
+def damped_body(truth: TrueSystem) -> Body:
+    """The true beam in curvature modes, its internal damping in proportion to k(s)."""
+    plain = body(truth.beam, Modes(truth.modes))
+    slowest = float(vibration_of(plain, MotionState(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
+    damping = Scaled(truth.damping_ratio / (np.pi * slowest), truth.beam.stiffness)
+    return body(truth.beam, Modes(truth.modes), damping=damping)
+
+
+def _frames(eye: LoopCamera, duration: float, rng: np.random.Generator) -> deque[tuple[float, float, Array]]:
+    """Arrival, exposure and noise (2,) of every frame, in the order of arrival; NaN where the point is hidden."""
+    exposed = np.arange(0.0, duration, 1.0 / eye.fps)
+    arrives = exposed + np.maximum(eye.delay + eye.jitter * rng.standard_normal(len(exposed)), 0.0)
+    noise = eye.noise * rng.standard_normal((len(exposed), 2))
+    for first, last in eye.hidden:
+        noise[(exposed >= first) & (exposed < last)] = np.nan
+    kept = np.flatnonzero(rng.random(len(exposed)) >= eye.dropped)
+    order = kept[np.argsort(arrives[kept], kind="stable")]
+    return deque((float(arrives[j]), float(exposed[j]), noise[j]) for j in order)
+
+
+# Robustness of a closed loop: it is simulated on beams softer and stiffer than the model, or drawn from its band.
+
+SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
+MOST_DRAWN = 100  # beams: each takes as long as it takes to simulate
+_LEAST_MASS = 0.01  # kg/m of a beam whose mass is not known: it then swings, quickly, as any beam does
+_PLACES = np.linspace(0.0, 1.0, 101)  # s, over which log k is averaged
+
+
+@dataclass(frozen=True)
+class TrialBeam:
+    """What the true beam is taken to be in a simulated loop."""
+
+    stiffness: Profile
+    factor: float  # k(s) over the model's; of a drawn beam the geometric mean over s
+    drawn: bool = False  # from the band; else the factor is the same everywhere
+
+
+@dataclass(frozen=True)
+class LoopTrial:
+    """One simulated loop. `run` is None where the beam snapped away."""
+
+    beam: TrialBeam
+    run: LoopSimulation | None
+
+    @property
+    def factor(self) -> float:
+        """k(s) over the model's, as of the beam."""
+        return self.beam.factor
+
+    @property
+    def steady(self) -> float:
+        """m: the largest distance from the goal in the last second."""
+        return float("inf") if self.run is None else self.run.steady()
+
+    def settled(self, within: float) -> float:
+        """s; infinite where it does not settle."""
+        return float("inf") if self.run is None else self.run.settled(within)
+
+
+def trial_settings(fps: float, delay: float, k_error: float = 0.3, most_force: float = math.inf) -> ControllerSettings:
+    """A controller's settings for a camera that is `delay` s late, with margins for k(s) wrong by `k_error`."""
+    return ControllerSettings(
+        timing=Timing(fps=fps, delay=delay),
+        longest_delay=max(0.1, delay),
+        wanted=RequiredMargins(k_error=k_error),
+        most_force=most_force,
+    )
+
+
+def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
+    """The model itself, and beams whose k(s) is `k_error` lower and higher everywhere.
+
+    Raises:
+        ControlError: an error of k that is not in [0, 1).
+    """
+    if not 0.0 <= k_error < 1.0:
+        raise ControlError(f"the error of k is a share from 0 to below 1, got {k_error}")
+    factors = (1.0, 1.0 - k_error, 1.0 + k_error) if k_error else (1.0,)
+    return tuple(TrialBeam(Scaled(factor, beam.stiffness), factor) for factor in factors)
+
+
+@one_blas_thread
+def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
+    """The model itself, and `count` beams as probable as the band of its k(s) says.
+
+    Raises:
+        ControlError: the model has no band, or the count is not from 1 to `MOST_DRAWN`.
+    """
+    if known is None:
+        raise ControlError("the model has no band to draw beams from: give an error of k instead, or learn with a band")
+    if not 1 <= count <= MOST_DRAWN:
+        raise ControlError(f"from 1 to {MOST_DRAWN} beams can be drawn, got {count}")
+    ours = np.log(beam.stiffness(_PLACES))
+    drawn = [
+        TrialBeam(one, float(np.exp(np.mean(np.log(one(_PLACES)) - ours))), drawn=True)
+        for one in known.draw(count, seed=seed)
+    ]
+    return (TrialBeam(beam.stiffness, 1.0), *drawn)
+
+
+def simulate_trials(
+    control: Controller,
+    beams: Iterable[TrialBeam],
+    *,
+    eye: LoopCamera = LoopCamera(),
+    duration: float = 8.0,
+    seed: int = 0,
+    force_off: float = 0.0,
+    feel: Callable[[Beam], ForceSense] | None = None,
+) -> Iterator[LoopTrial]:
+    """The loop on one beam after the other. A beam whose mass is not known is given a small one.
+
+    The robot's force is off by `force_off` [N], to the left of the force that the model needs; `feel` makes what tells
+    the force on the beam that moves.
+
+    Raises:
+        ControlError: a duration below two seconds, a force that is off by less than nothing.
+    """
+    if not duration >= 2.0:
+        raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
+    if not (np.isfinite(force_off) and force_off >= 0.0):
+        raise ControlError(f"a robot's force is off by a finite size, got {force_off} N")
+    x, y = along(control) * force_off
+    hand = Actuator(lag=control.settings.timing.lag, bias=(-float(y), float(x)))
+    for beam in beams:
+        truth = _true_system(control, beam, eye, hand)
+        yield LoopTrial(beam, _run(control, truth, duration, seed, None if feel is None else feel(truth.beam)))
+
+
+def along(control: Controller) -> Array:
+    """(2,) the direction of the force that the model needs; that of x where it needs none."""
+    force = control.reference.ends
+    size = float(np.linalg.norm(force))
+    return np.asarray(force / size) if size > 0.0 else np.array([1.0, 0.0])
+
+
+@one_blas_thread
+def simulate_range(
+    control: Controller,
+    *,
+    k_error: float = 0.3,
+    eye: LoopCamera = LoopCamera(),
+    duration: float = 8.0,
+    seed: int = 0,
+    force_off: float = 0.0,
+    feel: Callable[[Beam], ForceSense] | None = None,
+) -> tuple[LoopTrial, ...]:
+    """The loop on the `wrong_beams` of its model, as `simulate_trials`.
+
+    Raises:
+        ControlError: as `wrong_beams` and `simulate_trials`.
+    """
+    beams = wrong_beams(control.beam, k_error)
+    trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)
+    return tuple(trials)
+
+
+def _true_system(control: Controller, beam: TrialBeam, eye: LoopCamera, hand: Actuator) -> TrueSystem:
+    model = control.beam
+    mass = model.mass_per_length if has_mass(model) else Uniform(_LEAST_MASS)
+    return TrueSystem(
+        replace(model, stiffness=beam.stiffness, mass_per_length=mass),
+        damping_ratio=control.settings.damping_ratio,
+        push_s=control.push_s,
+        point_s=control.point_s,
+        gravity=(float(control.gravity[0]), float(control.gravity[1])),
+        eye=eye,
+        hand=hand,
+    )
+
+
+@one_blas_thread
+def _run(
+    control: Controller, truth: TrueSystem, duration: float, seed: int, feel: ForceSense | None
+) -> LoopSimulation | None:
+    try:
+        return simulate_loop(control, truth, duration, seed=seed, feel=feel)
+    except MechanicsError:
+        return None

@@ -1,1 +1,0 @@
-"""Goals in time to forces, or poses of a gripper, in time."""

@@ -1,0 +1,727 @@
+"""The force that puts a point of the beam on a goal, and which goals can be reached."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.continuation import ContinuationSettings, follow, refine
+from onebend.beam.grid import solve_each, transposed
+from onebend.beam.loads import Loads, push, twist, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, make_problem, make_problems, missed_by_angles
+from onebend.beam.sensitivity import of_stiffness, respond
+from onebend.beam.statics import Equilibrium, tangent
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.control.goals import BEYOND, METRES
+from onebend.control.loaded_beam import (
+    EquilibriumPath,
+    LoadedState,
+    NewtonResult,
+    PushedBeam,
+    ReachSettings,
+    StartTable,
+    broken_bound,
+    checked_goal,
+    densified,
+    lead,
+    paper_force,
+    prepared,
+    solve_goal,
+    starts_of,
+    trace,
+)
+from onebend.control.reach_set import NearestPoint, ReachableSet, reachable
+from onebend.errors import ControlError
+from onebend.progress import one_blas_thread
+from onebend.records import Array
+
+# Equilibria that are known beforehand, and the load for a goal near one of them.
+#
+# Forces in all directions and sizes are laid on a beam once; each equilibrium is followed from rest while its force
+# grows, and counts where it is stable. A goal near the place of one is a step away: its load and shape are predicted
+# by the derivatives there and corrected by Newton's method. As in `continuation.py` the step counts only where the
+# corrector moves the shape little beside the prediction and every tangent is positive: then it is on the same branch.
+
+_DIRECTIONS = 20
+_SIZES = 0.5 * 2.0 ** np.arange(6)  # times k / (L s_a^2): up to 16
+_WAY = ContinuationSettings(tolerance=1e-8, min_step=0.05, max_steps=7)  # what takes more steps is left out
+_TURN_WEIGHT = 0.03  # of L: the distance that a radian of turn weighs, so that of two ways the less bent is taken
+_LARGEST_STEP_TURN, _TRUST, _TRUST_GROWTH, _LEAST_TRUST = 0.7, 0.25, 0.5, 1e-3  # as in `continuation.py`
+_LEAST_DETERMINANT = 1e-9  # of the compliance, over its size squared: below it the goal does not say the force
+
+
+@dataclass(frozen=True)
+class KnownEquilibria:
+    """C stable equilibria of a `PushedBeam`, rest among them, and how they go with the force."""
+
+    q: Array  # (C, n) rad
+    force: Array  # (C, 2) N
+    places: Array  # (C, 2) m
+    bent: Array  # (C,) m^2: square of what its turn weighs
+    shape_by_force: Array  # (C, n, 2) rad/N: Y
+    force_by_place: Array  # (C, 2, 2) N/m: inverse of S
+
+
+def known_equilibria(pushed: PushedBeam) -> KnownEquilibria:
+    """Made once and remembered by the beam."""
+    key = (KnownEquilibria, pushed.push_s, pushed.point_s, pushed.gravity, pushed.resolution)
+    return pushed.beam.memory.once(key, lambda: _sampled(pushed))
+
+
+def step_to(pushed: PushedBeam, goal: Array) -> tuple[LoadedState, NewtonResult] | None:
+    """The known equilibrium nearest to a goal (2,), and where one step from it ends; None where that is no step."""
+    known = known_equilibria(pushed)
+    away = goal - known.places
+    i = int(np.argmin(away[:, 0] ** 2 + away[:, 1] ** 2 + known.bent))
+    change = known.force_by_place[i] @ away[i]
+    curve = known.shape_by_force[i] @ change
+    turn = float(np.abs(pushed.b @ curve).max())
+    if not turn < _LARGEST_STEP_TURN:
+        return None
+    x, y = known.force[i] + change
+    ahead = LoadedState(known.q[i] + curve, np.array([x, y, 0.0]))
+    result = solve_goal(pushed, ahead, goal, most=8, trust=min(_TRUST, _LEAST_TRUST + _TRUST_GROWTH * turn))
+    if not (result.converged and result.positive):
+        return None
+    return LoadedState(known.q[i], np.array([*known.force[i], 0.0])), result
+
+
+def _sampled(pushed: PushedBeam) -> KnownEquilibria:
+    turn = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
+    size = pushed.force_scale * np.concatenate([np.zeros(1), np.repeat(_SIZES, _DIRECTIONS)])
+    turn = np.concatenate([np.zeros(1), np.tile(turn, len(_SIZES))])
+    force = size[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    loads = push(force, pushed.push_s) + weight(pushed.gravity)
+    solved = follow(make_problem(pushed.beam, loads, pushed.resolution), settings=_WAY)
+    good = solved.converged & solved.stable
+    q, force = solved.q[good, : pushed.count], force[good]
+    alpha = q @ pushed.b.T + pushed.angles(np.zeros(pushed.count))
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    pulls = np.stack([-pushed.pull * sin[:, : pushed.count], pushed.pull * cos[:, : pushed.count]], axis=1)
+    matrices = tangent(solved.problem, solved.q)[good][:, : pushed.count, : pushed.count]
+    by_force = solve_each(matrices, transposed(pulls @ pushed.square))
+    moves = np.stack([-pushed.row * sin, pushed.row * cos], axis=1)
+    compliance = (moves @ pushed.b) @ by_force
+    places = np.stack([cos @ pushed.row, sin @ pushed.row], axis=-1)
+    turned = np.max(np.abs((q - pushed.start.q) @ pushed.b.T), axis=1)
+    weighs = (_TURN_WEIGHT * float(pushed.problem.length) * turned) ** 2
+    size = np.abs(np.linalg.det(compliance)) / np.maximum(np.sum(compliance**2, axis=(1, 2)), 1e-300)
+    told = size > _LEAST_DETERMINANT
+    inverse = np.linalg.inv(compliance[told])
+    return KnownEquilibria(q[told], force[told], places[told], weighs[told], by_force[told], inverse)
+
+
+# The search for an equilibrium with the point on its goal, connected to rest; the quickest attempts come first.
+
+_MOST_STARTS = 8  # starts that are tried
+_MOST_SAMPLES = 5  # sampled equilibria that the goal is led from
+_SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
+_FORCE_WITHOUT_BOUND = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
+_MOST_REFINEMENTS = 3  # halvings of the panels that are tried
+_SURELY_FINE = 0.01  # of the tolerance
+
+
+@dataclass(frozen=True)
+class ReachCandidate:
+    """Equilibria from rest to the last, which has the point on its goal."""
+
+    pushed: PushedBeam
+    states: tuple[LoadedState, ...]
+    iterations: int
+    wrong: str = ""  # the bound it breaks
+    known: bool = False  # one step from a known equilibrium, which is the state between
+
+
+def search(
+    pushed: PushedBeam,
+    goal: Array,
+    settings: ReachSettings,
+    begin: EquilibriumPath | None,
+    samples: Callable[[], ReachableSet],
+) -> ReachCandidate | None:
+    """An equilibrium on the goal that the beam comes to from rest; one out of bounds where there is no other."""
+    spare = None
+    for candidate in _tries(pushed, goal, settings, begin, samples):
+        wrong = broken_bound(pushed, candidate.states[-1], settings)
+        if not wrong:
+            return candidate
+        spare = spare or replace(candidate, wrong=wrong)
+    return spare
+
+
+def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -> Iterator[tuple[LoadedState, int]]:
+    """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
+    iterations, before = 0, list[LoadedState]()
+    for first in (True, False):
+        for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _MOST_STARTS)[1:]:
+            result = solve_goal(pushed, begin, goal, loads)
+            iterations += result.iterations
+            if not (result.converged and pushed.stable(result.state)):
+                continue
+            if not any(_same(pushed, result.state, known) for known in before):
+                before.append(result.state)
+                yield result.state, iterations
+
+
+def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
+    """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
+    trail = trace(pushed, state.load)
+    return trail if trail.arrived and _same(pushed, trail.states[-1], state) else None
+
+
+def _same(pushed: PushedBeam, first: LoadedState, other: LoadedState) -> bool:
+    return float(np.max(np.abs(pushed.b @ (first.q - other.q)))) < _SAME_SHAPE
+
+
+@lru_cache(maxsize=8)
+def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
+    """The reachable set within the settings, sampled coarsely."""
+    return reachable(
+        pushed.beam,
+        push_s=pushed.push_s,
+        point_s=pushed.point_s,
+        max_force=settings.max_force or float(_FORCE_WITHOUT_BOUND * pushed.force_scale),
+        max_curvature=settings.max_curvature,
+        direction=settings.direction,
+        directions=36,
+        sizes=8,
+        gravity=settings.gravity,
+    )
+
+
+def _tries(
+    pushed: PushedBeam,
+    goal: Array,
+    settings: ReachSettings,
+    begin: EquilibriumPath | None,
+    samples: Callable[[], ReachableSet],
+) -> Iterator[ReachCandidate]:
+    if begin is not None:
+        yield from _led(pushed, begin, goal, settings.loads)
+    elif len(goal) == settings.loads == 2:
+        step = step_to(pushed, goal)
+        if step is not None:
+            yield ReachCandidate(pushed, (pushed.start, step[0], step[1].state), step[1].iterations, known=True)
+    for state, count in solutions(pushed, starts_of(pushed), goal, settings.loads):
+        trail = from_rest(pushed, state)
+        if trail is not None:
+            yield ReachCandidate(pushed, trail.states, count)
+    for near in samples().samples_near(goal[:2], _MOST_SAMPLES):
+        yield from _led(pushed, trace(pushed, near.load), goal, settings.loads)
+
+
+def _led(pushed: PushedBeam, trail: EquilibriumPath, goal: Array, loads: int) -> Iterator[ReachCandidate]:
+    """The goal led on from the end of a way; its place first, then its angle."""
+    if not trail.arrived:
+        return
+    states, arrived = trail.states, True
+    for wanted, count in ((goal[:2], 2), (goal, 3))[: loads - 1]:
+        led = lead(pushed, states[-1], wanted, count)
+        states, arrived = (*states, *led.states[1:]), arrived and led.arrived
+    if arrived:
+        yield ReachCandidate(pushed, states, len(states) - 1)
+
+
+@lru_cache(maxsize=32)
+def _onto(pushed: PushedBeam, finer: PushedBeam) -> Array:
+    """Rows that give curvatures at the unknown nodes of a finer grid."""
+    return pushed.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
+
+
+def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) -> ReachCandidate:
+    """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance.
+
+    The grid at hand is fine enough where what its angles miss moves the point by less than a hundredth of it.
+    """
+    pushed = candidate.pushed
+    for _ in range(_MOST_REFINEMENTS):
+        last, grid = candidate.states[-1], pushed.problem.grid
+        q = pushed.whole(last.q)
+        if missed_by_angles(grid, q) * np.abs(q).max() * pushed.problem.length < _SURELY_FINE * settings.tolerance:
+            break
+        resolution = replace(pushed.resolution, widest=0.5 * float(np.diff(grid.edges).max()))
+        finer = prepared(pushed.beam, pushed.push_s, pushed.point_s, settings.gravity, resolution)
+        rows = _onto(pushed, finer)
+        exact = solve_goal(finer, LoadedState(rows @ q, last.load), goal, settings.loads, trust=0.1)
+        if exact.compliance is None or not finer.stable(exact.state):
+            break
+        moved = exact.compliance[:2] @ (exact.state.load - last.load)[: settings.loads]
+        if float(np.hypot(*moved)) < 0.1 * settings.tolerance:
+            break
+        states = tuple(LoadedState(rows @ pushed.whole(state.q), state.load) for state in candidate.states[:-1])
+        candidate, pushed = replace(candidate, pushed=finer, states=(*states, exact.state)), finer
+    return candidate
+
+
+# The force that brings a point of a beam to a goal: (23)-(25), exactly or by the paper's own iteration.
+#
+# `method="newton"`: Newton's method on shape and force together (`newton.py`) from a start near the goal
+# (`starts.py`). A solution counts only if it is stable and connected to rest by stable equilibria: as the force grows
+# in proportion, or else as the goal moves there from a sampled equilibrium (`search.py`). `method="paper"`: Algorithm
+# 1 exactly as printed (`paper_iteration.py`); its force is then applied to the exact beam.
+
+__all__ = ["Reach", "ReachSettings", "reach"]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """A force for a goal, or why there is none; then force and shape are those of the nearest point that was found."""
+
+    pushed: PushedBeam  # the beam, where it is pushed, the point
+    goal: Array  # (2,) m, or (3,) m, m, rad
+    settings: ReachSettings
+    states: tuple[LoadedState, ...]  # equilibria on one branch from rest to the last
+    reached: Array  # (3,) m, m, rad: the point and the tangent's angle there
+    converged: bool  # the point is on its goal, within all bounds, and the beam comes there from rest
+    reason: str
+    iterations: int  # of Newton's method, or of Algorithm 1
+    nearest: NearestPoint | None  # to a goal that cannot be reached
+    known: bool = False  # found one step from an equilibrium that was known beforehand
+
+    @property
+    def beam(self) -> Beam:
+        return self.pushed.beam
+
+    @property
+    def push_s(self) -> float:
+        return self.pushed.push_s
+
+    @property
+    def point_s(self) -> float:
+        return self.pushed.point_s
+
+    @property
+    def resolution(self) -> Resolution:
+        """The nodes of `solved`."""
+        return self.pushed.resolution
+
+    @property
+    def force(self) -> Array:
+        """(2,) N."""
+        return self.states[-1].load[:2].copy()
+
+    @property
+    def moment(self) -> float:
+        """N m."""
+        return float(self.states[-1].load[2])
+
+    @cached_property
+    @one_blas_thread
+    def solved(self) -> Equilibrium:
+        """The last shape, solved again under its load by the beam's own statics."""
+        last = self.states[-1]
+        return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
+
+    @cached_property
+    @one_blas_thread
+    def way(self) -> tuple[LoadedState, ...]:
+        """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
+        straight = from_rest(self.pushed, self.states[-1]) if self.known else None
+        return densified(self.pushed, self.states if straight is None else straight.states, self.settings.steps)
+
+    @property
+    def path(self) -> Array:
+        """(P, 3) N, N, N m: loads from rest, each an equilibrium on one branch."""
+        return np.array([state.load for state in self.way])
+
+    @property
+    def path_points(self) -> Array:
+        """(P, 2) m: where they hold the point."""
+        return np.array([self.pushed.pose(state.q)[:2] for state in self.way])
+
+    @property
+    def error(self) -> float:
+        """m, distance of the point from its goal."""
+        return float(np.linalg.norm(self.reached[:2] - self.goal[:2]))
+
+    @property
+    def stable(self) -> bool:
+        """Whether the shape is a stable equilibrium."""
+        return self.pushed.stable(self.states[-1])
+
+    @property
+    def loads(self) -> Loads:
+        """All that acts on the beam at last."""
+        weighs = weight(self.settings.gravity)
+        return weighs + push(self.force, self.push_s) + twist(self.moment, self.push_s)
+
+    def shapes(self, s: Array) -> Array:
+        """(P, S, 2) m: places `s` (S,) of the beam along the path."""
+        q = np.array([self.pushed.whole(state.q) for state in self.way])
+        return replace(self.solved, q=q).xy(s)
+
+
+@one_blas_thread
+def reach(
+    beam: Beam,
+    goal: ArrayLike,
+    *,
+    push_s: float = 1.0,
+    point_s: float = 1.0,
+    settings: ReachSettings = ReachSettings(),
+    start: Reach | None = None,
+) -> Reach:
+    """The force at `push_s` that puts the point at `point_s` on `goal`.
+
+    Args:
+        goal: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment.
+        start: an earlier result for the same beam and places, from which the goal is led first.
+
+    Returns:
+        the result; look at `converged` and `reason`: a goal that cannot be reached is not an error.
+
+    Raises:
+        ControlError: a goal, place or bound without meaning.
+        MechanicsError: k(s) is not positive somewhere.
+    """
+    wanted = checked_goal(goal, settings)
+    pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
+    if settings.method == "paper":
+        return _by_paper(pushed, wanted, settings)
+    samples = partial(sampled, pushed, settings)
+    begin = None if start is None else _way_of(pushed, start)
+    far, candidate = _too_far(pushed, wanted), None
+    if not far and settings.direction is None:
+        candidate = search(pushed, wanted, settings, begin, samples)
+        if candidate is not None and not candidate.wrong:
+            return _result(resolved(candidate, wanted, settings), wanted, settings, "")
+    return _unreached(pushed, wanted, settings, far or (candidate.wrong if candidate else ""), samples())
+
+
+def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
+    """The way to where an earlier result stands."""
+    if (start.push_s, start.point_s) != (pushed.push_s, pushed.point_s) or start.beam != pushed.beam:
+        raise ControlError("`start` is a result for another beam or other places; leave it out")
+    states = [pushed.start]
+    for state in start.states[1:]:
+        step = trace(pushed, state.load, start=states[-1])
+        if not step.arrived:
+            return EquilibriumPath(tuple(states), (0.0,), False)
+        states.append(step.states[-1])
+    return EquilibriumPath(tuple(states), (1.0,), True)
+
+
+def _too_far(pushed: PushedBeam, goal: Array) -> str:
+    """Why no shape at all can bring the point to the goal: it is too far away. Else empty."""
+    arm, away = float(pushed.problem.length) * pushed.point_s, float(np.hypot(*goal[:2]))
+    if away >= arm:
+        text = f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
+        return f"{text}. {METRES}" if away > BEYOND * float(pushed.problem.length) else text
+    return ""
+
+
+def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
+    """The nearest point to a goal that was not found; where that lies within the tolerance, the goal is reached."""
+    nearest = samples.nearest(goal[:2])
+    last = nearest.states[-1]
+    trail = from_rest(pushed, last)
+    states = nearest.states if trail is None else trail.states
+    there = nearest.distance <= settings.tolerance and len(goal) == 2
+    why = "" if there else _why(pushed, goal, settings, known, nearest)
+    return _result(ReachCandidate(pushed, states, len(states) - 1), goal, settings, why, None if there else nearest)
+
+
+def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: NearestPoint) -> str:
+    """One sentence on why the goal is not reached, one on the nearest alternative."""
+    if not known:
+        way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
+        most = "" if settings.max_force is None else f" of up to {settings.max_force:.3g} N"
+        bent = "" if settings.max_curvature is None else f" within {settings.max_curvature:.3g} 1/m"
+        load = "load" if settings.moment else "force"
+        known = f"no {load}{most}{way} has a stable shape{bent} there to which the beam comes from rest"
+    by = "a force and a moment" if settings.moment else "a force"
+    known += "" if known.endswith("?") else "."
+    angle = f" at {math.degrees(goal[2]):.4g} deg" if len(goal) > 2 else ""
+    return (
+        f"the point s = {pushed.point_s:.4g} cannot be put on ({1e3 * goal[0]:.4g}, {1e3 * goal[1]:.4g}) mm{angle} "
+        f"by {by} at s = {pushed.push_s:.4g}: {known} {_instead(pushed, settings, nearest)}"
+    )
+
+
+def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint) -> str:
+    """The nearest point that a force alone reaches, whatever angle was asked for."""
+    at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
+    needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
+    if settings.moment:
+        there = math.degrees(float(pushed.pose(nearest.states[-1].q)[2]))
+        needs += f" and no moment; the tangent is then at {there:.4g} deg"
+    if nearest.distance <= settings.tolerance:
+        held = "An end that is held can be stable where one under a load is not: see onebend shape --grip"
+        return f"A force alone brings the point there: {needs}. {held}"
+    return (
+        f"The nearest reachable point is ({at[0]:.4g}, {at[1]:.4g}) mm, {1e3 * nearest.distance:.3g} mm away; {needs}"
+    )
+
+
+def _result(
+    candidate: ReachCandidate, goal: Array, settings: ReachSettings, why: str, nearest: NearestPoint | None = None
+) -> Reach:
+    """The result; `why`: the reason if the goal is not reached, else empty."""
+    pushed, last = candidate.pushed, candidate.states[-1]
+    reached = pushed.pose(last.q)
+    allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance
+    close = np.linalg.norm(reached[:2] - goal[:2]) <= allowed
+    if not why and not (close and pushed.stable(last)):
+        why = "a force was found, but on nodes fine enough its shape is not stable, or not on the goal"
+    return Reach(
+        pushed=pushed,
+        goal=goal,
+        settings=settings,
+        states=candidate.states,
+        reached=reached,
+        converged=not why,
+        reason=why or "reached",
+        iterations=candidate.iterations,
+        nearest=nearest,
+        known=candidate.known,
+    )
+
+
+def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
+    """Algorithm 1, and what its force does to the exact beam."""
+    force = paper_force(pushed.beam, goal, pushed.push_s, pushed.point_s, settings.paper)
+    trail = trace(pushed, np.append(force.force, 0.0))
+    last = trail.states[-1]
+    if not force.converged:
+        why = f"the paper's iteration did not settle within {force.iterations} turns"
+    elif not trail.arrived:
+        why = "the paper's iteration ends at a force under which the exact beam has no stable shape on its branch"
+    else:
+        off = float(np.linalg.norm(pushed.pose(last.q)[:2] - goal))
+        near = off <= 2.0 * settings.paper.tolerance
+        why = (
+            ""
+            if near
+            else f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
+        )
+    return _result(ReachCandidate(pushed, trail.states, force.iterations), goal, settings, why)
+
+
+# One goal after another, for control loops: each force is found from the one before.
+
+_LARGEST_TURN = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
+
+
+@dataclass(frozen=True, slots=True)
+class HoldingLoad:
+    """The load that holds a point on its goal."""
+
+    force: Array  # (2,) N
+    moment: float  # N m
+    route: Literal["warm", "led", "rest"]  # Newton from the last load, small steps of the goal, or a search from rest
+    iterations: int  # of Newton's method; 0 where the search did not count them
+
+
+class WarmReach:
+    """A beam whose point moves from goal to goal under the load at one place; it remembers its state.
+
+    It stays on its branch of stable equilibria. A goal that is not on it is searched for from rest; a real beam may
+    reach that state only by a jump (`HoldingLoad.route` is then "rest"). Not for two threads at once.
+    """
+
+    @one_blas_thread
+    def __init__(
+        self,
+        beam: Beam,
+        *,
+        push_s: float = 1.0,
+        point_s: float = 1.0,
+        settings: ReachSettings = ReachSettings(),
+        resolution: Resolution = Resolution(),
+    ) -> None:
+        """The beam at rest.
+
+        Raises:
+            ControlError: a place without meaning, or settings that only `reach` knows (paper, one direction).
+        """
+        if settings.method != "newton" or settings.direction is not None:
+            raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
+        self._settings = settings
+        self._pushed = PushedBeam(beam, push_s, point_s, gravity=settings.gravity, resolution=resolution)
+        self._starts = starts_of(self._pushed)
+        self._state: LoadedState | None = None
+        self._last: NewtonResult | None = None
+
+    @property
+    def jacobian(self) -> Array:
+        """(2, 2) or (2, 3) m/N: how the point goes with the load, where the last `solve` ended. Equation (25)."""
+        if self._state is None:
+            raise ControlError("no goal has been reached yet: there is nothing to take derivatives of")
+        return self._pushed.response(self._state)[:2, : self._settings.loads]
+
+    @property
+    def point(self) -> Array:
+        """(3,) m, m, rad: where the point stands, and the tangent's angle there."""
+        return self._pushed.pose((self._state or self._pushed.start).q)
+
+    def reset(self) -> None:
+        """Back to rest."""
+        self._state = self._last = None
+
+    @one_blas_thread
+    def solve(self, goal: ArrayLike) -> HoldingLoad:
+        """The load for `goal` (2,) m, or (3,) with an angle [rad].
+
+        Raises:
+            ControlError: a goal without meaning, or one that cannot be reached (the beam stays where it is).
+        """
+        wanted = checked_goal(goal, self._settings)
+        if self._state is not None:
+            result = solve_goal(
+                self._pushed, self._predicted(wanted), wanted, self._settings.loads, most=8, trust=_LARGEST_TURN
+            )
+            if result.converged and result.positive:
+                return self._take(result.state, "warm", result.iterations, result)
+            led = lead(self._pushed, self._state, wanted, self._settings.loads)
+            if led.arrived:
+                return self._take(led.states[-1], "led", 0, None)
+        for state, iterations in solutions(self._pushed, self._starts, wanted, self._settings.loads):
+            if from_rest(self._pushed, state) is not None:
+                return self._take(state, "rest", iterations, None)
+        settled = search(self._pushed, wanted, self._settings, None, partial(sampled, self._pushed, self._settings))
+        if settled is None:
+            raise ControlError(
+                f"the point s = {self._pushed.point_s:.4g} cannot be put on "
+                f"{np.round(1e3 * wanted[:2], 3).tolist()} mm: no stable shape there to which the beam comes "
+                "from rest. `reach` names the nearest point"
+            )
+        return self._take(settled.states[-1], "rest", settled.iterations, None)
+
+    def _predicted(self, goal: Array) -> LoadedState:
+        """The state one step ahead, by the derivatives at hand: they cost nothing more."""
+        assert self._state is not None
+        state, last = self._state, self._last
+        if last is None or last.curvature_per_load is None or last.compliance is None:
+            return state
+        rows, columns = last.compliance.shape
+        if rows != columns or rows != len(goal):
+            return state
+        change = np.linalg.solve(last.compliance, goal - self._pushed.pose(state.q)[: len(goal)])
+        curve = last.curvature_per_load @ change
+        if not np.max(np.abs(self._pushed.b @ curve)) < 0.5 * _LARGEST_TURN:
+            return state
+        load = state.load.copy()
+        load[: len(change)] += change
+        return LoadedState(state.q + curve, load)
+
+    def _take(
+        self, state: LoadedState, route: Literal["warm", "led", "rest"], count: int, last: NewtonResult | None
+    ) -> HoldingLoad:
+        wrong = broken_bound(self._pushed, state, self._settings)
+        if wrong:
+            raise ControlError(f"the goal is out of bounds: {wrong}. Give another goal, or wider bounds")
+        self._state, self._last = state, last
+        return HoldingLoad(state.load[:2].copy(), float(state.load[2]), route, count)
+
+
+# The error of a reached point that follows from the band on k(s), through the exact equilibrium.
+
+SURE = 0.95  # probability of the ellipse that is shown and written
+
+
+def _squared_radius(level: float) -> float:
+    """Squared Mahalanobis distance within which a plane normal variable lies with probability `level`."""
+    return -2.0 * math.log1p(-level)
+
+
+@dataclass(frozen=True)
+class ErrorEllipse:
+    """Where a point lies with some probability."""
+
+    semi_axes: Array  # (2,) m, the longer first
+    angle: float  # rad, of the longer
+
+    def outline(self, count: int = 97) -> Array:
+        """(count, 2) m around the centre."""
+        turn = np.linspace(0.0, 2.0 * np.pi, count)
+        x, y = self.semi_axes[0] * np.cos(turn), self.semi_axes[1] * np.sin(turn)
+        cos, sin = math.cos(self.angle), math.sin(self.angle)
+        return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+@dataclass(frozen=True)
+class PredictedError:
+    """The reached point as a normal variable."""
+
+    point: Array  # (2,) m, under the most probable k(s)
+    mean: Array  # (2,) m: bending is not linear in log k, so it lies a little beside
+    covariance: Array  # (2, 2) m^2
+    lost: float  # share of the drawn beams that have no stable shape nearby: they would snap away
+
+    def ellipse(self, level: float = SURE) -> ErrorEllipse:
+        """The ellipse around `mean` that holds the real point with probability `level`."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        size = np.sqrt(np.maximum(values[::-1], 0.0) * _squared_radius(level))
+        return ErrorEllipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
+
+    def distance(self, xy: Array) -> Array:
+        """(...) squared Mahalanobis distance of places (..., 2): chi-square with 2 degrees of freedom."""
+        away = np.asarray(xy, dtype=float) - self.mean
+        return np.asarray(np.einsum("...i,ij,...j->...", away, np.linalg.pinv(self.covariance), away))
+
+    def holds(self, xy: Array, level: float = SURE) -> bool:
+        """Whether a place lies in the ellipse of `level`."""
+        return bool(self.distance(xy) <= _squared_radius(level))
+
+
+@one_blas_thread
+def predicted_error(
+    beam: Beam,
+    uncertain: UncertainStiffness,
+    result: Reach,
+    *,
+    same_sensor: bool = False,
+    draws: int = 400,
+    seed: int = 0,
+) -> PredictedError:
+    """The uncertainty of the point's position under the load that was found.
+
+    Args:
+        beam: the beam that was led to the goal.
+        uncertain: its k(s) with the band.
+        same_sensor: the force is given by the sensor that the beam was learned with. Then its scale error, which
+            makes all of k wrong alike, makes the force wrong as much, and cancels.
+        draws: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which
+            takes a millisecond, and makes the ellipse too thin where it is long.
+        seed: of the draws.
+
+    Raises:
+        ControlError: beam, band and result do not belong together; or so few of the beams within the band stand near
+            the shape that nothing can be said.
+    """
+    s = np.linspace(0.0, 1.0, 41)
+    if beam != result.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):
+        raise ControlError("the band is not that of the beam that was led: give beam, band and result of one model")
+    known = replace(uncertain, gain_sd=0.0) if same_sensor else uncertain
+    if draws == 0:
+        return PredictedError(result.reached[:2], result.reached[:2], _first_order(known, result), 0.0)
+    beams = [replace(beam, stiffness=profile) for profile in known.draw(draws, seed=seed)]
+    problem = make_problems(beams, result.loads, result.resolution)
+    solved = refine(problem, np.repeat(result.solved.q, draws, axis=0))
+    stands = solved.converged & solved.stable
+    if np.sum(stands) < max(3, draws // 2):
+        raise ControlError(
+            f"{np.sum(~stands)} of {draws} beams within the band do not stand under this load: its error has no bound. "
+            "Learn the beam better, or take a goal with a smaller force"
+        )
+    places = solved.xy(np.array([result.point_s]))[stands, 0]
+    return PredictedError(result.reached[:2], np.mean(places, axis=0), np.cov(places.T), float(np.mean(~stands)))
+
+
+def _first_order(known: UncertainStiffness, result: Reach) -> Array:
+    """(2, 2) m^2, by the derivatives of the equilibrium with log k."""
+    nodes = result.solved.problem.grid.nodes
+    basis = np.column_stack([known.basis(nodes), np.ones(len(nodes))])
+    functions = np.asarray(result.beam.stiffness(nodes))[:, None] * basis
+    moved = respond(result.solved, of_stiffness(result.solved, functions)).xy(np.array([result.point_s]))[0, 0]
+    if not np.all(np.isfinite(moved)):
+        raise ControlError("the shape is at a limit point, where the smallest error of k(s) is too much")
+    common = known.gain_sd**2 * np.outer(moved[:, -1], moved[:, -1])
+    return np.asarray(moved[:, :-1] @ known.covariance @ moved[:, :-1].T + common)

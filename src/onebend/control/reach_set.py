@@ -1,0 +1,704 @@
+"""The reachable set of a point of a beam: its positions under all forces at one place, up to a bound.
+
+Forces are sampled by direction and size; each shape is the equilibrium on the branch that grows from rest while the
+force grows in proportion, and counts only where it is stable. The nearest point to a goal is then found exactly, from
+the nearest samples on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import eigvalsh
+from scipy.optimize import brentq
+
+from onebend.beam.continuation import follow
+from onebend.beam.loads import push, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, make_problem
+from onebend.control.goals import numbers
+from onebend.control.loaded_beam import (
+    LoadedState,
+    PushedBeam,
+    ReachSettings,
+    checked_goal,
+    prepared,
+    solve_goal,
+    trace,
+)
+from onebend.errors import ControlError
+from onebend.progress import one_blas_thread
+from onebend.records import Array, BoolArray, IntArray
+
+_START_SAMPLES = 4  # samples from which the nearest point is sought
+_MOST_STEPS = 60  # steps of the search
+_LEAST_SHARE_OF_LENGTH = 1e-9  # of L: a step that brings the point no nearer than this ends the search
+_SHORTEST_SEARCH_STEP, _SHORTEST_FOLLOW = (
+    1e-4,
+    1e-3,
+)  # of a step of the search, and of those by which the shape follows it
+
+
+@dataclass(frozen=True)
+class NearestPoint:
+    """The reachable point nearest to a goal."""
+
+    point: Array  # (2,) m
+    force: Array  # (2,) N that holds it there
+    distance: float  # m, to the goal
+    states: tuple[LoadedState, ...]  # equilibria that lead there from rest, one after the other
+
+    @property
+    def size(self) -> float:
+        """N."""
+        return float(np.hypot(*self.force))
+
+
+@dataclass(frozen=True)
+class ReachableSet:
+    """Places of a point under forces at one place: D directions, R sizes, the largest last."""
+
+    pushed: PushedBeam
+    max_force: float  # N
+    max_curvature: float | None  # 1/m, beyond that at rest
+    force: Array  # (D, R, 2) N
+    points: Array  # (D, R, 2) m; NaN where the beam has no stable shape on the branch, or is bent too much
+    q: Array  # (D, R, n) rad, the shapes
+
+    @property
+    def reached(self) -> BoolArray:
+        """(D, R) whether the force holds the point anywhere."""
+        return np.isfinite(self.points[..., 0])
+
+    @one_blas_thread
+    def nearest(self, goal: ArrayLike) -> NearestPoint:
+        """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
+
+        It is exact within the bound on the force; where stability or the bound on curvature is the limit, a nearer
+        point may exist.
+        """
+        wanted = np.asarray(goal, dtype=float)
+        if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
+            raise ControlError(f"a goal has two finite coordinates [m], got {numbers(wanted)}")
+        trails = [trace(self.pushed, sample.load) for sample in self.samples_near(wanted, _START_SAMPLES)]
+        ways = [(self.pushed.start,), *(trail.states for trail in trails if trail.arrived)]
+        return min((self._refine(way, wanted) for way in ways), key=lambda point: point.distance)
+
+    def samples_near(self, goal: Array, count: int) -> list[LoadedState]:
+        """Up to `count` sampled equilibria, those with the point nearest to `goal` first."""
+        away = np.linalg.norm(self.points - goal, axis=-1).ravel()
+        order = [int(i) for i in np.argsort(away)[:count] if np.isfinite(away[i])]
+        q, force = self.q.reshape(-1, self.q.shape[-1]), self.force.reshape(-1, 2)
+        return [LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
+
+    def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
+        """Gauss-Newton in the disc of allowed forces; every step is followed as an equilibrium."""
+        pushed, length, state = self.pushed, float(self.pushed.problem.length), way[-1]
+        point = pushed.pose(state.q)[:2]
+        along = self._only_direction()
+        for _ in range(_MOST_STEPS):
+            away, share, better = float(np.linalg.norm(goal - point)), 1.0, False
+            s = pushed.response(state)[:2, :2] @ along
+            if away < _LEAST_SHARE_OF_LENGTH * length or not np.all(np.isfinite(s)):
+                break
+            now = along.T @ state.load[:2]
+            aim = best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
+            while share > _SHORTEST_SEARCH_STEP and not better:
+                load = np.append(along @ (now + share * (aim - now)), 0.0)
+                trail = trace(pushed, load, start=state, shortest=_SHORTEST_FOLLOW)
+                there = float(np.linalg.norm(goal - pushed.pose(trail.states[-1].q)[:2]))
+                better = (
+                    trail.arrived and self._allowed(trail.states[-1]) and there < away - _LEAST_SHARE_OF_LENGTH * length
+                )
+                share *= 0.5
+            if not better:
+                break
+            way, state = (*way, *trail.states[1:]), trail.states[-1]
+            point = pushed.pose(state.q)[:2]
+        return NearestPoint(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
+
+    def _only_direction(self) -> Array:
+        """(2, P) the forces that may be given: both components, or one direction."""
+        if len(self.force) > 1:
+            return np.eye(2)
+        return np.asarray(self.force[0, -1] / self.max_force)[:, None]
+
+    def _allowed(self, state: LoadedState) -> bool:
+        return self.max_curvature is None or self.pushed.bend(state.q) <= self.max_curvature
+
+
+@one_blas_thread
+def reachable(
+    beam: Beam,
+    *,
+    push_s: float = 1.0,
+    point_s: float = 1.0,
+    max_force: float,
+    max_curvature: float | None = None,
+    direction: float | None = None,
+    directions: int = 72,
+    sizes: int = 12,
+    gravity: ArrayLike = (0.0, 0.0),
+) -> ReachableSet:
+    """Where forces up to `max_force` [N] at `push_s` can hold the point at `point_s`.
+
+    Args:
+        max_curvature: 1/m beyond the curvature at rest that the beam may take anywhere.
+        direction: rad; only forces in this direction.
+        directions, sizes: of the sampled forces; sizes grow evenly.
+        gravity: (2,) m/s^2 in the beam's frame.
+
+    Raises:
+        ControlError: a place or bound without meaning.
+    """
+    if not (max_force > 0.0 and np.isfinite(max_force)):
+        raise ControlError(f"the largest force must be positive, got {max_force:g} N")
+    if max_curvature is not None and not max_curvature > 0.0:
+        raise ControlError(f"the largest curvature must be positive, got {max_curvature:g} 1/m")
+    if directions < 3 or sizes < 1:
+        raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
+    x, y = np.asarray(gravity, dtype=float).tolist()
+    pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
+    turns = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
+    grow = max_force * np.arange(1, sizes + 1) / sizes
+    force = grow[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None]
+    loads = push(force.reshape(-1, 2), push_s) + weight(gravity)
+    solved = follow(make_problem(beam, loads, Resolution()))
+    point = solved.xy(np.array([point_s]))[:, 0]
+    q = solved.q[:, : pushed.count] if solved.q.shape[1] >= pushed.count else solved.q
+    good = solved.converged & solved.stable
+    if max_curvature is not None:
+        good &= np.array([pushed.bend(shape) <= max_curvature for shape in q])
+    point[~good] = np.nan
+    shape = force.shape[:2]
+    return ReachableSet(pushed, max_force, max_curvature, force, point.reshape(*shape, 2), q.reshape(*shape, -1))
+
+
+def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:
+    """(P,) x that minimises |S x - wanted| with |x| <= radius; one number: with 0 <= x <= radius."""
+    if one_sided:
+        return np.array([np.clip(float(s[:, 0] @ wanted) / max(float(s[:, 0] @ s[:, 0]), 1e-300), 0.0, radius)])
+    u, d, vt = np.linalg.svd(s)
+    c = d * (u.T @ wanted)
+
+    def size(damping: float) -> float:
+        return float(np.linalg.norm(c / np.maximum(d**2 + damping, 1e-300)))
+
+    if size(0.0) <= radius:
+        return np.asarray(vt.T @ (c / np.maximum(d**2, 1e-300)))
+    most = float(np.linalg.norm(c)) / radius + 1e-300
+    damping = brentq(lambda x: size(x) - radius, 0.0, most, xtol=1e-14 * most)
+    return np.asarray(vt.T @ (c / (d**2 + damping)))
+
+
+# A map of the reachable set, made once: whether a goal can be reached is then a look at it, and costs no search.
+#
+# Forces are laid out by direction and size, as in `reachable.py`, and joined to triangles; each goes with a triangle
+# of places of the point. Where neighbouring directions lead to shapes far apart (the beam falls to its other side),
+# the directions between are halved until the gap is narrow, and no triangle goes across. Either side of such a gap
+# the force is turned on, as a hand would turn it, until the beam is no longer stable: there is the edge of stability.
+
+_DIRECTIONS = 72
+_SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # of the largest force: the first of it bends the beam most
+_MOST_SIZES = 40
+_TOO_COARSE = 0.2  # rad: between directions with shapes that differ by more are others: triangles have straight sides
+_SAME_BRANCH = 0.6  # rad: what then still differs by more lies apart
+_ROUNDS = 8  # of halving
+_TURN = np.deg2rad(5.0)  # of a force beyond a gap, at a time; the last time halved thrice
+_MOST_TURNS = 36
+_INSIDE = -1e-9  # barycentric coordinate
+_MAP_AT_BOUND = 1.0 - 1e-6  # of the largest force
+
+Edge = Literal["force", "stability"]
+
+
+@dataclass(frozen=True)
+class MapPlace:
+    """Where a goal lies on a `ReachMap`."""
+
+    inside: bool
+    point: Array  # (2,) m: the goal, or the nearest point of the map's edge
+    state: LoadedState  # an equilibrium to first order, near the point
+    near: LoadedState  # an equilibrium of the map beside it
+    edge: Edge | None  # what limits the beam there; None inside
+
+
+@dataclass(frozen=True)
+class ReachMap:
+    """V sampled equilibria, the first at rest, joined to triangles."""
+
+    max_force: float  # N
+    force: Array  # (V, 2) N
+    q: Array  # (V, n) rad
+    points: Array  # (V, 2) m
+    triangles: IntArray  # (T, 3)
+
+    @cached_property
+    def _corners(self) -> tuple[Array, Array]:
+        """(T, 2) m the first corner, (T, 2, 2) from places to barycentric coordinates of the others."""
+        a, b, c = (self.points[self.triangles[:, i]] for i in range(3))
+        sides = np.stack([b - a, c - a], axis=-1)
+        flat = np.abs(np.linalg.det(sides)) < 1e-16
+        sides[flat] = np.eye(2) * 1e-300  # no place lies in it
+        return a, np.asarray(np.linalg.inv(sides))
+
+    @cached_property
+    def edges(self) -> IntArray:
+        """(E, 2) sides that belong to one triangle alone, in the order of the triangle."""
+        t = self.triangles
+        sides = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+        _, first, count = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
+        return np.asarray(sides[first[count == 1]])
+
+    @cached_property
+    def edge_is_force(self) -> BoolArray:
+        """(E,) the largest force ends the map there; elsewhere the beam is not stable beyond."""
+        size = np.linalg.norm(self.force, axis=1)
+        return np.asarray(np.all(size[self.edges] >= _MAP_AT_BOUND * self.max_force, axis=1))
+
+    def outline(self) -> list[tuple[Array, Edge]]:
+        """Lines (P, 2) m along the edge, each with what limits the beam there."""
+        lines: list[tuple[Array, Edge]] = []
+        kinds: tuple[tuple[Edge, BoolArray], ...] = (
+            ("force", self.edge_is_force),
+            ("stability", ~self.edge_is_force),
+        )
+        for kind, chosen in kinds:
+            lines += [(self.points[chain], kind) for chain in _chains(self.edges[chosen])]
+        return lines
+
+    def locate(self, goal: Array, now: LoadedState | None = None) -> MapPlace:
+        """Where the goal (2,) m lies; of several forces for it that nearest to the one `now` is taken."""
+        a, inverse = self._corners
+        others = np.einsum("tij,tj->ti", inverse, goal - a)
+        weights = np.column_stack([1.0 - others.sum(axis=1), others])
+        inside = np.flatnonzero(np.all(weights >= _INSIDE, axis=1))
+        if len(inside):
+            loads = np.einsum("ti,tij->tj", weights[inside], self.force[self.triangles[inside]])
+            aim = np.zeros(2) if now is None else now.load[:2]
+            best = inside[int(np.argmin(np.sum((loads - aim) ** 2, axis=1)))]
+            corners = self.triangles[best]
+            return MapPlace(True, goal, self._between(corners, weights[best]), self._at(corners, weights[best]), None)
+        begin, way = self.points[self.edges[:, 0]], np.diff(self.points[self.edges], axis=1)[:, 0]
+        along = np.sum((goal - begin) * way, axis=1) / np.maximum(np.sum(way**2, axis=1), 1e-300)
+        along = np.clip(along, 0.0, 1.0)
+        nearest = begin + along[:, None] * way
+        best = int(np.argmin(np.sum((nearest - goal) ** 2, axis=1)))
+        share = np.array([1.0 - along[best], along[best]])
+        corners = self.edges[best]
+        edge: Edge = "force" if self.edge_is_force[best] else "stability"
+        return MapPlace(False, nearest[best], self._between(corners, share), self._at(corners, share), edge)
+
+    def _between(self, corners: IntArray, weights: Array) -> LoadedState:
+        return LoadedState(weights @ self.q[corners], np.append(weights @ self.force[corners], 0.0))
+
+    def _at(self, corners: IntArray, weights: Array) -> LoadedState:
+        chosen = int(corners[int(np.argmax(weights))])
+        return LoadedState(self.q[chosen], np.append(self.force[chosen], 0.0))
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """Equilibria under forces of D directions and R sizes; NaN in `points` where there is none."""
+
+    force: Array  # (D, R, 2) N
+    q: Array  # (D, R, n) rad
+    points: Array  # (D, R, 2) m
+
+
+@one_blas_thread
+def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
+    """The map of all forces up to `max_force` [N] at the push. Raises `ControlError` for a bound without meaning."""
+    if not (max_force > 0.0 and np.isfinite(max_force)):
+        raise ControlError(f"the largest force must be positive, got {max_force:g} N")
+    sheet = _grown(pushed, max_force)
+    apart = _apart(pushed, sheet.q, sheet.points, _SAME_BRANCH)
+    known = np.isfinite(sheet.points[..., 0])
+    vertices, triangles = [sheet], [_fan(sheet, apart), 1 + _quads(known, apart, cyclic=True)]
+    count, (directions, sizes) = 1 + known.size, known.shape
+    for gap in np.flatnonzero(apart.any(axis=1)):
+        for side, way in ((gap, 1.0), ((gap + 1) % directions, -1.0)):
+            chosen = np.flatnonzero(apart[gap] & known[side])
+            if not len(chosen):
+                continue
+            more = _turned_on(pushed, sheet, int(side), chosen, way)
+            joined = np.arange(count, count + more.points[..., 0].size)
+            joined[: len(chosen)] = 1 + side * sizes + chosen  # where it begins are the vertices of that direction
+            vertices.append(more)
+            triangles.append(joined[_near(pushed, more, _quads(np.isfinite(more.points[..., 0]), None, cyclic=False))])
+            count += len(joined)
+    rest = pushed.start
+    return ReachMap(
+        max_force=max_force,
+        force=np.concatenate([np.zeros((1, 2)), *(one.force.reshape(-1, 2) for one in vertices)]),
+        q=np.concatenate([rest.q[None], *(one.q.reshape(-1, one.q.shape[-1]) for one in vertices)]),
+        points=np.concatenate([pushed.pose(rest.q)[None, :2], *(one.points.reshape(-1, 2) for one in vertices)]),
+        triangles=np.concatenate(triangles),
+    )
+
+
+def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
+    """Forces that grow from rest in all directions, close enough together for triangles with straight sides."""
+    turns, sizes = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False), max_force * _SIZES
+    q, points = _sampled(pushed, turns, sizes)
+    for _ in range(2):
+        bent = np.concatenate([np.broadcast_to(pushed.start.q, q[:, :1].shape), q], axis=1)
+        turned = np.max(np.abs(np.diff(bent, axis=1) @ pushed.b.T), axis=-1)
+        steps = np.flatnonzero(np.max(np.where(np.isfinite(points[..., 0]), turned, 0.0), axis=0) > _TOO_COARSE)
+        if not len(steps) or len(sizes) + len(steps) > _MOST_SIZES:
+            break
+        middle = 0.5 * (np.append(0.0, sizes)[steps] + sizes[steps])
+        more_q, more_points = _sampled(pushed, turns, middle)
+        sizes, order = _merged(sizes, middle)
+        q, points = np.concatenate([q, more_q], 1)[:, order], np.concatenate([points, more_points], 1)[:, order]
+    for _ in range(_ROUNDS):
+        gaps = np.flatnonzero(_apart(pushed, q, points, _TOO_COARSE).any(axis=1))
+        if not len(gaps) or len(turns) > 3 * _DIRECTIONS:
+            break
+        after = np.append(turns[1:], turns[0] + 2.0 * np.pi)
+        middle = 0.5 * (turns[gaps] + after[gaps])
+        more_q, more_points = _sampled(pushed, middle, sizes)
+        turns, order = _merged(turns, middle)
+        q, points = np.concatenate([q, more_q])[order], np.concatenate([points, more_points])[order]
+    return _Sheet(_forces(turns, sizes), q, points)
+
+
+def _merged(values: Array, more: Array) -> tuple[Array, IntArray]:
+    """Both, rising, and the order that they are then in."""
+    every = np.concatenate([values, more])
+    order = np.argsort(every, kind="stable")
+    return every[order], order
+
+
+def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, way: float) -> _Sheet:
+    """From direction `side` on, the forces of these sizes turned further (`way` 1: counter-clockwise) while stable."""
+    columns = [_column(pushed, sheet, side, int(r), way) for r in sizes]
+    shape = (max(map(len, columns)), len(columns))
+    force, points = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
+    q = np.zeros((*shape, sheet.q.shape[-1]))
+    for r, column in enumerate(columns):
+        for d, state in enumerate(column):
+            force[d, r], q[d, r], points[d, r] = state.load[:2], state.q, pushed.pose(state.q)[:2]
+    return _Sheet(np.nan_to_num(force), q, points)
+
+
+def _near(pushed: PushedBeam, sheet: _Sheet, triangles: IntArray) -> IntArray:
+    """Those triangles whose three shapes are of one branch."""
+    shapes = sheet.q.reshape(-1, sheet.q.shape[-1])[triangles] @ pushed.b.T
+    return np.asarray(triangles[np.max(np.ptp(shapes, axis=1), axis=-1) < 2.0 * _SAME_BRANCH])
+
+
+def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) -> list[LoadedState]:
+    """One force turned until the beam would fall; the end is found to an eighth of a step."""
+    state = LoadedState(sheet.q[side, r], np.append(sheet.force[side, r], 0.0))
+    begin, size = float(np.arctan2(*sheet.force[side, r][::-1])), float(np.hypot(*sheet.force[side, r]))
+    found, turned, step = [state], 0.0, _TURN
+    while len(found) <= _MOST_TURNS and step > 0.1 * _TURN:
+        angle = begin + way * (turned + step)
+        trail = trace(pushed, size * np.array([np.cos(angle), np.sin(angle), 0.0]), start=found[-1], shortest=0.3)
+        bent = float(np.max(np.abs(pushed.b @ (trail.states[-1].q - found[-1].q))))
+        if trail.arrived and bent < _SAME_BRANCH:
+            turned += step
+            found.append(trail.states[-1])
+        else:
+            step *= 0.5
+    return found
+
+
+def _forces(turns: Array, sizes: Array) -> Array:
+    """(D, R, 2) N."""
+    return np.asarray(sizes[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None])
+
+
+def _sampled(pushed: PushedBeam, turns: Array, sizes: Array) -> tuple[Array, Array]:
+    """(D, R, n) rad the shapes, (D, R, 2) m the point; NaN where no stable shape grows from rest."""
+    force = _forces(turns, sizes).reshape(-1, 2)
+    loads = push(force, pushed.push_s) + weight(pushed.gravity)
+    solved = follow(make_problem(pushed.beam, loads, pushed.resolution))
+    points = solved.xy(np.array([pushed.point_s]))[:, 0]
+    points[~(solved.converged & solved.stable)] = np.nan
+    shape = (len(turns), len(sizes))
+    return solved.q[:, : pushed.count].reshape(*shape, -1), points.reshape(*shape, 2)
+
+
+def _apart(pushed: PushedBeam, q: Array, points: Array, most: float) -> BoolArray:
+    """(D, R) the shapes of a direction and the next, one of the two unknown or both more than `most` rad apart."""
+    turned = np.max(np.abs((np.roll(q, -1, axis=0) - q) @ pushed.b.T), axis=-1)
+    known = np.isfinite(points[..., 0])
+    both, neither = known & np.roll(known, -1, axis=0), ~known & ~np.roll(known, -1, axis=0)
+    return np.asarray(~neither & ~(both & (turned < most)))
+
+
+def _fan(sheet: _Sheet, apart: BoolArray) -> IntArray:
+    """(T, 3) triangles between rest, vertex 0, and the smallest forces."""
+    known = np.isfinite(sheet.points[:, 0, 0])
+    count, sizes = sheet.points.shape[:2]
+    here = 1 + np.arange(count) * sizes
+    there = np.roll(here, -1)
+    return np.stack([0 * here, here, there], axis=-1)[known & np.roll(known, -1) & ~apart[:, 0]]
+
+
+def _quads(known: BoolArray, apart: BoolArray | None, *, cyclic: bool) -> IntArray:
+    """(T, 3) triangles between directions that follow one another and sizes that do, from vertex 0 on."""
+    count, sizes = known.shape
+    d, r = np.meshgrid(np.arange(count if cyclic else count - 1), np.arange(sizes - 1), indexing="ij")
+    here, there = d * sizes + r, (d + 1) % count * sizes + r
+    flat = known.ravel()
+    whole = flat[here] & flat[here + 1] & flat[there] & flat[there + 1]
+    if apart is not None:
+        whole &= ~apart[:, :-1] & ~apart[:, 1:]
+    quads = np.stack([here, here + 1, there + 1, there], axis=-1)[whole]
+    single = np.stack([here, here + 1, there], axis=-1)[~whole & flat[here] & flat[here + 1] & flat[there]]
+    other = np.stack([here, here + 1, there + 1], axis=-1)[~whole & flat[here] & flat[here + 1] & flat[there + 1]]
+    more = [] if apart is not None else [single, other[~np.isin(other[:, 0], single[:, 0])]]
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], *more])
+
+
+def _chains(edges: IntArray) -> list[list[int]]:
+    """Edges (E, 2) that follow one another, as lines of vertices."""
+    after: dict[int, list[int]] = {}
+    for i, (begin, _) in enumerate(edges.tolist()):
+        after.setdefault(begin, []).append(i)
+    starts = set(edges[:, 0].tolist()) - set(edges[:, 1].tolist())
+    left = set(range(len(edges)))
+    lines = []
+    for at in [*(after[one][0] for one in sorted(starts)), *range(len(edges))]:
+        if at not in left:
+            continue
+        line, following = [int(edges[at, 0])], [at]
+        while following:
+            left.discard(following[0])
+            line.append(int(edges[following[0], 1]))
+            following = [i for i in after.get(line[-1], ()) if i in left]
+        lines.append(line)
+    return lines
+
+
+# A point of a beam that is dragged: the force for each place of the pointer, at once and always on the branch.
+#
+# A goal inside the map (`reach_map.py`) is a Newton's method away from where the beam stands or from the map; a goal
+# outside is answered by the map's nearest edge, from where the point slides nearer as long as the force allows it.
+# There is no search: an answer costs some milliseconds at most, a refusal too.
+
+_TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
+_SHORTEST_EDGE_STEP = 1e-3  # of the way to a force of the map's edge
+_SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)  # of the way of a hand that cannot go all of it
+_ON_GOAL = 1e-6  # m
+_SLIDES = 8  # steps towards a goal that Newton's method does not find, or that is out of reach
+_LEAST_DRAG = 1e-7  # m, of such a step
+_DRAG_AT_BOUND = 0.999  # of the largest force
+_OVER = 1.0 + 1e-9  # times a bound
+
+
+@dataclass(frozen=True)
+class DragAnswer:
+    """Where the beam stands after a drag."""
+
+    goal: Array  # (2,) m, or (3,) m, m, rad
+    pose: Array  # (3,) m, m, rad: the dragged point and the tangent's angle there
+    state: LoadedState
+    margin: float  # smallest eigenvalue of the scaled tangent: 1 without loads, 0 where the beam loses its stability
+    limit: Edge | None  # why the point is not on its goal; None where it is
+
+    @property
+    def away(self) -> float:
+        """m, of the point from its goal."""
+        return float(np.hypot(*(self.pose - self.goal[:3] if len(self.goal) > 3 else self.pose[:2] - self.goal[:2])))
+
+
+class DraggedPoint:
+    """A point that a force at one place leads; it remembers where the beam stands. Not for two threads at once."""
+
+    def __init__(self, pushed: PushedBeam, max_force: float) -> None:
+        self.pushed, self.max_force = pushed, max_force
+        self.map: ReachMap | None = None  # until it is there only Newton's method answers
+        self.state = pushed.start
+
+    @one_blas_thread
+    def to(self, goal: ArrayLike) -> DragAnswer:
+        """The beam with its point on `goal` (2,) m, or as near as the force may bring it.
+
+        Raises `ControlError` for a goal without meaning.
+        """
+        wanted = checked_goal(goal, ReachSettings())
+        limit: Edge | None = None
+        if self.map is None:
+            if not (self._solved(self.state, wanted) or self._approach(wanted)):
+                limit = "force" if _size(self.state.load) > _DRAG_AT_BOUND * self.max_force else "stability"
+        else:
+            place = self.map.locate(wanted, self.state)
+            starts = (self.state, place.state, place.near)
+            if not (place.inside and any(self._solved(start, wanted) for start in starts)):
+                way = trace(self.pushed, place.state.load, start=place.near, shortest=_SHORTEST_EDGE_STEP)
+                self.state, limit = way.states[-1], place.edge
+                if limit != "stability":
+                    limit = None if self._approach(wanted) else "force"
+        return self.answer(wanted, limit)
+
+    @one_blas_thread
+    def under(self, force: ArrayLike) -> DragAnswer:
+        """The beam under a force (2,) N, reached from rest as it grows; at the last stable shape where there is none.
+
+        Raises `ControlError` for a force without meaning.
+        """
+        load = np.append(np.asarray(force, dtype=float), 0.0)
+        if load.shape != (3,) or not np.isfinite(load).all():
+            raise ControlError("a force has two finite components [N]")
+        size = _size(load)
+        way = trace(self.pushed, load * min(1.0, self.max_force / max(size, 1e-300)), shortest=_SHORTEST_EDGE_STEP)
+        self.state = way.states[-1]
+        limit: Edge | None = None if way.arrived and size <= _OVER * self.max_force else "stability"
+        return self.answer(self.pushed.pose(self.state.q)[:2], limit)
+
+    def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
+        """How the beam stands now."""
+        pose = self.pushed.pose(self.state.q)
+        return DragAnswer(goal, pose, self.state, stability_margin(self.pushed, self.state), limit)
+
+    def _approach(self, goal: Array) -> bool:
+        """Nearer to a goal by forces within the bound, each step followed as an equilibrium; whether it got there."""
+        for _ in range(_SLIDES):
+            s = self.pushed.response(self.state)[:2, :2]
+            away = goal - self.pushed.pose(self.state.q)[:2]
+            if not np.isfinite(s).all():
+                return False
+            now, left = self.state.load[:2], float(np.hypot(*away))
+            change = best_in_ball(s, s @ now + away, self.max_force, one_sided=False) - now
+            for share in (1.0, 0.3, 0.1):
+                way = trace(self.pushed, np.append(now + share * change, 0.0), start=self.state, shortest=0.05)
+                there = float(np.hypot(*(goal - self.pushed.pose(way.states[-1].q)[:2])))
+                if way.arrived and there < left - _LEAST_DRAG:
+                    self.state = way.states[-1]
+                    break
+            else:
+                return False
+            if self._solved(self.state, goal):
+                return True
+        return False
+
+    def _solved(self, start: LoadedState, goal: Array) -> bool:
+        found = solve_goal(self.pushed, start, goal, most=8, trust=_TRUST)
+        if not (found.converged and found.positive) or _size(found.state.load) > _OVER * self.max_force:
+            return False
+        if not self.pushed.stable(found.state):
+            return False
+        self.state = found.state
+        return True
+
+
+class HeldEnd:
+    """A hand that holds the end s = 1 at a place and an angle. Not for two threads at once."""
+
+    def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
+        """`start`: an equilibrium under a force at the end, which the hand takes over.
+
+        Raises `ControlError` where the beam is not pushed at its end.
+        """
+        if (pushed.push_s, pushed.point_s) != (1.0, 1.0):
+            raise ControlError("a hand holds the end of the beam: s = 1")
+        self.pushed, self.state, self.max_force = pushed, start, max_force
+
+    @one_blas_thread
+    def to(self, goal: ArrayLike) -> DragAnswer:
+        """The beam with its end at `goal` (3,) m, m, rad, or as far on the straight way there as it is stable."""
+        wanted = checked_goal(goal, ReachSettings(moment=True))
+        if len(wanted) != 3:
+            raise ControlError("a hand holds a place and an angle: a goal is (x, y, angle)")
+        limit: Edge | None = None
+        for _ in range(4):
+            before = self.state
+            limit = self._step(wanted)
+            if float(np.max(np.abs(self.pushed.pose(self.state.q) - wanted))) < _ON_GOAL:
+                return self.answer(wanted, None)
+            if self.state is before:
+                break
+        return self.answer(wanted, limit or "stability")
+
+    def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
+        """How the beam stands now."""
+        pose = self.pushed.pose(self.state.q)
+        return DragAnswer(goal, pose, self.state, stability_margin(self.pushed, self.state, held=True), limit)
+
+    def _step(self, wanted: Array) -> Edge | None:
+        """One step towards the pose, as long as it may be; what forbids to go on, or None."""
+        limit: Edge | None = None
+        here = self.pushed.pose(self.state.q)
+        for share in _SHARES:
+            limit = self._whole_step(here + share * (wanted - here))
+            if limit is None:
+                return None
+        return self._slide(wanted) or limit
+
+    def _slide(self, wanted: Array) -> Edge | None:
+        """Along the bound on the force, where the angle is as wanted; "force" where that leads nearer."""
+        here = self.pushed.pose(self.state.q)
+        s = self.pushed.response(self.state)
+        if abs(wanted[2] - here[2]) > 1e-3 or not np.isfinite(s).all() or not s[2, 2] > 0.0:
+            return None
+        away, now = wanted[:2] - here[:2], self.state.load[:2]
+        plane = s[:2, :2] - np.outer(s[:2, 2], s[2, :2]) / s[2, 2]  # the moment keeps the angle
+        aim = plane @ (best_in_ball(plane, plane @ now + away, 0.998 * self.max_force, one_sided=False) - now)
+        for share in (1.0, 0.3, 0.1):
+            goal = np.append(here[:2] + share * aim, here[2])
+            nearer = float(np.hypot(*(wanted - goal)[:2])) < float(np.hypot(*away)) - _ON_GOAL
+            if nearer and self._whole_step(goal) is None:
+                return "force"
+        return None
+
+    @one_blas_thread
+    def edge(self, directions: int = 36, step: float = 0.04) -> list[tuple[Array, Edge]]:
+        """How far the hand gets from here if it goes straight and does not turn: (2,) m, and what ends the way.
+
+        Args:
+            directions: in which it goes.
+            step: of L, by which it goes; the last is halved three times.
+        """
+        here, begin, length = self.pushed.pose(self.state.q), self.state, float(self.pushed.problem.length)
+        ends: list[tuple[Array, Edge]] = []
+        for turn in np.arange(directions) * (2.0 * np.pi / directions):
+            way = np.array([math.cos(turn), math.sin(turn), 0.0])
+            self.state, gone, stride, limit = begin, 0.0, step * length, "stability"
+            while stride > 0.1 * step * length and gone < 2.0 * length:
+                before = self.state
+                said = self._whole_step(here + (gone + stride) * way)
+                if said is None:
+                    gone += stride
+                else:
+                    self.state, limit, stride = before, said, 0.5 * stride
+            ends.append((here[:2] + gone * way[:2], "force" if limit == "force" else "stability"))
+        self.state = begin
+        return ends
+
+    def _whole_step(self, pose: Array) -> Edge | None:
+        found = solve_goal(self.pushed, self.state, pose, 3, most=8, trust=_TRUST)
+        if not found.converged or stability_margin(self.pushed, found.state, held=True) <= 0.0:
+            return "stability"
+        if _size(found.state.load) > _OVER * self.max_force:
+            return "force"
+        self.state = found.state
+        return None
+
+
+def stability_margin(pushed: PushedBeam, state: LoadedState, *, held: bool = False) -> float:
+    """The smallest eigenvalue of the scaled tangent; `held`: on changes that leave the end's pose as it is.
+
+    Without loads it is 1 whatever k(s); at 0 the beam buckles or falls.
+    """
+    _, tangent, cos, sin = pushed.balance(state.q, state.load)
+    scale = 1.0 / np.sqrt(pushed.stiff)
+    matrix = scale[:, None] * np.tril(tangent) * scale
+    matrix = matrix + np.tril(matrix, -1).T
+    if held:
+        _, sizes, rows = np.linalg.svd(pushed.of_shape(cos, sin) * scale)
+        free = rows[int(np.sum(sizes > 1e-9 * sizes[0])) :]
+        matrix = free @ matrix @ free.T
+    return float(eigvalsh(matrix, subset_by_index=[0, 0])[0])
+
+
+def _size(load: Array) -> float:
+    return math.hypot(float(load[0]), float(load[1]))

@@ -1,0 +1,695 @@
+"""Forces, or poses of a gripper, that bring a beam as close as it can be to a wanted shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.clamped_ends import end_jacobian, end_pose
+from onebend.beam.continuation import equilibrium, follow
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.problem import Problem, Resolution, Rod, make_problem, refuse_section
+from onebend.beam.statics import Equilibrium, balance, nodal_forces, scaled, tangent
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
+from onebend.errors import ControlError
+from onebend.progress import one_blas_thread
+from onebend.records import Array
+
+# Actuators on a beam, and the equilibria they can hold: a smooth surface with as many dimensions as controls.
+#
+# A pusher applies a dead force with two components at one place. A grip holds the end s = 1 at a pose; its load is a
+# wrench with three components. In both cases equilibrium is
+#
+# g(q, u) = g0(q) - A(q)^T u = 0,
+#
+# u: forces and wrench; A: derivative of the places where they act. With forces alone, the surface (q, u) is a graph
+# over u as long as the beam is stable. A gripped beam can be stable where a beam under the same dead wrench has
+# buckled. Its surface is not everywhere a graph over wrench or pose (a straight beam at rest does not yield to an
+# axial pull). So steps are taken in the surface's tangent plane and then corrected at right angles to it.
+
+_LAST_UPDATE = 1e-11  # rad, of a correction's last update
+_MOST_ITERATIONS = 12  # Newton iterations of a correction
+_RANK_TOLERANCE = 1e-9  # share of the largest singular value below which one is nothing
+
+
+@dataclass(frozen=True)
+class Pusher:
+    """An actuator that pushes at `at_s` with a force no larger than `max_force` [N]."""
+
+    at_s: float = 1.0
+    max_force: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.at_s <= 1.0:
+            raise ControlError(f"a push acts at s in (0, 1], got {self.at_s:g}")
+        if not self.max_force > 0.0:
+            raise ControlError(f"the largest force must be positive, got {self.max_force:g} N")
+
+
+@dataclass(frozen=True)
+class Grip:
+    """An actuator that holds the end s = 1 at a position and an angle; its force and moment may be bounded."""
+
+    max_force: float = np.inf  # N
+    max_moment: float = np.inf  # N m
+
+    def __post_init__(self) -> None:
+        if not (self.max_force > 0.0 and self.max_moment > 0.0):
+            raise ControlError(f"a grip's limits must be positive, got {self.max_force:g} N, {self.max_moment:g} N m")
+
+
+@dataclass(frozen=True)
+class LoadBound:
+    """`|u[columns]| <= most`."""
+
+    columns: slice
+    most: float
+    name: str
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """All actuators on one beam. Controls u: the pushers' forces in turn, then the grip's force and moment."""
+
+    problem: Problem  # one frame, under the weight alone; an edge at every push
+    pushes: tuple[Pusher, ...]
+    grip: Grip | None
+
+    @property
+    def count(self) -> int:
+        """m, the number of controls."""
+        return 2 * len(self.pushes) + (0 if self.grip is None else 3)
+
+    @property
+    def scale(self) -> Array:
+        """(m,) N, N m: the controls' natural units, mean k over L and mean k."""
+        stiff = self.mean_stiffness
+        forces = np.full(2 * len(self.pushes) + (0 if self.grip is None else 2), stiff / float(self.problem.length))
+        return forces if self.grip is None else np.append(forces, stiff)
+
+    @cached_property
+    def mean_stiffness(self) -> float:
+        """N m."""
+        return float(np.sum(self.problem.weights * self.problem.k))
+
+    @cached_property
+    def beyond(self) -> Array:
+        """(m, Q) 1 where a control acts beyond the node."""
+        rows = [np.repeat((self.problem.grid.nodes < pusher.at_s)[None], 2, axis=0) for pusher in self.pushes]
+        return np.concatenate([*rows, *([] if self.grip is None else [np.ones((3, len(self.problem.weights)))])])
+
+    @property
+    def bounds(self) -> tuple[LoadBound, ...]:
+        """The limits that are finite."""
+        every = [
+            LoadBound(slice(2 * i, 2 * i + 2), pusher.max_force, f"force at s = {pusher.at_s:g}")
+            for i, pusher in enumerate(self.pushes)
+        ]
+        if self.grip is not None:
+            a = 2 * len(self.pushes)
+            every.append(LoadBound(slice(a, a + 2), self.grip.max_force, "the gripper's force"))
+            every.append(LoadBound(slice(a + 2, a + 3), self.grip.max_moment, "the gripper's moment"))
+        return tuple(bound for bound in every if np.isfinite(bound.most))
+
+    def loaded(self, u: Array) -> Problem:
+        """The problem with the controls u (T, m) as dead loads."""
+        p, last = self.problem, self.count if self.grip is None else self.count - 1
+        force = np.stack([u[:, i:last:2] @ self.beyond[i:last:2] for i in (0, 1)], axis=-1)
+        moment = p.moment + (0.0 if self.grip is None else u[:, -1:])
+        return replace(p, dead_force=p.dead_force + force, moment=np.broadcast_to(moment, force.shape[:2]))
+
+    def solved(self, q: Array, u: Array) -> Equilibrium:
+        """Known equilibria q (T, Q) under the controls u (T, m), as the mechanics has them."""
+        yes, ones = np.ones(len(q), dtype=bool), np.ones(len(q))
+        return Equilibrium(self.loaded(u), q, yes, yes, ones, np.nan * ones, ~yes, 0)
+
+
+@dataclass(frozen=True)
+class BeamState:
+    """One equilibrium of the beam under its actuators."""
+
+    actuators: Actuators
+    q: Array  # (Q,)
+    u: Array  # (m,)
+
+    @cached_property
+    def solved(self) -> Equilibrium:
+        """The equilibrium with the controls as dead loads. For stability see `margin`."""
+        return self.actuators.solved(self.q[None], self.u[None])
+
+    @cached_property
+    def tangent(self) -> Array:
+        """(Q, Q), scaled: `D T D`, D = 1 / sqrt(w k)."""
+        return np.asarray(scaled(self.solved.problem, tangent(self.solved.problem, self.q[None]))[0])
+
+    @cached_property
+    def actions(self) -> Array:
+        """(m, Q), scaled: `A D`, rows over the controls' units so that they are numbers about 1."""
+        return np.asarray(actions(self.actuators, self.solved)[0] * self.unbend)
+
+    @property
+    def unbend(self) -> Array:
+        """(Q,) D: scaled curvature to curvature."""
+        problem = self.actuators.problem
+        return np.asarray(1.0 / np.sqrt(problem.weights * problem.k))
+
+    @cached_property
+    def plane(self) -> tuple[Array, Array]:
+        """(Q, m) and (m, m): how curvature [rad] and controls [N, N m] change along the tangent plane.
+
+        Orthonormal in curvature over `sqrt(mean k)` with weights `w k`, and in controls over their units.
+        """
+        unit = self.actuators.scale / np.sqrt(self.actuators.mean_stiffness)
+        rows = np.concatenate([self.tangent, -(self.actions.T * unit)], axis=1)
+        basis = np.linalg.qr(rows.T, mode="complete")[0][:, len(self.q) :]
+        root = np.sqrt(self.actuators.mean_stiffness)
+        return root * self.unbend[:, None] * basis[: len(self.q)], self.actuators.scale[:, None] * basis[len(self.q) :]
+
+    @cached_property
+    def margin(self) -> float:
+        """The smallest eigenvalue of the scaled tangent, on changes that leave a gripped end where it is.
+
+        1 without loads whatever k(s); 0 where the beam buckles. Were all loads to grow with the shape as it is, it
+        would buckle at `1 / (1 - margin)` times them.
+        """
+        matrix = self.tangent
+        if self.actuators.grip is not None:
+            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # of a straight beam, nothing moves the end along it
+            free = rows[int(np.sum(sizes > _RANK_TOLERANCE * sizes[0])) :]
+            matrix = free @ matrix @ free.T
+        return float(np.linalg.eigvalsh(matrix)[0])
+
+    @property
+    def end(self) -> Array:
+        """(3,) x, y [m] and angle of the end s = 1."""
+        return np.asarray(end_pose(self.actuators.problem, self.q[None])[0])
+
+
+def actions(actuators: Actuators, solved: Equilibrium) -> Array:
+    """(T, m, Q) A: derivative of the pushed places' positions and the gripped end's pose with the curvature."""
+    problem, alpha = solved.problem, solved.alpha
+    count = 2 * len(actuators.pushes)
+    turning = np.empty((len(alpha), count, alpha.shape[1]))
+    lw = problem.length * problem.weights * actuators.beyond[:count:2]
+    turning[:, 0::2], turning[:, 1::2] = -lw * np.sin(alpha)[:, None], lw * np.cos(alpha)[:, None]
+    rows = turning @ problem.to_nodes
+    if actuators.grip is None:
+        return np.asarray(rows)
+    return np.asarray(np.concatenate([rows, end_jacobian(problem, solved.q)], axis=1))
+
+
+def resting_state(
+    beam: Rod, pushes: tuple[Pusher, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
+) -> BeamState:
+    """The beam under its weight, with actuators that do nothing.
+
+    Raises:
+        ControlError: no actuator, or a beam that buckles under its own weight.
+        MechanicsError: the beam has a thickness: stretch and shear are not known here.
+    """
+    if not pushes and grip is None:
+        raise ControlError("no actuator on the beam: give a push or a grip")
+    loads = sum((push((0.0, 0.0), pusher.at_s) for pusher in pushes), Loads())
+    if gravity is not None:
+        loads = loads + weight(gravity)
+    refuse_section(beam, "the search for a shape")
+    actuators = Actuators(make_problem(beam, loads, resolution), pushes, grip)
+    solved = equilibrium(beam, loads, resolution=resolution)
+    if not solved.stable[0]:
+        raise ControlError("the beam buckles under its own weight; there is no stable shape at rest to start from")
+    return BeamState(actuators, solved.q[0], np.zeros(actuators.count))
+
+
+def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
+    """The equilibrium after a step z (m,) in the tangent plane; None if none was found within `trust` rad.
+
+    With forces alone the controls are the step's end, exactly; with a grip the way back is square to the plane.
+    """
+    actuators, (dq, du) = state.actuators, state.plane
+    q, u, count = state.q + dq @ z, state.u + du @ z, len(state.q)
+    problem, unit, root = actuators.problem, actuators.scale, np.sqrt(actuators.mean_stiffness)
+    begin = q
+    sides = np.zeros((actuators.count, count + actuators.count))
+    if actuators.grip is None:
+        sides[:, count:] = np.eye(actuators.count)
+    else:
+        sides[:, :count], sides[:, count:] = (dq / (root * state.unbend[:, None])).T, (du / unit[:, None]).T
+    for _ in range(_MOST_ITERATIONS):
+        here = BeamState(actuators, q, u)
+        out, matrix = balance(here.solved.problem, q[None])
+        scale = here.unbend
+        top = np.concatenate([scaled(here.solved.problem, matrix)[0], -here.actions.T * (unit / root)], axis=1)
+        right = np.append(-out[0] * scale / root, np.zeros(actuators.count))
+        try:
+            step = np.linalg.solve(np.concatenate([top, sides]), right)
+        except np.linalg.LinAlgError:
+            return None
+        change = root * scale * step[:count]
+        q, u = q + change, u + unit * step[count:]
+        if not np.max(np.abs(problem.to_nodes @ (q - begin))) < trust:
+            return None
+        if np.max(np.abs(problem.to_nodes @ change)) < _LAST_UPDATE:
+            return BeamState(actuators, q, u)
+    return None
+
+
+def state_on_grid(state: BeamState, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> BeamState | None:
+    """The same equilibrium on another grid; None where it is not close by."""
+    finer = resting_state(beam, state.actuators.pushes, state.actuators.grip, gravity, resolution)
+    grid = state.actuators.problem.grid
+    start = BeamState(finer.actuators, grid.value_at(finer.actuators.problem.grid.nodes) @ state.q, state.u)
+    return next_state(start, np.zeros(start.actuators.count), 0.05)
+
+
+# One Newton step on the surface of equilibria, within the bounds on forces.
+
+_MOST_DUAL_ITERATIONS = 60  # iterations for the multipliers
+_BOUND_TOLERANCE = 1e-12  # share of a bound to which it is kept
+_FLAT_TO_NEWTON = 1e-11  # share of the largest curvature of the cost below which it counts as flat
+
+
+@dataclass(frozen=True)
+class QuadraticModel:
+    """The cost near an equilibrium, in coordinates z of its tangent plane: `slope . z + z H z / 2`."""
+
+    slope: Array  # (m,)
+    hessian: Array  # (m, m), exact: with the curvature of the surface itself
+
+
+def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
+    """The cost half the sum of squares, to second order along the surface.
+
+    With the multipliers l of equilibrium, `T l = -r_q^T r` (and with a grip `A l = 0`, both as nearly as can be), the
+    Hessian of `|r|^2 / 2 + l . g` is taken on the tangent plane.
+    """
+    dq, du = state.plane
+    b, solved = state.actuators.problem.to_nodes, state.solved
+    turned = b @ multipliers(state, residuals)
+    across = nodal_forces(solved.problem, solved.q).across
+    flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turn of the nodes
+    bent = flow.T @ ((residuals.curvature_term[0] + across[0] * turned)[:, None] * flow)
+    coupled = du.T @ control_coupling(state.actuators, solved.alpha, turned[None])[0] @ flow
+    return QuadraticModel(seen.T @ residuals.value[0], seen.T @ seen + bent + coupled + coupled.T)
+
+
+def multipliers(state: BeamState, residuals: TargetResiduals) -> Array:
+    """(Q,) l of `model_of`, 1/(N m)."""
+    rows, right = state.tangent, -(residuals.value[0] @ residuals.jacobian[0]) * state.unbend
+    if state.actuators.grip is not None:
+        unit = state.actuators.scale / np.sqrt(state.actuators.mean_stiffness)
+        rows = np.concatenate([rows, -state.actions * unit[:, None]])
+        right = np.append(right, np.zeros(state.actuators.count))
+    return np.asarray(state.unbend * np.linalg.lstsq(rows, right, rcond=None)[0])
+
+
+def control_coupling(actuators: Actuators, alpha: Array, turned: Array) -> Array:
+    """(T, m, Q) derivative of `-u . A l` with the controls and the nodes' angles; `turned` (T, Q) is B l."""
+    problem, forces = actuators.problem, actuators.count - (0 if actuators.grip is None else 1)
+    out = problem.length * problem.weights * actuators.beyond * turned[:, None]
+    out[:, 0:forces:2] *= np.cos(alpha)[:, None]
+    out[:, 1:forces:2] *= np.sin(alpha)[:, None]
+    out[:, forces:] = 0.0
+    return np.asarray(out)
+
+
+def convex(hessian: Array, damping: float) -> Array:
+    """The Hessian with its negative curvatures turned positive, and `damping` added: steps lead away from saddles."""
+    values, vectors = np.linalg.eigh(hessian)
+    size = np.maximum(np.abs(values), _FLAT_TO_NEWTON * np.max(np.abs(values)) + 1e-300) + damping
+    return np.asarray((vectors * size) @ vectors.T)
+
+
+def bounded_step(
+    slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[LoadBound, ...]
+) -> tuple[Array, Array]:
+    """(m,) minimum of `slope . z + z H z / 2` with every bounded part of `u + du z` within its bound; (n,) multipliers.
+
+    Newton's method on the multipliers of the bounds that bind, in the form in which it hardly overshoots: the
+    reciprocal size of a bounded part is nearly linear in its multiplier.
+    """
+    prices = np.zeros(len(bounds))
+    parts = [(u[bound.columns], du[bound.columns], bound.most) for bound in bounds]
+    for _ in range(_MOST_DUAL_ITERATIONS):
+        h, g = hessian.copy(), slope.copy()
+        for value, (at, along, _) in zip(prices, parts, strict=True):
+            h += value * along.T @ along
+            g += value * along.T @ at
+        z = np.asarray(-np.linalg.solve(h, g), dtype=float)
+        ends = [at + along @ z for at, along, _ in parts]
+        sizes = np.maximum([float(np.linalg.norm(y)) for y in ends], 1e-300)
+        room = np.array([bound.most for bound in bounds]) / sizes - 1.0
+        binding = (room < 0.0) | (prices > 0.0)
+        if np.all(np.abs(room[binding]) < _BOUND_TOLERANCE):
+            break
+        pulls_back = np.array([along.T @ y for y, (_, along, _) in zip(ends, parts, strict=True)])[binding]
+        steep = ((1.0 + room) / sizes**2)[binding]
+        jacobian = steep[:, None] * (pulls_back @ np.linalg.solve(h, pulls_back.T))
+        change = np.linalg.lstsq(jacobian, -room[binding], rcond=1e-14)[0]
+        prices[binding] = np.maximum(prices[binding] + change, 0.0)
+    return np.asarray(z * _share(z, parts)), prices
+
+
+def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
+    """The share of a step that stays within all bounds to rounding, where the multipliers did not settle."""
+    share = 1.0
+    for _ in range(60):
+        if all(
+            np.linalg.norm(at + share * along @ z) <= (1.0 + 2.0 * _BOUND_TOLERANCE) * most for at, along, most in parts
+        ):
+            break
+        share *= 0.9
+    return share
+
+
+# Descent over stable equilibria to the one closest to the targets.
+
+_LAST_STEP = 1e-9  # rad, of the last step
+_BELOW_ROUNDING = 1e-6  # rad: below, the cost's own rounding hides whether a step helps
+_EDGE_MARGIN = 1.1  # times the least margin: where steps on are barred, the search ends
+_FIRST_DAMPING = 1e-5  # share of the cost's curvature, after a step that failed
+_RETURN_SHARE = 0.5  # share of a step's turn that the way back to the surface may add
+
+
+@dataclass(frozen=True)
+class DescentSettings:
+    """Settings of the descent. Angles in radians."""
+
+    stride: float = 0.5  # the largest turn of a step
+    most: int = 200  # steps
+    damping: float = 1e-3  # of the first step, as a share of the cost's curvature
+    least_margin: float = 1e-3  # of stability, see `grip.Stand.margin`
+
+
+@dataclass(frozen=True)
+class DescentResult:
+    """Where a search ended."""
+
+    state: BeamState
+    residuals: TargetResiduals
+    multipliers: Array  # (n,) of the bounds in `state.actuators.bounds`; positive where one holds the shape back
+    converged: bool
+    near_buckling: bool  # instability stopped the descent
+    steps: int
+
+    @property
+    def cost(self) -> float:
+        """Sum of the weighted squares, lengths over L."""
+        return float(self.residuals.cost[0])
+
+
+def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSettings) -> DescentResult:
+    """Newton's method with a bound on the turn; a step counts if the cost falls and the beam is stable there."""
+    state, residuals = start, target_residuals(start.solved, targets, arm)
+    bounds, damping = start.actuators.bounds, settings.damping
+    multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
+    for step in range(settings.most):
+        model = model_of(state, residuals)
+        size = float(np.trace(np.abs(model.hessian))) + 1e-300
+        z, multipliers = bounded_step(
+            model.slope, convex(model.hessian, damping * size), state.u, state.plane[1], bounds
+        )
+        price = max(price, 2.0 * float(np.sum(multipliers * [bound.most**2 for bound in bounds])))
+        z = z * min(1.0, settings.stride / max(_turn(state, z), 0.5 * float(np.linalg.norm(z)), 1e-300))
+        turn = _turn(state, z)
+        if turn < _LAST_STEP and (damping < 1e-6 or np.linalg.norm(model.slope) < 1e-14):
+            return DescentResult(state, residuals, multipliers, True, barred, step)
+        after = next_state(state, z, turn * (1.0 + _RETURN_SHARE) + 1e-3)
+        stable = after is not None and after.margin > settings.least_margin
+        if after is not None and stable:
+            new_residuals = target_residuals(after.solved, targets, arm)
+            gain = _merit(state, residuals, price) - _merit(after, new_residuals, price)
+            promised = -float(model.slope @ z + 0.5 * z @ model.hessian @ z)
+            if gain > 1e-4 * abs(promised) or (
+                turn < _BELOW_ROUNDING and gain > -1e-9 * _merit(state, residuals, price) - 1e-28
+            ):
+                state, residuals, barred = after, new_residuals, False
+                damping *= 0.1 if gain > 0.5 * promised or turn < _BELOW_ROUNDING else 1.0
+                damping = damping if damping > 1e-14 else 0.0
+                continue
+        barred = after is not None and not stable
+        damping = max(8.0 * damping, _FIRST_DAMPING)
+        if damping > 1e8 or (barred and state.margin < _EDGE_MARGIN * settings.least_margin):
+            return DescentResult(state, residuals, multipliers, False, barred, step)
+    return DescentResult(state, residuals, multipliers, False, barred, settings.most)
+
+
+def _turn(state: BeamState, z: Array) -> float:
+    """rad, the largest turn of a node."""
+    return float(np.max(np.abs(state.actuators.problem.to_nodes @ (state.plane[0] @ z))))
+
+
+def _merit(state: BeamState, residuals: TargetResiduals, price: float) -> float:
+    """Half the cost, and what lies beyond the bounds at its price."""
+    beyond = [np.linalg.norm(state.u[bound.columns]) / bound.most - 1.0 for bound in state.actuators.bounds]
+    return 0.5 * float(residuals.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))
+
+
+# The spread of a shape that follows from the band on k(s), to first order; the actuators do as commanded.
+
+
+@dataclass(frozen=True)
+class ShapeSpread:
+    """Standard deviations of the shape at N places, given the forces of the pushes and the pose of the grip."""
+
+    xy: Array  # (N, 2) m
+    angle: Array  # (N,) rad
+    wrench: Array | None  # (3,) N, N, N m: of what the gripper has to put on the beam; None without one
+
+    @property
+    def rms(self) -> float:
+        """m, of the positions, over all places."""
+        return float(np.sqrt(np.mean(np.sum(self.xy**2, axis=1))))
+
+
+def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSpread:
+    """The spread at places s (N,).
+
+    A gripped end stays where it is, whatever k(s): a common factor of k then changes the wrench, and not the shape
+    (without weight).
+    """
+    problem, solved = state.actuators.problem, state.solved
+    basis = uncertain.basis(problem.grid.nodes)
+    strain = problem.weights * problem.k * (state.q - problem.q0)
+    right = -(state.unbend * strain)[:, None] * np.column_stack([basis, np.ones(len(strain))])
+    held = 0 if state.actuators.grip is None else 3
+    count = len(strain)
+    # Controls in their units, curvature scaled: all entries are numbers about 1.
+    unit = state.actuators.scale[state.actuators.count - held :]
+    rows = state.actions[state.actuators.count - held :]
+    system = np.zeros((count + held, count + held))
+    system[:count, :count], system[:count, count:], system[count:, :count] = state.tangent, -rows.T * unit, rows
+    answer = np.linalg.solve(system, np.concatenate([right, np.zeros((held, right.shape[1]))]))
+    dq, alpha, to = state.unbend[:, None] * answer[:count], solved.alpha[0], problem.grid.integral_to(s)
+    turned = problem.to_nodes @ dq
+    x = float(problem.length) * to @ (-np.sin(alpha)[:, None] * turned)
+    y = float(problem.length) * to @ (np.cos(alpha)[:, None] * turned)
+    covariance = np.zeros((right.shape[1], right.shape[1]))
+    covariance[:-1, :-1], covariance[-1, -1] = uncertain.covariance, uncertain.gain_sd**2
+
+    def sd(rows: Array) -> Array:
+        return np.asarray(np.sqrt(np.maximum(np.einsum("np,pr,nr->n", rows, covariance, rows), 0.0)))
+
+    wrench = sd(unit[:, None] * answer[count:]) if held else None
+    return ShapeSpread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)
+
+
+# Forces, or a gripper's pose, that bring a beam as close as it can be to a wanted shape.
+
+_FINEST_PANEL = 1.0 / 16.0  # widest panel at the end of refinement
+_TARGETS_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
+_ACTIVE_BOUND = 1e-6  # share of a bound within which it is active
+_OPEN_FREEDOM = 1e-9  # share of the largest curvature of the cost below which a freedom is open
+_RANDOM_LOAD_SIZE = 1.5  # size of the further starts' controls, in units of mean k over L
+
+
+@dataclass(frozen=True)
+class ShapeSettings:
+    """Settings of the search for a shape."""
+
+    arm: float | None = None  # m: an error of one radian counts as one of so many metres; None: the beam's length
+    starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
+    seed: int = 0  # of those shapes
+    warn_margin: float = 0.1  # of stability, below which is warned
+    descent: DescentSettings = field(default_factory=DescentSettings)
+    # To begin with; it is refined at the end.
+    resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
+
+
+@dataclass(frozen=True)
+class ShapeResult:
+    """The closest shape that was found, and the loads that hold it."""
+
+    targets: Targets
+    state: BeamState
+    xy_error: Array  # (N, 2) m: where the shape is less where it is wanted; NaN where of no concern
+    angle_error: Array  # (N,) rad
+    rms: float  # m: root of the weighted mean square, angles times the arm: as close as physics and the limits allow
+    spread: ShapeSpread | None  # what the band on k(s) makes of the shape; None where no band was given
+    limits: tuple[str, ...]  # the limits that hold the shape back
+    open_freedoms: int  # directions in which the controls may change without a change of the sum of squares
+    converged: bool  # no stable shape nearby is closer
+    starts: int  # searches made
+    warnings: tuple[str, ...]
+
+    @property
+    def forces(self) -> Array:
+        """(a, 2) N: the pushes' forces on the beam."""
+        return np.asarray(self.state.u[: 2 * len(self.state.actuators.pushes)].reshape(-1, 2))
+
+    @property
+    def wrench(self) -> Array | None:
+        """(3,) N, N, N m: what the gripper puts on the beam; None without one."""
+        return None if self.state.actuators.grip is None else self.state.u[-3:]
+
+    @property
+    def pose(self) -> Array:
+        """(3,) m, m, rad: the end s = 1; with a grip, where the gripper is to be."""
+        return self.state.end
+
+    @property
+    def margin(self) -> float:
+        """Smallest eigenvalue of the tangent over that without loads: 1 far from buckling, 0 where it buckles."""
+        return self.state.margin
+
+    @property
+    def load_left(self) -> float:
+        """By what factor all loads could grow, the shape as it is, before the beam buckles; infinite if by any."""
+        return float(1.0 / (1.0 - self.margin)) if self.margin < 1.0 else np.inf
+
+    def xy(self, s: ArrayLike) -> Array:
+        """(S, 2) m, positions at `s`."""
+        return np.asarray(self.state.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))[0])
+
+    def angle(self, s: ArrayLike) -> Array:
+        """(S,) rad, the tangent's angle at `s`."""
+        return np.asarray(self.state.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
+
+
+@one_blas_thread
+def shape(
+    beam: Rod,
+    targets: Targets,
+    *,
+    pushes: Sequence[Pusher] = (),
+    grip: Grip | None = None,
+    gravity: ArrayLike | None = None,
+    uncertain: UncertainStiffness | None = None,
+    start: BeamState | None = None,
+    settings: ShapeSettings = ShapeSettings(),
+) -> ShapeResult:
+    """The stable shape under these actuators that is closest to the targets, weighted least squares.
+
+    The search visits stable equilibria only. It starts from rest, or from `start` (`ShapeResult.state` of an earlier
+    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes, and the
+    best result is taken. The result is a local optimum, found with exact second derivatives; it need not be global.
+
+    Args:
+        beam: length, stiffness, rest curvature, clamp's angle, mass.
+        targets: what is wanted, see `targets`.
+        pushes: actuators that push at one place each.
+        grip: an actuator that holds the end.
+        gravity: (2,) m/s^2 in the beam's frame.
+        uncertain: k(s) with its band, for the errors to expect.
+
+    Raises:
+        ControlError: no actuator, bad targets, or a beam that buckles under its own weight.
+        MechanicsError: k(s) not positive.
+    """
+    arm = float(beam.length) if settings.arm is None else settings.arm
+    check_metres(targets.xy, float(beam.length))
+    resting = resting_state(beam, tuple(pushes), grip, gravity, settings.resolution)
+    begin = resting if start is None else start
+    result = descend(begin, targets, arm, settings.descent)
+    tried = 1
+    enough = _TARGETS_MET**2 * float(np.sum(targets.weight))
+    for other in _bent(resting, settings) if start is None else ():
+        if result.converged and result.cost < enough:
+            break
+        again, tried = descend(other, targets, arm, settings.descent), tried + 1
+        result = again if again.cost < result.cost * (1.0 - 1e-6) else result
+    result = _resolved(result, beam, gravity, targets, arm, settings)
+    return _result(result, targets, arm, tried, uncertain, settings)
+
+
+def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
+    """Stable shapes under controls drawn at random, within the bounds."""
+    actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
+    for _ in range(settings.starts):
+        u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)
+        for bound in actuators.bounds:
+            u[bound.columns] *= min(1.0, 0.9 * bound.most / float(np.linalg.norm(u[bound.columns])))
+        solved = follow(actuators.loaded(u[None]))
+        if solved.stable[0]:
+            out.append(BeamState(actuators, solved.q[0], u))
+    return out
+
+
+def _resolved(
+    result: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
+) -> DescentResult:
+    """The same on a grid that carries the curvature, as far as `_FINEST_PANEL` goes."""
+    resolution = settings.resolution
+    while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
+        resolution = resolution.finer()
+        start = state_on_grid(result.state, beam, gravity, resolution)
+        if start is None:
+            break
+        result = descend(start, targets, arm, settings.descent)
+    return result
+
+
+def _result(
+    result: DescentResult,
+    targets: Targets,
+    arm: float,
+    tried: int,
+    uncertain: UncertainStiffness | None,
+    settings: ShapeSettings,
+) -> ShapeResult:
+    state = result.state
+    residuals = target_residuals(state.solved, targets, arm)
+    values = np.abs(np.linalg.eigvalsh(model_of(state, residuals).hessian))
+    limits = tuple(
+        bound.name
+        for bound, price in zip(state.actuators.bounds, result.multipliers, strict=True)
+        if price > 0.0 and np.linalg.norm(state.u[bound.columns]) > (1.0 - _ACTIVE_BOUND) * bound.most
+    )
+    open_freedoms = int(np.sum(values < _OPEN_FREEDOM * np.max(values))) if not limits else 0
+    return ShapeResult(
+        targets=targets,
+        state=state,
+        xy_error=state.solved.xy(targets.s)[0] - targets.xy,
+        angle_error=state.solved.angle(targets.s)[0] - targets.angle,
+        rms=float(state.actuators.problem.length) * float(np.sqrt(result.cost / np.sum(targets.weight))),
+        spread=None if uncertain is None else spread(state, targets.s, uncertain),
+        limits=(*limits, *(("stability",) if result.near_buckling else ())),
+        open_freedoms=open_freedoms,
+        converged=result.converged,
+        starts=tried,
+        warnings=_warnings(result, open_freedoms, settings),
+    )
+
+
+def _warnings(result: DescentResult, open_freedoms: int, settings: ShapeSettings) -> tuple[str, ...]:
+    out, margin, count = [], result.state.margin, result.state.actuators.count
+    if result.near_buckling:
+        out.append("nearer to the targets the beam loses its stability; this is as close as it gets")
+    elif not result.converged:
+        out.append("the search ended before its optimum; what was found is stable, but may not be the closest")
+    if margin < settings.warn_margin:
+        factor = 1.0 / (1.0 - margin)
+        out.append(
+            f"close to buckling: the tangent's smallest eigenvalue is {margin:.3f} of that without loads; "
+            f"{factor:.3f} times these loads would buckle the beam"
+        )
+    if open_freedoms:
+        out.append(
+            f"the targets leave {open_freedoms} of {count} freedoms of the forces and the gripper open: others do as "
+            "well; give more targets, or leave out a force or the gripper"
+        )
+    return tuple(out)

@@ -1,0 +1,201 @@
+"""A path as files that robots take: CSV, ROS 2 messages as YAML, and a ROS 2 bag.
+
+Forces and wrenches are those that the actuator applies TO the beam, in the beam's frame, at the place where it acts (a
+moment is about that place). Poses are those of the beam's end s = 1: x along its tangent, z out of the plane. Times
+count from the start of the path.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from onebend.control.path import FollowedPath
+from onebend.extras import require
+from onebend.records import Array
+from onebend.text_files import to_json
+
+if TYPE_CHECKING:  # an optional package
+    from rosbags.typesys.store import Typestore
+
+FRAME = "beam_base"  # the beam's frame: origin at the base tag, x along the undeformed beam, y to its left
+JOINT = "gripper"
+TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+NO_NAMES = ("true", "false", "null")  # what YAML takes for something else, of four letters or more
+BAG_VERSION: Final = 9
+
+
+@dataclass(frozen=True)
+class WrenchTrack:
+    """The load of one actuator on the beam, in time."""
+
+    topic: str
+    force: Array  # (T, 2) N
+    moment: Array  # (T,) N m
+
+
+def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
+    """Of every actuator: pushers in turn, then the gripper."""
+    zero = np.zeros(len(path.time))
+    out = [WrenchTrack(f"/onebend/push_{i + 1}/wrench", path.forces[:, i], zero) for i in range(path.forces.shape[1])]
+    if path.wrench is not None:
+        out.append(WrenchTrack("/onebend/gripper/wrench", path.wrench[:, :2], path.wrench[:, 2]))
+    return tuple(out)
+
+
+def columns(path: FollowedPath) -> dict[str, Array]:
+    """Name and values (T,) of every column of the CSV."""
+    out = {"time_s": path.time, "goal_time_s": path.goal_time}
+    for i in range(path.forces.shape[1]):
+        out[f"force_{i + 1}_x_N"], out[f"force_{i + 1}_y_N"] = path.forces[:, i].T
+    if path.wrench is not None:
+        out["gripper_x_m"], out["gripper_y_m"], out["gripper_angle_rad"] = path.poses.T
+        out["gripper_force_x_N"], out["gripper_force_y_N"], out["gripper_moment_N_m"] = path.wrench.T
+    out["miss_m"] = path.miss
+    return out
+
+
+def write_samples(file: Path, path: FollowedPath) -> None:
+    """One row a sample; units stand at the end of the columns' names."""
+    table = columns(path)
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(table)
+        writer.writerows([f"{value:.10g}" for value in row] for row in np.stack(list(table.values()), axis=1))
+
+
+def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, Any]:
+    """The gripper's poses and velocities as a trajectory_msgs/MultiDOFJointTrajectory, in plain data."""
+    poses = path.poses
+    rates = np.gradient(poses, path.time, axis=0) if len(path.time) > 1 else np.zeros_like(poses)
+    points = [
+        {
+            "transforms": [
+                {
+                    "translation": _vector(x, y, 0.0),
+                    "rotation": _vector(0.0, 0.0, np.sin(0.5 * angle)) | {"w": float(np.cos(0.5 * angle))},
+                }
+            ],
+            "velocities": [{"linear": _vector(vx, vy, 0.0), "angular": _vector(0.0, 0.0, turning)}],
+            "accelerations": [],
+            "time_from_start": _time(seconds),
+        }
+        for seconds, (x, y, angle), (vx, vy, turning) in zip(path.time, poses, rates, strict=True)
+    ]
+    return {"header": _header(0.0, frame), "joint_names": [JOINT], "points": points}
+
+
+def wrench_messages(path: FollowedPath, track: WrenchTrack, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
+    """One geometry_msgs/WrenchStamped a sample, in plain data."""
+    for seconds, (x, y), moment in zip(path.time, track.force, track.moment, strict=True):
+        wrench = {"force": _vector(x, y, 0.0), "torque": _vector(0.0, 0.0, moment)}
+        yield {"header": _header(seconds, frame), "wrench": wrench}
+
+
+def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[str]:
+    """YAML as `ros2 topic pub` takes it and `ros2 topic echo` shows it; the names of the files.
+
+    The gripper's trajectory is one message; of wrenches there is one a sample, with `---` between.
+    """
+    names = []
+    if path.wrench is not None:
+        names.append("gripper_trajectory.yaml")
+        (folder / names[-1]).write_text(
+            "\n".join(_block(trajectory_message(path, frame=frame))) + "\n", encoding="utf-8"
+        )
+    for track in wrench_tracks(path):
+        names.append(track.topic.split("/")[2] + "_wrench.yaml")
+        with (folder / names[-1]).open("w", encoding="utf-8") as stream:
+            for message in wrench_messages(path, track, frame=frame):
+                stream.write("\n".join(_block(message)) + "\n---\n")
+    return names
+
+
+def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
+    """A ROS 2 bag (sqlite3) in a new `folder`: the gripper's trajectory at time 0, and every hand's wrench in time."""
+    require(("rosbags",), "ros")
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(folder, version=BAG_VERSION) as bag:
+        if path.wrench is not None:
+            wire = bag.add_connection("/onebend/gripper/trajectory", TRAJECTORY, typestore=store)
+            message = _typed(store, TRAJECTORY, trajectory_message(path, frame=frame))
+            bag.write(wire, 0, store.serialize_cdr(message, TRAJECTORY))
+        for track in wrench_tracks(path):
+            wire = bag.add_connection(track.topic, WRENCH, typestore=store)
+            for seconds, data in zip(path.time, wrench_messages(path, track, frame=frame), strict=True):
+                message = _typed(store, WRENCH, data)
+                bag.write(wire, _nanoseconds(seconds), store.serialize_cdr(message, WRENCH))
+
+
+def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
+    """Plain data as the message of a type; fields that are messages, or lists of messages, in turn."""
+    from rosbags.interfaces import Nodetype
+
+    fields: dict[str, Any] = {}
+    definition: Any = store.fielddefs[name][1]
+    for field, (node, inner) in definition:
+        value = data[field]
+        if node == Nodetype.NAME:
+            value = _typed(store, inner, value)
+        elif node == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
+            value = [_typed(store, inner[0][1], item) for item in value]
+        fields[field] = value
+    return store.types[name](**fields)
+
+
+def _vector(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": float(x), "y": float(y), "z": float(z)}
+
+
+def _nanoseconds(seconds: float) -> int:
+    return round(float(seconds) * 1e9)
+
+
+def _time(seconds: float) -> dict[str, int]:
+    whole, part = divmod(_nanoseconds(seconds), 1_000_000_000)
+    return {"sec": whole, "nanosec": part}
+
+
+def _header(seconds: float, frame: str) -> dict[str, Any]:
+    return {"stamp": _time(seconds), "frame_id": frame}
+
+
+def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
+    """YAML block style, as `ros2 topic echo` writes: lists at the level of their key."""
+    for key, value in data.items():
+        if isinstance(value, dict):
+            yield f"{indent}{key}:"
+            yield from _block(value, indent + "  ")
+        elif isinstance(value, list) and value:
+            yield f"{indent}{key}:"
+            for item in value:
+                yield from _item(item, indent)
+        else:
+            yield f"{indent}{key}: {'[]' if isinstance(value, list) else _scalar(value)}"
+
+
+def _scalar(value: Any) -> str:
+    """A name as it is; any other text in quotes, as JSON has it and YAML takes it."""
+    plain = not isinstance(value, str) or (
+        re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{3,}", value) and value.lower() not in NO_NAMES
+    )
+    return str(value) if plain else to_json(value)
+
+
+def _item(value: Any, indent: str) -> Iterator[str]:
+    if not isinstance(value, dict):
+        yield f"{indent}- {_scalar(value)}"
+        return
+    lines = list(_block(value, indent + "  "))
+    yield f"{indent}- {lines[0][len(indent) + 2 :]}"
+    yield from lines[1:]

@@ -1,1 +1,0 @@
-"""What real benches do beyond the ideal beam, sensor and camera."""

@@ -1,1 +1,0 @@
-"""What is made for the bench: moulds, clamps, and printed sheets of tags."""

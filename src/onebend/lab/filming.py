@@ -1,0 +1,1018 @@
+"""The virtual film: scene, camera, rendering, and the recording folder with its truth."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from fractions import Fraction
+from functools import cache
+from math import isfinite, nan, pi
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+
+from onebend.beam.continuation import equilibrium
+from onebend.beam.dynamics import Actions, AppliedForce, body
+from onebend.beam.integration import converged
+from onebend.beam.loads import push, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution
+from onebend.beam.stiffness import Profile, Scaled, Uniform
+from onebend.beam.vibration import settle
+from onebend.errors import MechanicsError, RecordingError
+from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth
+from onebend.lab.designs import RESOLUTION
+from onebend.lab.rendering import (
+    Camera,
+    Colour,
+    ColourLayer,
+    Drawing,
+    Scene,
+    Shadow,
+    StaticScene,
+    YuvFrame,
+    calibration,
+    frame_of,
+    lifted,
+    placed_in_space,
+    stage,
+    view_from,
+)
+from onebend.lab.rod import RodMotion
+from onebend.lab.virtual import (
+    DENSE,
+    VirtualBench,
+    VirtualRecording,
+    declared_recording,
+    motion_of,
+    sensed,
+    tag_places,
+    tag_poses_on,
+    true_stiffness,
+    virtual_recording,
+)
+from onebend.progress import Progress, Silent, one_blas_thread, track
+from onebend.recording.bag_topics import BAG_KEYS
+from onebend.recording.camera import project
+from onebend.recording.description import FORMAT
+from onebend.recording.entries import FAMILIES, BeamEntry, ForceEntry, GravityEntry, MarkersEntry, Recording
+from onebend.recording.folder import FILE_NAME
+from onebend.recording.schema import Key, keys_of
+from onebend.recording.tag_finder import printed_tag
+from onebend.records import Array, ForceLog, View
+from onebend.text_files import plain
+
+# The force log as a file, on its own clock and in its own axes.
+
+
+def in_log_axes(force: Array, rotation: float, acts_on: str) -> Array:
+    """(N, 2) N in the axes of a log whose x axis is turned by `rotation` [rad] against the beam's; the reaction where
+    it `acts_on` the "robot"."""
+    cos, sin = np.cos(rotation), np.sin(rotation)
+    sign = -1.0 if acts_on == "robot" else 1.0
+    return np.asarray(sign * force @ np.array([[cos, -sin], [sin, cos]]))
+
+
+def write_log(path: Path, log: ForceLog) -> None:
+    """`time_s, fx_N, fy_N`, to 0.1 ms and 0.01 mN."""
+    rows = np.column_stack([log.time, log.force])
+    np.savetxt(path, rows, fmt=("%.4f", "%.5f", "%.5f"), delimiter=",", header="time_s,fx_N,fy_N", comments="")
+
+
+# How a known beam moves under a push: exact equilibria where it is slow, the equation of motion where it is fast.
+
+PLACES = np.linspace(0.0, 1.0, 121)
+BATCH = 400  # equilibria at a time
+STEP, TOLERANCE = 4e-3, 1e-5  # s, the first step tried; m, of the markers
+ORDER = 12  # curvature nodes of a moving beam
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """What moves the beam apart from the push: its own weight and, if it `swings`, its inertia."""
+
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the clamp's frame
+    swings: bool = False
+    damping: float = 0.006  # s, internal (Kelvin-Voigt) damping over stiffness
+    rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m
+
+
+@dataclass(frozen=True)
+class BeamShapes:
+    """The beam at T times, in the clamp's frame, at `PLACES`."""
+
+    time: Array  # (T,) s
+    force: Array  # (T, 2) N on the beam
+    xy: Array  # (T, 121, 2) m
+    angle: Array  # (T, 121) rad
+
+    def at(self, s: Array) -> tuple[Array, Array]:
+        """(T, m, 2) m and (T, m) rad at places `s` (m,), by cubic interpolation between `PLACES`."""
+        from_left = np.clip(s, 0.0, 1.0)
+        xy = np.stack([cubic(self.xy[..., i], from_left) for i in range(2)], axis=-1)
+        return xy, cubic(self.angle, from_left)
+
+
+def cubic(values: Array, s: Array) -> Array:
+    """(T, m) at `s` (m,) of (T, 121) at `PLACES`: Lagrange's cubic through the four nearest."""
+    spacing = PLACES[1] - PLACES[0]
+    first = np.clip(np.floor(s / spacing).astype(int) - 1, 0, len(PLACES) - 4)
+    u = s / spacing - first
+    total = np.zeros((len(values), len(s)))
+    for i in range(4):
+        weight_of = np.ones(len(s))
+        for j in range(4):
+            if j != i:
+                weight_of = weight_of * (u - j) / (i - j)
+        total += weight_of * values[:, first + i]
+    return total
+
+
+def shapes_at(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings = MotionSettings()) -> BeamShapes:
+    """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest.
+
+    Raises:
+        MechanicsError: the beam snaps through, or weight or inertia are asked for and its mass is not known.
+    """
+    if (motive.swings or any(motive.gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
+        raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
+    return swinging(beam, pushing, time, motive) if motive.swings else standing(beam, pushing, time, motive)
+
+
+def standing(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
+    """Exact equilibria."""
+    force = pushing.force(time)
+    xy, angle = [], []
+    for i in range(0, len(time), BATCH):
+        part = force[i : i + BATCH]
+        loads = push(part, pushing.at_s)
+        if any(motive.gravity):
+            loads = loads + weight(np.tile(motive.gravity, (len(part), 1)))
+        solved = equilibrium(beam, loads, resolution=RESOLUTION)
+        if not np.all(solved.converged):
+            raise MechanicsError(f"the beam snaps through under {pushing.peak:.3g} N. Give a smaller force")
+        xy.append(solved.xy(PLACES))
+        angle.append(solved.angle(PLACES))
+    return BeamShapes(time, force, np.concatenate(xy), np.concatenate(angle))
+
+
+def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
+    """The equation of motion, from rest under the weight."""
+    damping = Scaled(motive.damping, beam.stiffness)
+    moving = body(beam, rotary_inertia=motive.rotary_inertia, damping=damping, resolution=Resolution(ORDER))
+    breaks = tuple(sorted({pushing.before, pushing.before + pushing.rise, *pushing.contact}))
+    on_beam = AppliedForce(lambda t: pushing.force(np.array([t]))[0], pushing.at_s, breaks)
+    actions = Actions(forces=(on_beam,), gravity=motive.gravity)
+    start = settle(moving, actions)
+    until = float(time[-1])
+    if not (isfinite(until) and until > 0.0):
+        raise MechanicsError("a film lasts longer than 0 s")
+    motion = converged(moving, start, until, actions, tolerance=TOLERANCE, step=STEP, at_s=(1 / 3, 2 / 3, 1.0))
+    theta = motion.states_at(np.clip(time, 0.0, until))
+    xy = np.concatenate([moving.xy(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
+    angle = np.concatenate([moving.angle(PLACES, theta[i : i + BATCH]) for i in range(0, len(theta), BATCH)])
+    return BeamShapes(time, pushing.force(time), xy, angle)
+
+
+# What is filmed and how: a bench, and all that a film shows of it.
+
+DOWN = -0.5 * pi  # rad, of gravity in the room
+
+
+@dataclass(frozen=True)
+class Filming:
+    """A bench and all that a film shows of it. The bench's own camera (noise of poses) has no part in it."""
+
+    bench: VirtualBench
+    width: Profile = field(default_factory=lambda: Uniform(0.014))  # m, of the beam as drawn
+    rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m, where it swings
+    camera: Camera = field(default_factory=Camera)
+    scene: Scene = field(default_factory=Scene)
+    swings: bool = False  # the equation of motion instead of equilibria
+    damping: float = 0.006  # s, internal damping over stiffness
+    gravity: float = 0.0  # m/s^2, in the plane of bending, downwards in the picture; 0: across the plane
+    base_angle: float = 0.0  # rad, of the beam's x axis in the room
+    tag_size: float = 0.012  # m
+    log_rotation: float = 0.0  # rad, of the log's x axis against the beam's
+    log_of_robot: bool = False  # the log shows the reaction
+    log_before: float = 1.0  # s, and as long after the film
+    sensor_name: str = ""
+    zeroed: bool = False
+    calibrated: bool = True  # whether the camera's calibration is told
+    mass_told: bool = True
+    lost: float = 0.0  # share of frames that the camera drops
+
+
+def check(filming: Filming, folder: Path) -> None:
+    """Checks that need several parts of the setup."""
+    bench = filming.bench
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RecordingError(f"{folder} is not an empty folder. Name another one.")
+    if not bench.tags or not bench.fps > 0.0:
+        raise RecordingError("a film needs a frame rate above zero and at least one tag on the beam")
+    if not filming.scene.exposure < 1.0 / bench.fps:
+        raise RecordingError(
+            f"an exposure of {filming.scene.exposure:g} s does not fit {bench.fps:g} frames/s. Shorten it."
+        )
+    if not 0.0 <= filming.lost < 0.5:
+        raise RecordingError(f"a camera loses a share of its frames in [0, 0.5), got {filming.lost}")
+    if np.isfinite(bench.axial_stiffness):
+        raise RecordingError("axial_stiffness is not filmed: leave it infinite, and give a thickness in `effects`")
+    if filming.swings and (bench.effects.moves_otherwise or bench.effects.posture_bias):
+        raise RecordingError("a beam that swings is filmed without effects on its motion: take a slow push")
+    for given in (bench.effects.tag_heights, bench.effects.tag_tilts):
+        if given and len(given) != len(bench.tags):
+            raise RecordingError("tag_heights and tag_tilts have one value for each tag on the beam, or none")
+
+
+def frame_times(filming: Filming, rng: np.random.Generator) -> Array:
+    """(T,) s, the middle of each exposure since that of the first; dropped frames are missing."""
+    count = int(np.ceil(filming.bench.push.duration * filming.bench.fps))
+    kept = rng.random(count) >= filming.lost
+    kept[0] = True
+    return np.asarray(np.flatnonzero(kept) / filming.bench.fps)
+
+
+def motive_of(filming: Filming) -> MotionSettings:
+    """What moves the beam apart from the push, in the clamp's frame."""
+    pull = filming.gravity * np.array([np.cos(DOWN - filming.base_angle), np.sin(DOWN - filming.base_angle)])
+    return MotionSettings((float(pull[0]), float(pull[1])), filming.swings, filming.damping, filming.rotary_inertia)
+
+
+# A printed tag as polygons.
+
+
+@dataclass(frozen=True)
+class TagOutlines:
+    """In the tag's own frame, in sides of its detected square: origin in its middle, x to the print's right, y up."""
+
+    paper: Array  # (1, 4, 2)
+    ink: Array  # (K, 4, 2): black cells that are neighbours in a row make one patch
+
+
+@cache
+def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
+    """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
+
+    Raises:
+        RecordingError: a family that is not known, or a number that it does not have.
+    """
+    tag = printed_tag(tag_id, family)
+    count = len(tag.cells)
+    beyond = max(margin - tag.margin, 0.0)
+    scale, middle = np.array([1.0, -1.0]) / tag.border, 0.5 * count
+    paper = (rectangle(-beyond, count + beyond, -beyond, count + beyond) - middle) * scale
+    return TagOutlines(paper[None], (tag.ink - middle) * scale)
+
+
+def as_printed(made: TagOutlines, size: float, dot: float, phase: Array) -> TagOutlines:
+    """In metres, of a tag whose square measures `size`: a printer sets every edge on its grid of dots.
+
+    `dot` [m] is the grid's step (0: print without error), `phase` (2,) in [0, 1) where on it the tag's middle falls.
+    Half the dots of a tag are so on either side of where they should be: each edge is up to `dot` / 2 off, evenly.
+    """
+    if dot == 0.0:
+        return TagOutlines(size * made.paper, size * made.ink)
+    on_grid = dot * (np.round(size * made.ink / dot + phase) - phase)
+    return TagOutlines(size * made.paper, on_grid)
+
+
+def rectangle(left: float, right: float, top: float, bottom: float) -> Array:
+    """Corners (4, 2)."""
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=float)
+
+
+def placed(loops: Array, pose: Array) -> Array:
+    """Polygons (..., corners, 2) [m] of a thing that sits at `pose` (3,) x, y [m], angle [rad]."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(loops @ np.array([[cos, sin], [-sin, cos]]) + pose[:2])
+
+
+# What moves before the camera, as polygons on the table: beam, tags, the tool that pushes, a hand.
+
+SHADOW = np.array([0.0025, -0.003])  # m, from the thing that casts it
+STRIPS = ((1.0, 0.92), (0.75, 1.0))  # of the beam: share of its width, brightness
+PIECE = 30  # nodes of the beam
+TOOL_LENGTH = 0.25  # m
+RETREAT, APPROACH = 0.04, 0.8  # m, s: how far the tool waits, and how long it takes to come
+HAND = (0.035, 0.022)  # m, half axes
+HAND_SPEED, HAND_TIME = 0.12, 1.2  # m/s; s before and after its passing
+CLAMP = (0.046, 0.05)  # m, length and width
+
+
+@dataclass(frozen=True)
+class MovingScene:
+    """The moving things of a scene: their shapes and colours, which do not change."""
+
+    scene: Scene
+    push: PushProfile
+    half_width: Array  # (S,) m, of the drawn beam
+    tags: tuple[TagOutlines, ...]  # m, as printed; base tags first
+    base_angle: float  # rad: the clamp's frame in the room
+
+
+@dataclass(frozen=True)
+class BeamPose:
+    """Beam and tags at one moment, in the room."""
+
+    time: float  # s
+    xy: Array  # (S, 2) m
+    angle: Array  # (S,) rad
+    tags: Array  # (m, 6) x, y, angle, z, tilts
+    height: Array  # (S,) m, of the beam over the table's plane
+    contact: float  # s, where the tool pushes
+
+
+def clamp_block(scene: Scene, base_angle: float) -> Drawing:
+    """The block that holds the beam: it ends at the base."""
+    length, width = CLAMP
+    block = np.array([[-length, -width / 2], [0.004, -width / 2], [0.004, width / 2], [-length, width / 2]])
+    inner = 0.92 * (block - block.mean(axis=0)) + block.mean(axis=0)
+    pose = np.array([0.0, 0.0, base_angle])
+    outer = placed(block, pose)
+    layers = [ColourLayer(outer, dimmed(scene.clamp, 0.8)), ColourLayer(placed(inner, pose), scene.clamp)]
+    return Drawing([Shadow(outer + SHADOW, soft=6.0)], layers)
+
+
+def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
+    """Everything that moves."""
+    scene, tool = cast.scene, tool_outline(cast, pose)
+    above = scene.overlap > 0.0  # else it pushes the beam's flank, below the tags
+    layers = [] if above else [ColourLayer(tool, scene.tool)]
+    layers += [
+        ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
+        for share, bright in STRIPS
+        for part, width in pieces(pose, cast.half_width)
+    ]
+    for tag, at in zip(cast.tags, pose.tags, strict=True):
+        layers.append(ColourLayer(placed_in_space(tag.paper, at), grey(scene.paper)))
+        layers.append(ColourLayer(placed_in_space(tag.ink, at), grey(scene.ink)))
+    if above:
+        layers.append(ColourLayer(tool, scene.tool))
+    if abs(pose.time - scene.hand_at) < HAND_TIME:
+        layers.append(ColourLayer(hand_outline(pose, scene.hand_at), scene.hand))
+    shadows = [Shadow(strip(pose, cast.half_width)[:, :2] + SHADOW), Shadow(tool + SHADOW, density=0.3)]
+    return Drawing(shadows, layers)
+
+
+def over_rows(drawings: Sequence[Drawing], shift: Array, rows: int) -> Drawing:
+    """One picture of drawings of the same things, as its first, its middle and its last row is exposed.
+
+    `shift` (3, 2) px: of the camera's picture at these rows. A hand that comes or goes meanwhile is as at the first.
+    """
+    first, *later = drawings
+    if any(len(one.layers) != len(first.layers) for one in later):
+        later = []
+    layers = [replace(one, late=tuple(d.layers[i].loops for d in later)) for i, one in enumerate(first.layers)]
+    shadows = [replace(one, late=tuple(d.shadows[i].loops for d in later)) for i, one in enumerate(first.shadows)]
+    return Drawing(shadows, layers, shift, rows)
+
+
+def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
+    """The beam cut along its length. Pieces overlap, so that no seam shows."""
+    out = []
+    for first in range(0, len(half_width) - 1, PIECE):
+        part = slice(first, first + PIECE + 2)
+        cut = replace(pose, xy=pose.xy[part], angle=pose.angle[part], height=pose.height[part])
+        out.append((cut, half_width[part]))
+    return out
+
+
+def grey(level: float) -> Colour:
+    return (level, level, level)
+
+
+def dimmed(colour: Colour, share: float) -> Colour:
+    return (colour[0] * share, colour[1] * share, colour[2] * share)
+
+
+def strip(pose: BeamPose, half_width: Array) -> Array:
+    """Outline (2 S, 2) m of the beam, or (2 S, 3)."""
+    left = half_width[:, None] * np.stack([-np.sin(pose.angle), np.cos(pose.angle)], axis=-1)
+    outline = np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
+    return lifted(outline, np.concatenate([pose.height, pose.height[::-1]]))
+
+
+def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
+    """A bar with a chamfered end that touches the beam's edge where it pushes, and waits aside before and after."""
+    push, places = cast.push, np.linspace(0.0, 1.0, len(pose.xy))
+    angle = float(push.angle(np.array([pose.time]))[0]) + cast.base_angle
+    along = np.array([np.cos(angle), np.sin(angle)])
+    touch = np.array([np.interp(pose.contact, places, pose.xy[:, i]) for i in range(2)])
+    half = float(np.interp(pose.contact, places, cast.half_width))
+    begin, end = push.contact
+    away = smooth(np.array([(begin - pose.time) / APPROACH]))[0]
+    if push.after > 0.0:
+        away = away + smooth(np.array([(pose.time - end) / APPROACH]))[0]
+    tip = touch + along * (cast.scene.overlap - half - RETREAT * away)
+    wide, cut = 0.5 * cast.scene.tool_width, 0.25 * cast.scene.tool_width
+    bar = np.array([[0, -wide + cut], [0, wide - cut], [-cut, wide], [-TOOL_LENGTH, wide]])
+    bar = np.concatenate([bar, [[-TOOL_LENGTH, -wide], [-cut, -wide]]])
+    return placed(bar, np.array([tip[0], tip[1], angle + cast.scene.slant]))
+
+
+def hand_outline(pose: BeamPose, at: float) -> Array:
+    """A blunt shape that crosses the beam's middle."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
+    bump = 1.0 + 0.12 * np.cos(5.0 * turn)
+    shape = bump[:, None] * np.stack([HAND[0] * np.cos(turn), HAND[1] * np.sin(turn)], axis=-1)
+    middle = pose.xy[len(pose.xy) // 2] + np.array([0.3, 1.0]) * HAND_SPEED * (pose.time - at)
+    return placed(shape, np.array([middle[0], middle[1], 1.2]))
+
+
+# `recording.toml` from the entries that reading it gives: the inverse of `recording.folder.read_recording`.
+
+
+def recording_toml(recording: Recording) -> str:
+    """The text of a `recording.toml` that says what `recording` holds; what is not known is left out."""
+    parts = [f"format = {FORMAT}\nname = {json.dumps(recording.name)}\n"]
+    tags = recording.tags
+    parts += [table("[beam]", recording.beam), table("[tags]", tags)]
+    parts += [table("[[tags.on_base]]", tag) for tag in tags.on_base]
+    parts += [table("[[tags.on_beam]]", tag) for tag in tags.on_beam]
+    named = {name: getattr(recording, name) for name in ("camera", "video", "markers", "force", "push", "gravity")}
+    parts += [table(f"[{name}]", entry) for name, entry in named.items() if entry is not None]
+    return "\n".join(parts)
+
+
+def table(header: str, entry: Any) -> str:
+    """One table with every key whose value is known; those of bags only where a bag is meant."""
+    lines = [header]
+    bagged = bool(getattr(entry, "topic", ""))
+    for name, (key, _) in keys_of(type(entry)).items():
+        if key.name in BAG_KEYS and not bagged:
+            continue
+        value = getattr(entry, name)
+        unknown = value is None or value == "" or (isinstance(value, float) and not math.isfinite(value))
+        if not unknown:
+            lines.append(f"{key.name} = {as_toml(value, key)}")
+    return "\n".join(lines) + "\n"
+
+
+def as_toml(value: Any, key: Key) -> str:
+    """A value in the file's units."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Path):
+        return json.dumps(value.name)
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, tuple):
+        return "[" + ", ".join(as_toml(item, key) for item in value) + "]"
+    if isinstance(value, float):
+        written = math.degrees(value) if key.name.endswith("_deg") else value
+        short = f"{written:.10g}"
+        return short if math.isclose(float(short), written, rel_tol=1e-15) else repr(written)
+    return str(value)
+
+
+# Pictures into an MP4 file: H.264, yuv420p, each frame with its own time.
+
+TIME_BASE = Fraction(1, 90_000)
+PRESET = "veryfast"
+
+
+def write_video(
+    path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
+) -> int:
+    """Write frames (time [s], 8 bit planes) that come in order; return their number.
+
+    Raises:
+        RecordingError: the encoder is missing or refuses.
+    """
+    count = 0
+    try:
+        with av.open(str(path), "w") as container:
+            stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+            stream.width, stream.height = size
+            stream.pix_fmt = "yuv420p"
+            stream.codec_context.time_base = TIME_BASE
+            stream.options = {"crf": str(crf), "preset": PRESET, "threads": "1"}
+            for time, picture in frames:
+                frame = video_frame(picture)
+                frame.pts, frame.time_base = round(time / TIME_BASE), TIME_BASE
+                container.mux(stream.encode(frame))
+                count += 1
+            container.mux(stream.encode(None))
+    except av.error.FFmpegError as wrong:
+        raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
+    return count
+
+
+def video_frame(picture: YuvFrame) -> av.VideoFrame:
+    """The planes as the encoder takes them."""
+    rows, columns = picture.y.shape
+    stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
+    return av.VideoFrame.from_ndarray(stacked.reshape(rows * 3 // 2, columns), format="yuv420p")
+
+
+# A camera that does not stand still: a tripod that shakes in a band of frequencies, and drifts.
+
+WAVES = 24  # of a shake, on each axis
+
+
+@dataclass(frozen=True)
+class CameraMotion:
+    """Shift of the picture: waves of one amplitude, and a drift that is even in time. Without waves it stands still."""
+
+    frequency: Array  # (W, 2) Hz
+    phase: Array  # (W, 2) rad
+    amplitude: float  # px, of each wave
+    rate: Array  # (2,) px/s
+
+    @property
+    def still(self) -> bool:
+        """Whether it does not move."""
+        return self.amplitude == 0.0 and not np.any(self.rate)
+
+    def shift(self, time: Array) -> Array:
+        """(T, 2) px at `time` (T,) [s], from where the camera stood at 0 s but for the shake."""
+        waves = np.sin(2.0 * np.pi * time[:, None, None] * self.frequency + self.phase)
+        return np.asarray(self.amplitude * waves.sum(axis=1) + time[:, None] * self.rate)
+
+
+def camera_motion(effects: RealBench, until: float, rng: np.random.Generator) -> CameraMotion:
+    """A motion of the sizes of `effects` over a film of `until` [s]; its direction and its waves are drawn."""
+    low, high = effects.shake_band
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    return CameraMotion(
+        frequency=rng.uniform(low, high, (WAVES, 2)),
+        phase=rng.uniform(0.0, 2.0 * np.pi, (WAVES, 2)),
+        amplitude=effects.shake * float(np.sqrt(2.0 / WAVES)),
+        rate=effects.drift / until * np.array([np.cos(turn), np.sin(turn)]),
+    )
+
+
+# A beam that hangs out of its plane of bending under its own weight.
+
+
+def droop(beam: Beam, tip: float, s: Array, xy: Array, angle: Array) -> tuple[Array, Array]:
+    """(T, S) m and (T, S) rad: heights of shapes xy (T, S, 2), angle (T, S) at `s` (S,), and slopes along the beam.
+
+    The weight across the plane bends each piece by its moment about the piece's normal, z'' = -m / (E I across) with
+    I across ~ k^(1/3), that of a bar of even depth; twist is left out. Scaled so that the tip of the straight beam
+    hangs by `tip` [m].
+    """
+    if tip == 0.0:
+        return np.zeros(angle.shape), np.zeros(angle.shape)
+    mass = np.asarray(beam.mass_per_length(s))
+    mass = mass if np.all(mass > 0.0) else np.ones(len(s))
+    softness = 1.0 / np.cbrt(np.asarray(beam.stiffness(s)))
+    straight = np.stack([beam.length * s, np.zeros(len(s))], axis=-1)[None]
+    at_tip = heights(straight, np.zeros((1, len(s))), s, mass, softness)[0][0, -1]
+    z, slope = heights(xy, angle, s, mass, softness)
+    return tip / -at_tip * z, tip / -at_tip * slope / beam.length
+
+
+def heights(xy: Array, angle: Array, s: Array, mass: Array, softness: Array) -> tuple[Array, Array]:
+    """(T, S) height and its derivative with s, up to a factor that all shapes share."""
+
+    def beyond(values: Array) -> Array:  # integral from s to the tip, along axis 1
+        whole = cumulative_trapezoid(values, s, axis=1, initial=0.0)
+        return np.asarray(whole[:, -1:] - whole)
+
+    weight = np.broadcast_to(mass, angle.shape)
+    arm = beyond(weight[..., None] * xy) - beyond(weight)[..., None] * xy
+    moment = arm[..., 0] * np.cos(angle) + arm[..., 1] * np.sin(angle)
+    slope = cumulative_trapezoid(-moment * softness, s, axis=1, initial=0.0)
+    return cumulative_trapezoid(slope, s, axis=1, initial=0.0), slope
+
+
+# Beam, tags and contact of a bench at the moments that a film shows.
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """Beam, tags and contact at T moments."""
+
+    shapes: BeamShapes  # clamp's frame
+    beam: Array  # (T, 121, 4) x, y, angle, z at `PLACES`, in the room
+    tags: Array  # (T, m + 1, 6) x, y, angle, z and the face's tilts, in the room; the base tag first
+    contact: Array  # (T,) s, where the tool pushes
+
+    def part(self, which: slice) -> Filmed:
+        """Some of them."""
+        shapes = self.shapes
+        few = BeamShapes(shapes.time[which], shapes.force[which], shapes.xy[which], shapes.angle[which])
+        return Filmed(few, self.beam[which], self.tags[which], self.contact[which])
+
+
+def followed(filming: Filming, until: float) -> RodMotion | None:
+    """The beam through the whole film where its bench has effects that move it; None: it moves as without them."""
+    return motion_of(filming.bench, until, at=PLACES, gravity=motive_of(filming).gravity)
+
+
+def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filmed:
+    """Everything at times (T,) [s] that rise; before 0 the beam is at rest.
+
+    Raises:
+        MechanicsError: the beam snaps through, or its mass is needed and not known.
+    """
+    bench = filming.bench
+    if motion is None:
+        shapes = shapes_at(bench.beam, bench.push, time, motive_of(filming))
+        contact = np.full(len(time), bench.push.at_s)
+    else:
+        poses = motion.poses(time, PLACES)
+        shapes = BeamShapes(time, bench.push.force(time), poses[..., :2], poses[..., 2])
+        contact = motion.contacts(time)
+    z, slope = droop(bench.beam, bench.effects.droop, PLACES, shapes.xy, shapes.angle)
+    beam = np.concatenate([shapes.xy, shapes.angle[..., None], z[..., None]], axis=-1)
+    tags = tag_faces(filming, shapes, z, slope)
+    return Filmed(shapes, in_room(beam, filming.base_angle), in_room(tags, filming.base_angle), contact)
+
+
+def tag_faces(filming: Filming, shapes: BeamShapes, z: Array, slope: Array) -> Array:
+    """(T, m + 1, 6) the base tag and those on the beam, clamp's frame: x, y, angle, z and tilts about and along it."""
+    bench, count = filming.bench, len(shapes.time)
+    effects, s = bench.effects, np.clip(tag_places(bench), 0.0, 1.0)
+    xy, angle = shapes.at(s)
+    flat = tag_poses_on(bench, xy, angle)
+    heights = np.array(effects.tag_heights) if effects.tag_heights else np.zeros(len(s))
+    tilts = np.array(effects.tag_tilts) if effects.tag_tilts else np.zeros((len(s), 2))
+    up = np.stack([np.array([np.interp(s, PLACES, one) for one in of]) for of in (z, slope)], axis=-1)
+    about = np.broadcast_to(tilts[:, :1], (count, len(s), 1))
+    on_beam = [flat, up[..., :1] + heights[:, None], about, up[..., 1:] + tilts[:, 1:]]
+    base = np.tile(np.array([*bench.base, effects.base_height, 0.0, 0.0]), (count, 1, 1))
+    return np.concatenate([base, np.concatenate(on_beam, axis=-1)], axis=1)
+
+
+def in_room(pose: Array, base_angle: float) -> Array:
+    """Poses (..., 3 or more) in the room, from the clamp's frame."""
+    cos, sin = np.cos(base_angle), np.sin(base_angle)
+    xy = pose[..., :2] @ np.array([[cos, sin], [-sin, cos]])
+    return np.concatenate([xy, pose[..., 2:3] + base_angle, pose[..., 3:]], axis=-1)
+
+
+# The truth beside a filmed recording: `truth.npz` and `truth.json`.
+
+S = np.linspace(0.0, 1.0, 401)
+MEANING = (
+    "k: EI/L as a static model finds it at best = k_instant x secant_modulus; k_instant: before anything relaxes, with "
+    "the tags' patches; k_bare: without patches. F: on the beam, in the clamp's frame, s_a its place; tag_xya, "
+    "tag_xyaz: in the room (clamp's frame turned by base), z towards the camera; tag_tilts: rad, of the face about the "
+    "beam's direction and upwards along it; camera_px: shift of the picture. All these as the first row of a frame is "
+    "exposed. log_F: without error, in the log's axes and with its sign"
+)
+
+
+@dataclass(frozen=True)
+class FilmTruth:
+    """What was filmed, as it truly was."""
+
+    filming: Filming
+    shown: Filmed  # at the frames, as their first rows are exposed
+    motion: RodMotion | None
+    moved: Array  # (T, 2) px, of the camera's picture
+    view: View
+    log: ForceLog  # as written
+    clean: ForceLog  # the same without any error of the sensor
+    seed: int
+
+
+def write_truth(folder: Path, made: FilmTruth) -> None:
+    """Write both files into `folder`, which is made; they are to compare with, nothing that learns reads them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    filming, shapes = made.filming, made.shown.shapes
+    beam = filming.bench.beam
+    truth = true_stiffness(filming.bench, made.motion, S)
+    np.savez_compressed(
+        folder / "truth.npz",
+        s=S,
+        k=truth.k,
+        k_instant=truth.k_instant,
+        k_bare=truth.k_bare,
+        EI=truth.k * beam.length,
+        width=np.asarray(filming.width(S)),
+        rhoA=np.asarray(beam.mass_per_length(S)),
+        kappa0=rest_curvature(beam, filming.bench.effects, S) / beam.length,
+        t_frame=shapes.time,
+        s_shape=PLACES,
+        x=shapes.xy[..., 0],
+        y=shapes.xy[..., 1],
+        alpha=shapes.angle,
+        F=shapes.force,
+        s_a=made.shown.contact,
+        z=made.shown.beam[..., 3],
+        camera_px=made.moved,
+        base=np.full(len(shapes.time), filming.base_angle),
+        tag_id=np.array([0, *(tag.id for tag in filming.bench.tags)], dtype=np.int64),
+        tag_xya=made.shown.tags[..., :3],
+        tag_xyaz=made.shown.tags[..., :4],
+        tag_tilts=made.shown.tags[..., 4:],
+        log_t=made.log.time,
+        log_F=made.clean.force,
+    )
+    text = json.dumps(plain(facts_of(made)), indent=1, allow_nan=False)
+    (folder / "truth.json").write_text(text + "\n", encoding="utf-8")
+
+
+def facts_of(made: FilmTruth) -> dict[str, Any]:
+    """What stands in `truth.json`."""
+    filming, view = made.filming, made.view
+    bench = filming.bench
+    clock = bench.clock
+    return {
+        "beam": bench.name,
+        "L": bench.beam.length,
+        "seed": made.seed,
+        "physics": "equation of motion" if filming.swings else "statics",
+        "eta": filming.damping,
+        "s_a": bench.push.at_s,
+        "clock": {
+            "log_minus_video_true": clock.offset,
+            "said": clock.declared,
+            "error_said_minus_true": clock.declared - clock.offset,
+        },
+        "camera": {
+            "K": view.matrix.tolist(),
+            "dist": view.dist.tolist(),
+            "R": view.rotation.tolist(),
+            "t": view.translation.tolist(),
+            "C": (-view.rotation.T @ view.translation).tolist(),
+            "calibrated_for_user": filming.calibrated,
+        },
+        "scene": asdict(filming.scene),
+        "push": {**asdict(bench.push), "contact": bench.push.contact},
+        "tags": {
+            "base": list(bench.base),
+            "on_beam": [asdict(tag) for tag in bench.tags],
+            "size": filming.tag_size,
+        },
+        "force": {
+            **asdict(bench.sensor),
+            "rotation": filming.log_rotation,
+            "reaction": filming.log_of_robot,
+        },
+        "gravity": {"magnitude": filming.gravity, "base_angle": filming.base_angle},
+        "tip_angle_max_deg": float(np.degrees(np.max(np.abs(made.shown.shapes.angle[:, -1])))),
+        "force_max_N": float(np.max(np.linalg.norm(made.shown.shapes.force, axis=1))),
+        "effects": asdict(bench.effects),
+        "secant_modulus": 1.0 if made.motion is None else made.motion.secant,
+        "meaning": MEANING,
+    }
+
+
+# A recording folder of a known beam: the film as pixels, the force log, `recording.toml`, and the truth.
+
+STEPS = 0.7  # px: how far the picture may move from one drawn moment of an exposure to the next
+MOST_MOMENTS = 8
+INCH = 0.0254  # m
+SHARPEST = 0.8  # half widths a radius
+
+
+@dataclass(frozen=True)
+class Shot:
+    """All that the frames are made of: three moments of each exposure, at its begin, middle and end."""
+
+    staged: StaticScene
+    cast: MovingScene
+    at_rows: tuple[Filmed, ...]  # (3 T,) each: as the first, the middle, the last row is exposed; one: all at once
+    camera: CameraMotion
+    readout: float  # s, from the first to the last row
+
+
+@one_blas_thread
+def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
+    """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
+
+    Raises:
+        MechanicsError: the beam snaps through, or its mass is needed and not known.
+        RecordingError: the folder holds something, the camera cannot show the push, or the film cannot be encoded.
+    """
+    folder, bench = Path(folder), filming.bench
+    check(filming, folder)
+    time = frame_times(filming, np.random.default_rng([seed, 2]))
+    exposed = (time[:, None] + 0.5 * filming.scene.exposure * np.array([-1.0, 0.0, 1.0])).ravel()
+    readout = bench.effects.readout
+    motion = followed(filming, float(exposed[-1]) + readout)
+    moments = moments_at(filming, motion, exposed)
+    refuse_sharp_bends(filming, moments.shapes)
+    later = [moments_at(filming, motion, exposed + part * readout) for part in (0.5, 1.0)] if readout else []
+    camera_moves = camera_motion(bench.effects, bench.push.duration, np.random.default_rng([seed, 13]))
+    cast = cast_of(filming, np.random.default_rng([seed, 12]))
+    view = view_from(filming.camera, to_be_seen(cast, moments))
+    staged = stage_of(filming, cast, view, moments.beam, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    shot = Shot(staged, cast, (moments, *later), camera_moves, readout)
+    frames = pictures(shot, time, np.random.default_rng([seed, 0]))
+    camera = filming.camera
+    write_video(
+        folder / "video.mp4",
+        track(progress, "Filming", frames, len(time)),
+        (camera.width, camera.height),
+        bench.fps,
+        filming.scene.crf,
+    )
+    log, clean = force_log(filming, motion, np.random.default_rng([seed, 1]))
+    write_log(folder / "force.csv", log)
+    (folder / FILE_NAME).write_text(recording_toml(entries(filming, folder)), encoding="utf-8")
+    shown = moments.part(slice(1, None, 3))
+    moved = camera_moves.shift(time)
+    write_truth(folder / "truth", FilmTruth(filming, shown, motion, moved, view, log, clean, seed))
+    return folder
+
+
+def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
+    """An error where a bend's inner side would fold: no beam of this width bends so."""
+    turn = np.abs(np.diff(shapes.angle, axis=1)) / np.diff(PLACES) / filming.bench.beam.length
+    half = 0.5 * np.asarray(filming.width(0.5 * (PLACES[1:] + PLACES[:-1])))
+    tightest = float(np.max(turn * half))
+    if tightest >= SHARPEST:
+        peak, middle = filming.bench.push.peak, 1e3 * float(half.mean())
+        raise RecordingError(
+            f"{peak:.3g} N would bend the beam to a radius of {middle / tightest:.2g} mm, which its width of "
+            f"{2.0 * middle:.2g} mm does not allow. Give a smaller force."
+        )
+
+
+def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
+    """What moves, but for its motion. Where each tag falls on the printer's grid of dots is drawn."""
+    told = declared_recording(filming.bench).tags
+    ids = [tag.id for tag in (*told.on_base, *told.on_beam)]
+    made = [outlines(tag, told.family) for tag in ids]
+    dot = INCH / filming.scene.print_dpi if filming.scene.print_dpi > 0.0 else 0.0
+    return MovingScene(
+        scene=filming.scene,
+        push=filming.bench.push,
+        half_width=0.5 * np.asarray(filming.width(PLACES), dtype=float),
+        tags=tuple(as_printed(outline, filming.tag_size, dot, rng.random(2)) for outline in made),
+        base_angle=filming.base_angle,
+    )
+
+
+def to_be_seen(cast: MovingScene, moments: Filmed) -> Array:
+    """(N, 2) m: the paper of every tag at every time, and the beam."""
+    tags = moments.tags[..., :3]
+    corners = [
+        placed(tag.paper[0], pose) for i, tag in enumerate(cast.tags) for pose in tags[:: max(1, len(tags) // 200), i]
+    ]
+    return np.concatenate([*corners, moments.beam[::5, :, :2].reshape(-1, 2)])
+
+
+def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed: int) -> StaticScene:
+    """The table with the clamp on it."""
+    reach = 0.03 + float(np.max(cast.half_width)) + filming.tag_size
+    xy = beam[:: max(1, len(beam) // 100), :, :2].reshape(-1, 2)
+    corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * reach
+    moving = (xy[:, None] + corners).reshape(-1, 2)
+    still = clamp_block(filming.scene, filming.base_angle)
+    return stage(filming.scene, view, (filming.camera.width, filming.camera.height), still, moving, seed)
+
+
+def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, YuvFrame]]:
+    """Frames in order with their times."""
+    for i, now in enumerate(time.tolist()):
+        part = slice(3 * i, 3 * i + 3)
+        exposure = replace(shot, at_rows=tuple(one.part(part) for one in shot.at_rows))
+        yield now, frame_of(shot.staged, [drawn(exposure, now, u) for u in moments_of(exposure)], now, rng)
+
+
+def moments_of(shot: Shot) -> list[float]:
+    """Filmed of one exposure that are drawn, -1 at its beginning and 1 at its end."""
+    tags, beam = shot.at_rows[0].tags, shot.at_rows[0].beam
+    ends = project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
+    moved = float(np.max(np.abs(ends[1] - ends[0])))
+    count = int(np.clip(np.ceil(moved / STEPS), 1, MOST_MOMENTS))
+    return [(2.0 * i + 1.0) / count - 1.0 for i in range(count)]
+
+
+def drawn(shot: Shot, time: float, u: float) -> Drawing:
+    """All that moves at moment `u` of an exposure, by a parabola through its begin, middle and end."""
+    weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
+    now = time + 0.5 * u * shot.cast.scene.exposure
+
+    def at(moments: Filmed, when: float) -> Drawing:
+        beam, tags = np.tensordot(weights, moments.beam, 1), np.tensordot(weights, moments.tags, 1)
+        contact = float(weights @ moments.contact)
+        return moment_of(shot.cast, BeamPose(when, beam[:, :2], beam[:, 2], tags, beam[:, 3], contact))
+
+    when = now + shot.readout * np.array([0.0, 0.5, 1.0])
+    drawings = [at(moments, moment) for moments, moment in zip(shot.at_rows, when.tolist(), strict=False)]
+    if len(drawings) == 1 and shot.camera.still:
+        return drawings[0]
+    return over_rows(drawings, shot.camera.shift(when), shot.staged.table.y.shape[0])
+
+
+def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
+    """What the sensor logs, and the true force on the log's clock; both in the log's axes and with its sign."""
+    bench, margin = filming.bench, filming.log_before
+    step = min(DENSE, 0.5 / bench.sensor.rate)
+    dense = np.arange(-margin, bench.push.duration + margin, step)
+    acts_on = "robot" if filming.log_of_robot else "beam"
+    force = in_log_axes(bench.push.force(dense), filming.log_rotation, acts_on)
+    felt = in_log_axes(sensed(bench, dense, motion), filming.log_rotation, acts_on)
+    log = log_of(bench.sensor, dense, felt, rng, offset=bench.clock.offset)
+    clean = np.stack([np.interp(log.time - bench.clock.offset, dense, column) for column in force.T], axis=1)
+    return log, ForceLog(log.time, clean)
+
+
+def entries(filming: Filming, folder: Path) -> Recording:
+    """What `recording.toml` says."""
+    bench, told = filming.bench, declared_recording(filming.bench)
+    assert told.video is not None
+    assert told.force is not None
+    mass = nan
+    if filming.mass_told and float(np.min(bench.beam.mass_per_length(PLACES))) > 0.0:
+        mass = round(float(np.trapezoid(bench.beam.mass_per_length(PLACES), PLACES)) * bench.beam.length, 5)
+    return replace(
+        told,
+        folder=folder,
+        beam=BeamEntry(length=told.beam.length, mass=mass, rest=told.beam.rest),
+        tags=replace(told.tags, size=filming.tag_size),
+        camera=calibration(filming.camera) if filming.calibrated else None,
+        video=replace(told.video, file=folder / "video.mp4", fps=bench.fps),
+        force=ForceEntry(
+            file=folder / "force.csv",
+            rotation=filming.log_rotation,
+            acts_on="robot" if filming.log_of_robot else "beam",
+            sensor=filming.sensor_name,
+            zeroed=filming.zeroed,
+            gain_sd=told.force.gain_sd,
+        ),
+        gravity=GravityEntry(direction=DOWN, magnitude=filming.gravity, base_angle=filming.base_angle)
+        if filming.gravity > 0.0
+        else None,
+    )
+
+
+# A virtual recording as a folder of marker tracks: as a motion capture would leave it, with the truth beside it.
+
+TABLE = "markers.csv"
+TRUTH_PLACES = np.linspace(0.0, 1.0, 201)  # s
+
+
+def check_trackable(filming: Filming) -> None:
+    """Raises `RecordingError` where what is to be filmed needs more than the markers of a beam in equilibrium."""
+    for wrong, what in (
+        (filming.swings, "a push that swings the beam"),
+        (filming.gravity > 0.0, "gravity in the plane of bending"),
+    ):
+        if wrong:
+            raise RecordingError(f"{what} is filmed, not given as markers. Leave out the markers, or take a slow push.")
+
+
+def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> Path:
+    """Push the bench's beam and write `recording.toml`, `markers.csv`, `force.csv` and `truth/` into `folder`, which
+    must not hold a recording; return the folder. The same `seed` makes the same files.
+
+    Raises:
+        MechanicsError: the beam snaps through under the push.
+        RecordingError: the folder holds a recording.
+    """
+    folder = Path(folder)
+    if (folder / FILE_NAME).exists():
+        raise RecordingError(f"{folder} holds a recording. Name another folder.")
+    made = virtual_recording(bench, seed=seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_tracks(folder / TABLE, made)
+    write_log(folder / "force.csv", made.log)
+    told = made.recording
+    assert told.video is not None
+    assert told.force is not None
+    markers = MarkersEntry(
+        file=folder / TABLE,
+        start=told.video.start,
+        start_uncertainty=told.video.start_uncertainty,
+        sd=bench.camera.white_xy,
+        clamp=(0.0, 0.0),
+        x_axis=(1.0, 0.0),
+    )
+    entry = replace(
+        told,
+        folder=folder,
+        tags=replace(told.tags, on_base=()),
+        video=None,
+        markers=markers,
+        force=replace(told.force, file=folder / "force.csv"),
+    )
+    (folder / FILE_NAME).write_text(recording_toml(entry), encoding="utf-8")
+    _write_truth(folder / "truth", made, seed)
+    return folder
+
+
+def _write_tracks(path: Path, made: VirtualRecording) -> None:
+    """`time_s, id, x_m, y_m, angle_rad`, a row a marker that is seen."""
+    seen = made.markers
+    lines = ["time_s,id,x_m,y_m,angle_rad"]
+    for t, time in enumerate(seen.time):
+        for i, marker in enumerate(seen.tag_id):
+            x, y = seen.xy[t, i]
+            if np.isfinite(x):
+                lines.append(f"{time:.6f},{marker},{x:.8f},{y:.8f},{seen.angle[t, i]:.6f}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_truth(folder: Path, made: VirtualRecording, seed: int) -> None:
+    """`truth.npz` with s and k [N m], and `truth.json`; to compare with, nothing that learns reads them."""
+    folder.mkdir(exist_ok=True)
+    truth = true_stiffness(made.bench, made.motion, TRUTH_PLACES)
+    length = made.bench.beam.length
+    np.savez_compressed(folder / "truth.npz", s=TRUTH_PLACES, k=truth.k, EI=truth.k * length)
+    facts = {"length_m": length, "force_max_N": made.bench.push.peak, "seed": seed}
+    (folder / "truth.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")

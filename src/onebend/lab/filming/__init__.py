@@ -1,1 +1,0 @@
-"""The virtual film: scene, camera, rendering, and the recording folder with its truth."""

@@ -1,0 +1,680 @@
+"""How well k(s) would come out, from the Fisher information and the fit's own prior.
+
+Let I be the data's information on the coefficients c of log k, all nuisances marginalised. Data without noise say
+`-2 log p = x' I x - 2 x' I c` of the coefficients x. The fit's own posterior of log k (`stiffness_mixture`) under
+these data gives the band, its covariance C, and the bias, its mean less c. Noise of covariance I on `I c` moves the
+mean by C times the noise, so that the scatter from one recording to the next is `C I C`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from math import isfinite, isnan, nan
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import IDENTIFIED_SD, half_width
+from onebend.errors import MechanicsError, RecordingError
+from onebend.lab.bench import FRANKA, WRIST, ForceSensor, PushProfile, TagNoise
+from onebend.lab.designs import find_design
+from onebend.lab.random_bench import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, check_name, push_of
+from onebend.lab.rendering import Camera, view_from
+from onebend.lab.virtual import LOG_BEFORE, VirtualBench, VirtualTag, tag_poses
+from onebend.learning.design import (
+    PLACES,
+    Limits,
+    Quality,
+    TagDerivatives,
+    alone,
+    direction_words,
+    eliminate,
+    joint_information,
+    largest_pushes,
+    mass_of,
+    solve_push,
+    tag_derivatives,
+)
+from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
+from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.parameters import Spline
+from onebend.progress import Progress, Silent, one_blas_thread, track
+from onebend.recording.beam_frame import MOUNTING_SD
+from onebend.recording.camera import project
+from onebend.recording.signals import runs
+from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray, Rest
+from onebend.results.model import FILE_NAME, read_model
+
+# What is rehearsed: a beam, pushes, tags and instruments, and their tolerances.
+
+THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
+CORNER_SD = 0.1  # px, of a tag's corner: the centre is good to half of it
+TAG_SHARE = 0.08  # of the length: a tag's side
+NEAREST_TAGS = 0.02  # in s: nearer tags would overlap
+LEAST_TURN_DEG, MOST_TURN_DEG = 3.0, 150.0  # of the pushed place
+FEWEST_FRAMES = 20  # of a push
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One or more pushes of a known beam, as they would be filmed and logged. Errors are one sd."""
+
+    name: str
+    beam: Beam
+    pushes: tuple[PushProfile, ...]
+    tags: tuple[float, ...] = THIRDS
+    sensor: ForceSensor = FRANKA
+    noise: TagNoise = field(default_factory=TagNoise)
+    fps: float = 30.0
+    placement_sd: float = 5e-4  # m, a tag's place along and across
+    turn_sd: float = TURN_SD  # rad, a tag's turn on the beam
+    clock_sd: float = nan  # s, how well the two clocks are known; 0: one clock; NaN: found from the data
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def gain_sd(self) -> float:
+        """Of the force's scale, as it would be declared."""
+        return self.sensor.gain_sd
+
+    @property
+    def rest(self) -> Rest:
+        """What the recording would say of the shape at rest."""
+        s = np.linspace(0.0, 1.0, 101)
+        return "unknown" if np.any(np.asarray(self.beam.rest_curvature(s)) != 0.0) else "straight"
+
+
+def check(setup: Setup) -> None:
+    """Raises `RecordingError` where a setup makes no sense, with what to change."""
+    _check_tags(setup.tags)
+    if not setup.pushes:
+        raise RecordingError("a rehearsal needs at least one push")
+    for push in setup.pushes:
+        _check_push(setup, push)
+    for what, size in (("placement_sd", setup.placement_sd), ("turn_sd", setup.turn_sd)):
+        if not (isfinite(size) and size > 0.0):
+            raise RecordingError(f"{what} must be above zero, got {size}: no tag is put on without an error")
+    if not setup.fps > 0.0 or setup.clock_sd < 0.0:
+        raise RecordingError("the frame rate must be above zero, and the clock's sd, where it is given, not below")
+
+
+def _check_tags(tags: tuple[float, ...]) -> None:
+    if not tags:
+        raise RecordingError("a rehearsal needs at least one tag on the beam. Give --tags, such as 0.33,0.67,1")
+    for s in tags:
+        if not 0.0 < s <= 1.0:
+            where = "beyond the tip (s = 1)" if s > 1.0 else "not on the beam: s = 0 is the clamp"
+            raise RecordingError(f"a tag at s = {s:g} is {where}. Give places in (0, 1]")
+    for place, other in zip(sorted(tags), sorted(tags)[1:], strict=False):
+        if other - place < NEAREST_TAGS:
+            raise RecordingError(f"tags at s = {place:g} and {other:g} would overlap. Keep them {NEAREST_TAGS:g} apart")
+
+
+def _check_push(setup: Setup, push: PushProfile) -> None:
+    first = min(setup.tags)
+    if push.at_s < first - 1e-6:
+        raise RecordingError(
+            f"a push at s = {push.at_s:g} is before the first tag (s = {first:.3g}): nothing would be seen between "
+            "clamp and push. Push farther out, or put a tag nearer to the clamp"
+        )
+    if not (isfinite(push.peak) and push.peak > 0.0):
+        raise RecordingError(f"a push needs a force above zero, got {push.peak} N")
+    seconds = push.contact[1] - push.contact[0]
+    if seconds * setup.fps < FEWEST_FRAMES:
+        raise RecordingError(
+            f"a push of {seconds:.3g} s at {setup.fps:g} frames/s gives {seconds * setup.fps:.0f} frames; at least "
+            f"{FEWEST_FRAMES} are needed. Push for longer"
+        )
+    if push.before < 0.5:
+        raise RecordingError("a push needs half a second of rest before it, which shows the beam and the log at rest")
+
+
+@dataclass(frozen=True)
+class KnownBeam:
+    """A known beam, and the places of its tags where it was learned from tags."""
+
+    name: str
+    beam: Beam
+    tags: tuple[float, ...] = THIRDS
+
+
+def known_beam(name_or_path: str) -> KnownBeam:
+    """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one.
+
+    Raises:
+        MechanicsError, ResultsError: there is none, or it cannot be read.
+    """
+    path = Path(name_or_path)
+    if path.suffix == ".json" or (path.is_dir() and (path / FILE_NAME).is_file()):
+        stored = read_model(path)
+        k = np.asarray(stored.beam.stiffness(np.linspace(0.0, 1.0, 201)))
+        if not np.all(k > 0.0):
+            raise MechanicsError(f"{path}: k(s) is not positive everywhere, so this beam cannot be rehearsed")
+        tags = stored.bench.tags if stored.bench is not None else stored.origin.marker_s if stored.origin else THIRDS
+        return KnownBeam(path.resolve().parent.name if path.suffix else path.resolve().name, stored.beam, tuple(tags))
+    design = find_design(name_or_path)
+    return KnownBeam(design.name, design.beam())
+
+
+@one_blas_thread
+def setup_of(
+    known: KnownBeam,
+    requests: Sequence[FilmRequest],
+    *,
+    tags: Sequence[float] = (),
+    gain_sd: float = nan,
+    placement_sd: float = Setup.placement_sd,
+    turn_sd: float = Setup.turn_sd,
+    clock_sd: float = nan,
+) -> Setup:
+    """The setup that is asked for; camera, frame rate and sensor are those of the first request.
+
+    Raises:
+        RecordingError: a number that cannot be, or a push in which the beam swings.
+        MechanicsError: the beam snaps through under a push.
+    """
+    first = requests[0]
+    for request in requests:
+        if request.push in SWINGING:
+            raise RecordingError(
+                f"a {request.push} push makes the beam swing, and is not learned from. Take a slow one"
+            )
+    camera, fps = camera_of(first)
+    sensor = SENSORS[check_name(first.sensor, SensorName, "sensor")][0]
+    sensor = sensor if isnan(gain_sd) else replace(sensor, gain_sd=gain_sd)
+    places = tuple(sorted(float(s) for s in tags)) or known.tags
+    pushes = tuple(push_of(request, known.beam) for request in requests)
+    setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, placement_sd, turn_sd, clock_sd)
+    for push in pushes:
+        if push.peak < 1e-9:
+            raise MechanicsError(f"the beam buckles under any push at s = {push.at_s:g} in this direction")
+    return replace(setup, noise=tag_noise(camera, setup))
+
+
+def check_bending(setup: Setup) -> None:
+    """Raises `MechanicsError` where a push does not bend the beam, or bends it beyond what a tool can follow."""
+    rest = VirtualBench(setup.beam, setup.pushes[0], tags=(VirtualTag(0, 1.0),))
+    for push in setup.pushes:
+        bench = replace(rest, push=push, tags=(VirtualTag(0, push.at_s),))
+        angle = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))[:, 0, 2]
+        turn = float(np.rad2deg(np.max(np.abs(angle - angle[0]))))
+        what = f"{push.peak:.3g} N at s = {push.at_s:g} would turn the beam there by"
+        if turn < LEAST_TURN_DEG:
+            raise MechanicsError(
+                f"{what} only {turn:.2g} deg, from which nothing is learned. Push harder, or across the beam"
+            )
+        if turn > MOST_TURN_DEG:
+            raise MechanicsError(f"{what} {turn:.0f} deg, which no tool can follow. Give a smaller force")
+
+
+def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
+    """What a camera that shows the whole push makes of a tag's corners: `CORNER_SD` in its pixels.
+
+    A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal.
+
+    Raises:
+        MechanicsError: the beam snaps through under a push.
+    """
+    edge = 0.75 * TAG_SHARE * setup.beam.length  # from a tag's middle to the edge of its paper
+    places = [np.zeros((1, 2))]
+    for push in setup.pushes:
+        bench = VirtualBench(setup.beam, push, tags=tuple(VirtualTag(i, s) for i, s in enumerate(setup.tags)))
+        poses = tag_poses(bench, push.force(np.linspace(*push.contact, 25)))
+        places.append(poses[..., :2].reshape(-1, 2))
+    corners = edge * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    view = view_from(camera, (np.concatenate(places)[:, None] + corners).reshape(-1, 2))
+    middle = np.mean(np.concatenate(places), axis=0)
+    step = 1e-3 * setup.beam.length
+    px = project(view, middle + step * np.array([[-1.0, 0.0], [1.0, 0.0]]))
+    size = 2.0 * step / float(np.hypot(*(px[1] - px[0])))  # m a pixel
+    diagonal = np.sqrt(2.0) * TAG_SHARE * setup.beam.length / size
+    return TagNoise(white_xy=0.5 * CORNER_SD * size, white_angle=CORNER_SD / float(diagonal))
+
+
+# The instruments of a setup before the first push, as the fit would describe them, for the Fisher information.
+#
+# The force's noise is the sensor's own, in the parts that the fit models. Every push has its own errors: of its
+# place, of the force's axes, and of the force as the load begins and reverses. Where the clock offset is found from
+# the data, its sd follows a rule of thumb, within a factor of two for pushes of 4 to 13 s: a share of the push's
+# duration that is in proportion to the relative error of the force, with 3 % for what a linear relation misses
+# (docs/plan.md).
+
+FUNCTIONS = FitSettings.functions  # of log k
+MOST_FRAMES = 200  # of a push that prediction and fit use
+_CUTOFF_CYCLES = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
+_LEAST_WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
+# Share of the sensor's reversal error that acts as one constant error over the push. The error is drawn anew as the
+# load begins and as it reverses; the difference between both halves shows, as one force gives one shape.
+_REVERSAL_SHARE = 0.75
+_CLOCK_SHARE, _RELATION_MISFIT = 0.28, 0.03  # of the push's time; of the peak
+
+
+@dataclass(frozen=True)
+class PushUncertainty:
+    """Errors that every push has of its own; one sd."""
+
+    place: float = PLACE_SD  # m, along the beam
+    direction: float = DIRECTION_SD  # rad, of the force log's axes
+    load: float = 0.0  # N, each axis: error of the force that comes with the load
+
+
+@dataclass(frozen=True)
+class RehearsalInstruments:
+    """The instruments of a rehearsal, and the errors of a push."""
+
+    bench: Instruments
+    push: PushUncertainty
+
+
+def even_push(push: PushProfile) -> PlannedPush:
+    """The push as one that grows evenly from nothing, in its middle direction."""
+    return PlannedPush(push.at_s, push.direction, push.peak)
+
+
+def instruments(setup: Setup) -> RehearsalInstruments:
+    """Instruments and errors before any push; where pushes differ, those of the longest."""
+    push = max(setup.pushes, key=_seconds)
+    seconds, tags = _seconds(push), len(setup.tags)
+    shared = ("along", "across", "turn") if setup.rest == "straight" else ("curvature", "along", "across", "turn")
+    sd = {"curvature": [CURVATURE_SD] * 3, "turn": [setup.turn_sd] * tags}
+    prior = np.concatenate([sd.get(name, [setup.placement_sd] * tags) for name in shared])
+    clock = clock_sd(setup.sensor, push) if math.isnan(setup.clock_sd) else setup.clock_sd
+    bench = Instruments(
+        length=setup.beam.length,
+        tags=setup.tags,
+        tag_sd=np.tile([setup.noise.white_xy, setup.noise.white_xy, setup.noise.white_angle], (tags, 1)),
+        frames=min(round(seconds * setup.fps), MOST_FRAMES),
+        seconds=seconds,
+        rest_before=push.before + LOG_BEFORE,
+        rest_after=push.after + LOG_BEFORE if push.after > 0.0 else 0.0,
+        placement_sd=setup.placement_sd,
+        turn_sd=setup.turn_sd,
+        curvature_sd=0.0 if setup.rest == "straight" else CURVATURE_SD,
+        mass_sd=0.0,
+        mass_spread_sd=0.0,
+        clamp_sd=clamp_sd(setup, CLAMP_SD),
+        origin_sd=setup.placement_sd,
+        scale_sd=0.0,
+        clock_sd=clock,
+        force=force_doubt(setup.sensor, push),
+        gain_sd=setup.gain_sd,
+        gravity=(0.0, 0.0),
+        curvature=1.0,
+        pushes=(),
+        shared=shared,
+        shared_slope=np.zeros((len(prior), FUNCTIONS)),
+        shared_covariance=np.diag(prior**2),
+        place_sd=0.0,  # what a push is off by stands in `PushUncertainty`
+        direction_sd=0.0,
+    )
+    return RehearsalInstruments(bench, PushUncertainty(load=_REVERSAL_SHARE * setup.sensor.reversal))
+
+
+def clamp_sd(setup: Setup, own: float) -> float:
+    """rad, as the fit takes it (`learning.parameters.clamp_sd`) from a beam whose tags are all seen at rest."""
+    if setup.rest == "unknown":
+        return float(np.hypot(own, MOUNTING_SD))
+    reach = setup.beam.length * float(np.linalg.norm(setup.tags))
+    return float(np.hypot(own, 2.0 * setup.placement_sd / reach))
+
+
+def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
+    """A sensor's errors behind the low-pass filter."""
+    seconds = _seconds(push)
+    cutoff = _CUTOFF_CYCLES / seconds
+    white = sensor.white_sd * np.sqrt(min(2.0 * cutoff / sensor.rate, 1.0))
+    walk = np.hypot(sensor.drift, _LEAST_WALK * push.peak)
+    coloured, tau = sensor.coloured_sd, sensor.coloured_time
+    if coloured == 0.0:  # a process of next to no size
+        coloured, tau = 1e-4 * push.peak, 0.3
+    return ForceDoubt(
+        level=max(float(np.hypot(*sensor.bias)), push.peak),
+        coloured=coloured,
+        tau=tau,
+        cutoff=cutoff,
+        walk=float(walk),
+        frame=float(white),
+    )
+
+
+def clock_sd(sensor: ForceSensor, push: PushProfile) -> float:
+    """s, sd of the clock offset that the clock search would give, as the fit takes it."""
+    error = float(np.sqrt(2.0 * sensor.reversal**2 + sensor.drift**2 * _seconds(push) + sensor.coloured_sd**2))
+    return _CLOCK_SHARE * 0.5 * _seconds(push) * float(np.hypot(error / push.peak, _RELATION_MISFIT))
+
+
+def _seconds(push: PushProfile) -> float:
+    begin, end = push.contact
+    return end - begin
+
+
+SPLINE = Spline(FUNCTIONS)
+BASIS = SPLINE.basis(PLACES)
+_KNOWN_SHARE = 1e-3  # share of its sd that is left of a nuisance that is known
+_LEAST_SD = 1e-9  # sd of what is known
+_DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
+
+
+@dataclass(frozen=True)
+class PredictedBand:
+    """Sizes of log k at the 101 places of `PLACES`; one sd, the force's gain included where not said otherwise."""
+
+    k: Array  # N m, the truth
+    sd: Array  # of the band
+    own_sd: Array  # of the band, the gain's error left out
+    scatter: Array  # of the estimate, from one recording to the next
+    bias: Array  # of the estimate, by the prior
+    prior: Array  # (p, p) precision of the normal prior under which these data would give this band
+    quality: Quality
+
+    @property
+    def identified(self) -> BoolArray:
+        """Where data rather than the prior set the band."""
+        return np.asarray(self.own_sd < IDENTIFIED_SD)
+
+    @property
+    def error(self) -> Array:
+        """Root mean square error over recordings."""
+        return np.asarray(np.hypot(self.scatter, self.bias))
+
+
+@dataclass(frozen=True)
+class BudgetEntry:
+    """One nuisance, and what the band would be if it were known exactly."""
+
+    name: str
+    mean_width: float  # of the 95 % band of log k, with this known exactly
+    share: float  # of the band's mean width that this removes
+
+
+@one_blas_thread
+def predict(setup: Setup) -> PredictedBand:
+    """The band and the errors to expect.
+
+    Raises:
+        MechanicsError: the beam buckles or snaps through under a push.
+    """
+    used = instruments(setup)
+    return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
+
+
+@one_blas_thread
+def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEntry, ...]:
+    """For every nuisance the band with it known exactly and all else as it is; the most costly first.
+
+    Raises:
+        MechanicsError: as `predict`.
+    """
+    used = instruments(setup)
+    along_pushes = derivatives(setup, used)
+    now = predicted.quality.mean_width
+    entries = []
+    for name, better in known_exactly(used).items():
+        width = with_information(predicted, better, information_of(setup, better, along_pushes)).quality.mean_width
+        entries.append(BudgetEntry(name, width, max(1.0 - width / now, 0.0)))
+    return tuple(sorted(entries, key=lambda entry: -entry.share))
+
+
+def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
+    """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
+    bench, push, e = used.bench, used.push, _KNOWN_SHARE
+    force = bench.force
+    steady = replace(force.times(e), frame=force.frame)
+    out = {
+        "force's gain": replace(bench, gain_sd=0.0),
+        "force's noise": replace(bench, force=replace(force, frame=e * force.frame)),
+        "tags' places": replace(bench, placement_sd=e * bench.placement_sd, origin_sd=e * bench.origin_sd),
+        "tags' turns": replace(bench, turn_sd=e * bench.turn_sd),
+        "clamp's direction": replace(bench, clamp_sd=e * bench.clamp_sd),
+        "clock": replace(bench, clock_sd=e * bench.clock_sd),
+        "camera's noise": replace(bench, tag_sd=0.01 * bench.tag_sd),
+    }
+    if bench.curvature_sd > 0.0:
+        out["shape at rest"] = replace(bench, curvature_sd=e * bench.curvature_sd)
+    if bench.gain_sd == 0.0:
+        del out["force's gain"]
+    if bench.clock_sd == 0.0:
+        del out["clock"]
+    return {name: replace(used, bench=better) for name, better in out.items()} | {
+        "force's bias and slow error": RehearsalInstruments(
+            replace(bench, force=steady), replace(push, load=e * push.load)
+        ),
+        "push's place": replace(used, push=replace(push, place=e * push.place)),
+        "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
+    }
+
+
+def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
+    """Derivatives of the tags' poses along every push with all that is not known.
+
+    Behind the coefficients of log k stand those with the push's own place [m], direction [rad] and force [N].
+    """
+    bench, mass, out = used.bench, mass_of(setup.beam), []
+    for push in setup.pushes:
+        solved = solve_push(setup.beam, bench, even_push(push))
+        on_nodes = SPLINE.basis(solved.problem.grid.nodes)
+        along_push = tag_derivatives(solved, bench, even_push(push), mass, on_nodes, np.asarray(bench.tags))
+        own = [along_push.blocks[name] for name in ("place", "direction", "push")]  # m, rad, N x and y
+        stiffness = np.concatenate([along_push.blocks["stiffness"], *own], axis=-1)
+        out.append(replace(along_push, blocks=along_push.blocks | {"stiffness": stiffness}))
+    return tuple(out)
+
+
+def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
+    """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
+    bench, own = used.bench, used.push
+    chosen = np.arange(len(bench.tags), dtype=np.int64)
+    sd = np.maximum([own.place, own.direction, own.load, own.load], _LEAST_SD)
+    first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
+    last = np.arange(first, first + len(sd))
+    order = np.concatenate([np.setdiff1d(np.arange(size), last), last])
+    joint = np.zeros((first + bench.shared_size, first + bench.shared_size))
+    for along_push, push in zip(along_pushes, setup.pushes, strict=True):
+        of_push = joint_information(along_push, bench, even_push(push), chosen)
+        joint += eliminate(of_push[np.ix_(order, order)], len(sd), sd**-2.0)
+    return eliminate(joint, bench.shared_size, alone(bench))
+
+
+def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -> PredictedBand:
+    """What the fit's prior makes of data with this information (p, p), that show the setup's k without noise."""
+    k = np.asarray(setup.beam.stiffness(PLACES))
+    truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
+    posterior = stiffness_mixture(
+        SPLINE, [InformationForm(information, information @ truth)], float(np.mean(np.log(k))), _DRAWS
+    )
+    prior = equivalent_prior(posterior.covariance, information)
+    bias = np.asarray(BASIS @ (posterior.mean - truth))
+    return _band(k, bias, prior, information, used.bench.gain_sd)
+
+
+def with_information(now: PredictedBand, used: RehearsalInstruments, information: Array) -> PredictedBand:
+    """The same beam with other data: the equivalent prior and the bias are kept, so that only the data differ."""
+    return _band(now.k, now.bias, now.prior, information, used.bench.gain_sd)
+
+
+def equivalent_prior(covariance: Array, information: Array) -> Array:
+    """(p, p) precision P of a normal prior with `(I + P)^-1 = covariance`.
+
+    With covariance = L L', P = L^-T (1 - L' I L) L^-1. Where the draws make the covariance larger than the data alone
+    allow, by chance, that part of P is zero.
+    """
+    root = np.linalg.cholesky(covariance)
+    values, vectors = np.linalg.eigh(root.T @ information @ root)
+    factor = solve_triangular(root, vectors * np.sqrt(np.maximum(1.0 - values, 0.0)), lower=True, trans="T")
+    return np.asarray(factor @ factor.T)
+
+
+def _band(k: Array, bias: Array, prior: Array, information: Array, gain_sd: float) -> PredictedBand:
+    covariance = np.asarray(np.linalg.inv(information + prior))
+    own_sd = _sd_along(covariance)
+    sd = np.hypot(own_sd, gain_sd)
+    scatter = np.hypot(_sd_along(np.asarray(covariance @ information @ covariance)), gain_sd)
+    return PredictedBand(k, sd, own_sd, scatter, bias, prior, quality_of(sd, own_sd))
+
+
+def _sd_along(covariance: Array) -> Array:
+    """(101,) sd of log k at `PLACES`."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("si,ij,sj->s", BASIS, covariance, BASIS), 0.0)))
+
+
+def quality_of(sd: Array, own_sd: Array) -> Quality:
+    """Figures of a band of log k whose sd (101,) is `own_sd` without the gain; as `plan` reads them."""
+    width, known = 2.0 * half_width(sd), own_sd < IDENTIFIED_SD
+    worst = int(np.argmax(width))
+    to = 0.0 if not known[0] else 1.0 if np.all(known) else float(PLACES[max(int(np.argmin(known)) - 1, 0)])
+    share = float(np.mean(known))
+    return Quality(float(np.mean(width)), float(width[worst]), float(PLACES[worst]), share, round(to, 2))
+
+
+def ranges(known: BoolArray) -> list[tuple[float, float]]:
+    """Stretches of s where `known` (101,) holds."""
+    return [(float(PLACES[first]), float(PLACES[end - 1])) for first, end in runs(known)]
+
+
+# What to change before filming: each change gives another setup; they are ranked by how much they narrow the band.
+
+AT_S = (0.5, 0.65, 0.8, 1.0)
+DIRECTIONS_DEG = (70.0, 100.0, 130.0)
+SIZES = (1.0, 0.6)  # of the largest force within the limits
+LIMITS = Limits()  # the tip turns by no more than 90 deg, and nothing bends by more than 1.25 times what is planned
+BETTER = 5.0  # times: a placement or a sensor that much better
+GAIN_SD = 0.01  # after a calibration with a weight
+SYNCHRONISED = 0.005  # s
+GAP = 0.1  # in s: wider ones get a tag in the middle
+APART = 0.15  # in s: nearer pushes are the same advice
+LEAST_SHARE = 0.01  # of the band: what removes less is not worth saying
+_SENSOR_SIZES = ("white_sd", "coloured_sd", "drift", "reversal", "gain_sd", "quantum")
+
+
+@dataclass(frozen=True)
+class SetupChange:
+    """One change of the setup, and the band it would leave."""
+
+    kind: str  # tag, push, second push, gain, sensor, placement, clock, camera
+    text: str
+    setup: Setup
+    quality: Quality
+    share: float  # of the mean width of the band that it removes; negative: it adds
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        pushes = [{"at_s": p.at_s, "direction_rad": p.direction, "peak_N": p.peak} for p in self.setup.pushes]
+        done = {"tags_s": list(self.setup.tags), "pushes": pushes}
+        return {"kind": self.kind, "text": self.text, "removes": self.share, "after": vars(self.quality), **done}
+
+
+@one_blas_thread
+def advise(
+    setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
+) -> tuple[SetupChange, ...]:
+    """The changes that narrow the band most, best first; at most two of each kind.
+
+    Raises:
+        MechanicsError: the setup's own push has no stable equilibrium.
+    """
+    if count < 1:
+        return ()
+    thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]
+    changes = []
+    for kind, text, changed in track(progress, "weighing changes", thoughts, len(thoughts)):
+        try:
+            used = instruments(changed)
+            information = information_of(changed, used, derivatives(changed, used))
+        except MechanicsError:
+            continue  # stable at the sampled sizes, but not on the way there
+        quality = with_information(now, used, information).quality
+        changes.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
+    return _distinct(sorted(changes, key=lambda change: -change.share))[:count]
+
+
+Candidate = tuple[str, str, Setup]
+
+
+def _tags(setup: Setup) -> Iterator[Candidate]:
+    """One more tag in the middle of each gap, and at a bare tip."""
+    edges = np.concatenate([[0.0], np.sort(setup.tags)])
+    places = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > GAP]
+    for s in [*places.tolist(), *([1.0] if edges[-1] < 1.0 - GAP else [])]:
+        yield "tag", f"one more tag at s = {s:.2f}", replace(setup, tags=tuple(sorted((*setup.tags, round(s, 3)))))
+    if len(places) > 1:
+        more = tuple(sorted((*setup.tags, *(round(float(s), 3) for s in places))))
+        yield "tag", f"{len(places)} more tags, in the middle of every gap", replace(setup, tags=more)
+
+
+def _pushes(setup: Setup) -> Iterator[Candidate]:
+    """The first push made otherwise, and one more push."""
+    first = setup.pushes[0]
+    bench = replace(instruments(setup).bench, curvature=sharpest(setup))
+    places = tuple(s for s in AT_S if s >= min(setup.tags))
+    side = 1.0 if np.sin(first.direction) >= 0.0 else -1.0
+    for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
+        for size in SIZES if not reach.why_not else ():
+            push = replace(first, at_s=reach.at_s, direction=reach.direction, peak=size * reach.largest)
+            words = push_words(push)
+            try:
+                yield "push", f"push {words} instead", replace(setup, pushes=(push, *setup.pushes[1:]))
+                yield "second push", f"a second push {words}", replace(setup, pushes=(*setup.pushes, push))
+            except RecordingError:
+                continue  # the setup itself would be refused
+    yield "second push", "the same push once more", replace(setup, pushes=(*setup.pushes, first))
+
+
+def sharpest(setup: Setup) -> float:
+    """rad: the largest |q - q0| of the pushes that are planned."""
+    bench, bent = instruments(setup).bench, []
+    for push in setup.pushes:
+        solved = solve_push(setup.beam, bench, even_push(push))
+        bent.append(float(np.max(np.abs(solved.q - solved.problem.q0))))
+    return max(bent)
+
+
+def _instruments(setup: Setup) -> Iterator[Candidate]:
+    """Better sensors, tolerances and clocks."""
+    sensor = setup.sensor
+    if sensor.gain_sd > GAIN_SD:
+        known = replace(sensor, gain_sd=GAIN_SD)
+        yield "gain", "calibrate the force with a known weight, to 1 %", replace(setup, sensor=known)
+    if sensor.gain_sd > WRIST.gain_sd or sensor.reversal > 0.0:
+        yield "sensor", "a six-axis force sensor at the wrist", replace(setup, sensor=WRIST)
+    elif any(getattr(sensor, name) > 0.0 for name in _SENSOR_SIZES):
+        yield "sensor", f"a force sensor {BETTER:g} times as good", replace(setup, sensor=better(sensor))
+    seated = replace(setup, placement_sd=setup.placement_sd / BETTER, turn_sd=setup.turn_sd / BETTER)
+    turn = np.rad2deg(seated.turn_sd)
+    words = f"place the tags to {1e3 * seated.placement_sd:.2g} mm and {turn:.2g} deg (printed carriers)"
+    yield "placement", words, seated
+    if not setup.clock_sd <= SYNCHRONISED:  # NaN: found from the data
+        yield "clock", f"clocks known to {1e3 * SYNCHRONISED:g} ms", replace(setup, clock_sd=SYNCHRONISED)
+    sharp = replace(setup.noise, white_xy=0.5 * setup.noise.white_xy, white_angle=0.5 * setup.noise.white_angle)
+    yield "camera", "a picture of twice the pixels a millimetre, or tags twice as large", replace(setup, noise=sharp)
+
+
+def better(sensor: ForceSensor) -> ForceSensor:
+    """A sensor whose every error is `BETTER` times smaller."""
+    return replace(sensor, **{name: getattr(sensor, name) / BETTER for name in _SENSOR_SIZES})
+
+
+def push_words(push: PushProfile) -> str:
+    """Where, which way, how hard."""
+    return f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
+
+
+def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
+    """Without near-duplicates and changes that hardly help."""
+    kept: list[SetupChange] = []
+    for change in ranked:
+        alike = [k for k in kept if k.kind == change.kind]
+        near = [k for k in alike if "push" in k.kind and abs(_last(k) - _last(change)) < APART]
+        if change.share >= LEAST_SHARE and len(alike) < 2 and not near:
+            kept.append(change)
+    return tuple(kept)
+
+
+def _last(change: SetupChange) -> float:
+    """Place of the push that a change is about."""
+    return change.setup.pushes[0 if change.kind == "push" else -1].at_s

@@ -1,0 +1,484 @@
+"""A rehearsal: the predicted band, what simulated recordings give, the uncertainty budget, what to change."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import multiprocessing
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from onebend.beam.stiffness import half_width
+from onebend.errors import LearningError, MechanicsError, ObservationError
+from onebend.files.publish import write_summary
+from onebend.lab.forecast import (
+    FUNCTIONS,
+    MOST_FRAMES,
+    BudgetEntry,
+    PredictedBand,
+    Setup,
+    SetupChange,
+    advise,
+    check_bending,
+    predict,
+    ranges,
+    uncertainty_budget,
+)
+from onebend.lab.virtual import (
+    DeclaredValues,
+    VirtualBench,
+    VirtualClock,
+    VirtualRecording,
+    VirtualTag,
+    observe_from_truth,
+    observe_virtual,
+    virtual_recording,
+)
+from onebend.learning.design import PLACES, direction_words
+from onebend.learning.optimizer import FitSettings
+from onebend.learning.posterior import fit
+from onebend.learning.start import start_of
+from onebend.progress import Progress, Silent, interrupts_held, leave_interrupts_to_parent, one_blas_thread, track
+from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
+from onebend.report.pictures import Pictures
+from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
+from onebend.results.tables import write_csv
+from onebend.text_files import figure_text
+
+# Simulated recordings of a setup, each fitted like a real one: k(s) is the same in all, every error is drawn anew.
+
+BASE_TURN = np.deg2rad(1.0)  # one sd of the base tag's turn on the clamp
+OFFSET = 250.0  # s, of the log's clock against the film's
+CLOCK_SAID = 1.5  # s, largest error of the film's start as written down, where the clock is found from the data
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """One recording and its fit, at the 101 places of `PLACES`."""
+
+    seed: int
+    failure: str = ""
+    error: tuple[float, ...] = ()  # of log k
+    sd: tuple[float, ...] = ()  # of log k as the band has it, the gain included
+    identified: tuple[bool, ...] = ()
+    clock_error: float = 0.0  # s, of the worst recording
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, sizes to five digits."""
+        numbers = {name: [float(f"{v:.5g}") for v in getattr(self, name)] for name in ("error", "sd")}
+        return vars(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> SimulatedRun:
+        """From `as_dict`."""
+        changed = {"error": tuple(data["error"]), "sd": tuple(data["sd"])}
+        return SimulatedRun(**(data | changed | {"identified": tuple(v == "1" for v in data["identified"])}))
+
+
+def benches(setup: Setup, seed: int) -> tuple[VirtualBench, ...]:
+    """One virtual bench per push: all have the same tags with the same errors, and one sensor with one gain."""
+    rng = np.random.default_rng([seed, 30])
+    m = len(setup.tags)
+    off = rng.standard_normal((m, 3)) * np.array([setup.placement_sd, setup.placement_sd, setup.turn_sd])
+    tags = tuple(VirtualTag(i + 1, s, *map(float, off[i])) for i, s in enumerate(setup.tags))
+    base = rng.standard_normal(3) * np.array([setup.placement_sd, setup.placement_sd, BASE_TURN])
+    gain = setup.sensor.gain + setup.sensor.gain_sd * rng.standard_normal()
+    sensor = replace(setup.sensor, gain=float(gain), gain_sd=0.0)
+    missed = PLACE_SD / setup.beam.length * rng.standard_normal(len(setup.pushes))
+    return tuple(
+        VirtualBench(
+            beam=setup.beam,
+            push=replace(push, at_s=min(push.at_s + float(missed[i]), 1.0)),
+            tags=tags,
+            base=(float(base[0]), float(base[1]), float(base[2])),
+            sensor=sensor,
+            camera=setup.noise,
+            fps=setup.fps,
+            clock=VirtualClock(OFFSET, OFFSET + float(rng.uniform(-CLOCK_SAID, CLOCK_SAID)), 2.0),
+            declared=DeclaredValues(
+                placement_sd=setup.placement_sd, rest=setup.rest, gain_sd=setup.gain_sd, push_s=push.at_s
+            ),
+            name=f"push {i + 1}",
+        )
+        for i, push in enumerate(setup.pushes)
+    )
+
+
+@one_blas_thread
+def simulate_run(setup: Setup, seed: int) -> SimulatedRun:
+    """Film, log, observe and fit once. A fit that fails is a run with its reason, not an error."""
+    began = time.perf_counter()
+    try:
+        recordings = [_observed(setup, bench, seed * 100 + i) for i, bench in enumerate(benches(setup, seed))]
+        settings = FitSettings(
+            functions=FUNCTIONS, most_frames=MOST_FRAMES, allowances=frozenset()
+        )  # the bench is ideal
+        posterior = fit(recordings, start_of(recordings, None), settings=settings, gain_sd=setup.gain_sd)
+    except (LearningError, MechanicsError, ObservationError) as wrong:
+        return SimulatedRun(seed, failure=str(wrong), seconds=time.perf_counter() - began)
+    band = posterior.band(PLACES)
+    mean, own = posterior.stiffness.log_at(PLACES)
+    clocks = [o.source.clock.offset - OFFSET for o in recordings if o.source.clock is not None]
+    return SimulatedRun(
+        seed,
+        error=tuple((mean - np.log(np.asarray(setup.beam.stiffness(PLACES)))).tolist()),
+        sd=tuple(np.hypot(own, setup.gain_sd).tolist()),
+        identified=tuple(band.identified.tolist()),
+        clock_error=float(max(clocks, key=abs, default=0.0)),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _observed(setup: Setup, bench: VirtualBench, seed: int) -> Observations:
+    virtual = _axes_missed(virtual_recording(bench, seed=seed), seed)
+    if math.isnan(setup.clock_sd):
+        return observe_virtual(virtual)
+    error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
+    return observe_from_truth(
+        virtual, clock_error=error, clock_sd=0.5 * setup.clock_sd
+    )  # the fit doubles what is stated
+
+
+def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
+    """The same with the force log's axes turned by a drawn error."""
+    turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
+    cos, sin = np.cos(turn), np.sin(turn)
+    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
+    return replace(virtual, log=replace(virtual.log, force=force))
+
+
+def simulate(
+    setup: Setup,
+    seeds: Iterable[int],
+    *,
+    jobs: int = 1,
+    keep: Path | None = None,
+    progress: Progress = Silent(),
+) -> tuple[SimulatedRun, ...]:
+    """A run for every seed, in that order; `jobs` processes. Those in the folder `keep` are taken from there, and each
+    new one is added as it ends, so that work that was interrupted goes on."""
+    wanted = list(seeds)
+    file = None if keep is None else keep / f"runs-{key_of(setup)}.jsonl"
+    done = {} if file is None else read_runs(file)
+    todo = [seed for seed in wanted if seed not in done]
+    for run in track(progress, "pushing simulated beams", _each(setup, todo, jobs), len(todo)):
+        done[run.seed] = run
+        if file is not None:
+            with file.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(run.as_dict()) + "\n")
+    return tuple(done[seed] for seed in wanted)
+
+
+def read_runs(file: Path) -> dict[int, SimulatedRun]:
+    """Runs done before. A line that was cut off is left out, and done again."""
+    found: dict[int, SimulatedRun] = {}
+    if file.is_file():
+        for line in file.read_text(encoding="utf-8").splitlines():
+            try:
+                run = SimulatedRun.from_dict(json.loads(line))
+            except (json.JSONDecodeError, KeyError, TypeError):
+                continue
+            found[run.seed] = run
+    return found
+
+
+def key_of(setup: Setup) -> str:
+    """A name for all that a run depends on, but for its seed."""
+    return hashlib.sha256(repr(setup).encode()).hexdigest()[:16]
+
+
+def _each(setup: Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
+    """Runs as they end. Workers do not answer to an interrupt: the parent does, and ends them."""
+    if jobs <= 1 or len(seeds) <= 1:
+        yield from (simulate_run(setup, seed) for seed in seeds)
+        return
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context, initializer=leave_interrupts_to_parent)
+    waiting: set[Future[SimulatedRun]] = set()
+    try:
+        with interrupts_held():
+            waiting = {pool.submit(simulate_run, setup, seed) for seed in seeds}
+        for future in as_completed(tuple(waiting)):
+            waiting.discard(future)
+            yield future.result()
+    finally:
+        for process in list((getattr(pool, "_processes", None) or {}).values()) if waiting else ():
+            process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def errors_of(runs: Iterable[SimulatedRun]) -> tuple[Array, Array, BoolArray]:
+    """(R, 101) of the runs that came out: error and sd of log k, and where k was identified."""
+    good = [run for run in runs if not run.failure]
+    shape = (len(good), len(PLACES))
+    error, sd = (np.array([getattr(run, name) for run in good], dtype=float).reshape(shape) for name in ("error", "sd"))
+    return error, sd, np.array([run.identified for run in good], dtype=bool).reshape(shape)
+
+
+MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
+
+
+@dataclass(frozen=True)
+class Obtained:
+    """What the fits gave, along the 101 places of `PLACES`; R fits succeeded."""
+
+    runs: int
+    failed: int
+    why_failed: tuple[str, ...]  # the reasons, each once
+    rms: Array  # of the error of log k
+    median: Array  # of its size
+    ninety: Array  # nine in ten are no larger
+    sd: Array  # median, of the bands
+    identified: Array  # share of the runs that call k identified here
+    coverage: Array  # share of the 95 % bands that hold the truth here
+    covered: float  # the same over the places that the fits call identified; NaN where there are none
+    covered_error: float  # its standard error, from run to run; NaN with fewer than two runs
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """How well k(s) of a setup would come out."""
+
+    setup: Setup
+    seed: int
+    predicted: PredictedBand
+    budget: tuple[BudgetEntry, ...]  # the most costly nuisance first
+    advice: tuple[SetupChange, ...]  # the most helpful change first
+    runs: tuple[SimulatedRun, ...]
+
+    @property
+    def obtained(self) -> Obtained | None:
+        """None where nothing was simulated, or no fit came out."""
+        return obtained_of(self.runs)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, in SI."""
+        s, p, o = self.setup, self.predicted, self.obtained
+        pushes = [{"at_s": x.at_s, "direction_rad": x.direction, "peak_N": x.peak} for x in s.pushes]
+        asked = {"name": s.name, "length_m": s.beam.length, "tags_s": list(s.tags), "pushes": pushes}
+        tolerances = {"gain_sd": s.gain_sd, "placement_sd_m": s.placement_sd, "turn_sd_rad": s.turn_sd}
+        said = {name: getattr(p, name).tolist() for name in ("k", "sd", "own_sd", "scatter", "bias", "error")}
+        return {
+            "setup": {**asked, **tolerances, "clock_sd_s": s.clock_sd, "fps": s.fps},
+            "seed": self.seed,
+            "s": PLACES.tolist(),
+            "predicted": {
+                **said,
+                "identified": ranges(p.identified),
+                "band": vars(p.quality),
+            },
+            "obtained": None
+            if o is None
+            else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
+            "uncertainty_budget": [vars(entry) for entry in self.budget],
+            "advice": [change.as_dict() for change in self.advice],
+        }
+
+
+@one_blas_thread
+def rehearse(
+    setup: Setup,
+    *,
+    runs: int = 24,
+    seed: int = 0,
+    jobs: int = 1,
+    keep: Path | None = None,
+    count: int = 8,
+    progress: Progress = Silent(),
+) -> Rehearsal:
+    """How well k(s) would be known from a setup: by its Fisher information, and from `runs` simulated recordings.
+
+    Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each
+    run is kept there as it ends, and work that was interrupted goes on from it.
+
+    Raises:
+        LearningError: a number of runs or processes that cannot be.
+        MechanicsError: the beam buckles or snaps through under a push, hardly bends, or bends too far.
+    """
+    if runs < 0 or jobs < 1 or seed < 0:
+        raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
+    check_bending(setup)
+    predicted = predict(setup)
+    budget = uncertainty_budget(setup, predicted)
+    changes = advise(setup, predicted, count=count, progress=progress)
+    done = simulate(setup, range(seed, seed + runs), jobs=jobs, keep=keep, progress=progress) if runs else ()
+    return Rehearsal(setup, seed, predicted, budget, changes, done)
+
+
+def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
+    """What the fits gave; None where all failed."""
+    error, sd, known = errors_of(runs)
+    failures = [run.failure for run in runs if run.failure]
+    if not len(error):
+        return None
+    inside = np.asarray(np.abs(error) <= half_width(sd))
+    covered, doubt = _share(np.sum(inside & known, axis=1), np.sum(known, axis=1))
+    return Obtained(
+        runs=len(error),
+        failed=len(failures),
+        why_failed=tuple(dict.fromkeys(failures)),
+        rms=np.sqrt(np.mean(error**2, axis=0)),
+        median=np.median(np.abs(error), axis=0),
+        ninety=np.quantile(np.abs(error), 0.9, axis=0),
+        sd=np.median(sd, axis=0),
+        identified=np.mean(known, axis=0),
+        coverage=np.mean(inside, axis=0),
+        covered=covered,
+        covered_error=doubt,
+    )
+
+
+def _share(hits: Array, counts: Array) -> tuple[float, float]:
+    """Sum of hits (R,) over sum of counts (R,), and its standard error: linearised, runs are independent."""
+    total = float(np.sum(counts))
+    if total == 0.0:
+        return nan, nan
+    value, n = float(np.sum(hits)) / total, len(hits)
+    spread = np.sqrt(np.sum((hits - value * counts) ** 2) * n / (n - 1)) / total if n > 1 else nan
+    return value, float(spread)
+
+
+def setup_words(setup: Setup) -> str:
+    """The setup in one line."""
+    pushes = "; ".join(f"s = {p.at_s:.2f}, {direction_words(p.direction)}, to {p.peak:.3g} N" for p in setup.pushes)
+    return f"{setup.name}: tags at s = {', '.join(f'{s:.3g}' for s in setup.tags)}; pushed at {pushes}"
+
+
+# The figure of a rehearsal: the band predicted and obtained, and the errors along the beam.
+
+SHOWN = 40  # fits drawn as lines
+
+
+@styled
+def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
+    """k(s) with the bands above, the size of its error below."""
+    figure, (stiffness, error) = blank(6.4, rows=2, sharex=True)
+    _bands(stiffness, rehearsal)
+    _errors(error, rehearsal)
+    for axes in (stiffness, error):
+        _marks(axes, rehearsal)
+        axes.set_xlim(0.0, 1.0)
+        axes.set_ylim(bottom=0.0)
+    error.set_xlabel("place along the beam s  (squares: tags; triangles: pushes)")
+    return figure
+
+
+def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
+    p, o = rehearsal.predicted, rehearsal.obtained
+    k, wide = p.k, np.exp(half_width(p.sd))
+    fits, _, _ = errors_of(rehearsal.runs)
+    for i, error in enumerate(fits[:SHOWN]):
+        axes.plot(PLACES, k * np.exp(error), color=MUTED, linewidth=0.6, alpha=0.5, label=None if i else "fits")
+    axes.fill_between(PLACES, k / wide, k * wide, color=BLUE, alpha=0.2, linewidth=0.0, label="95 % band, predicted")
+    if o is not None:
+        obtained = np.exp(half_width(o.sd))
+        style = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
+        axes.plot(PLACES, k / obtained, **style, label="95 % band, typical of the fits")  # type: ignore[arg-type]
+        axes.plot(PLACES, k * obtained, **style)  # type: ignore[arg-type]
+    axes.plot(PLACES, k, color=INK, label="k(s), true")
+    top = float(np.max((k * wide)[_best_known(p)]))
+    axes.set_ylim(0.0, 1.45 * max(top, min(float(np.max(k)), 1.3 * top)))
+    axes.set_ylabel("k [N m]")
+    axes.set_title(f"{figure_text(rehearsal.setup.name)}: how well k(s) would come out")
+    axes.legend(ncols=2, loc="upper left")
+
+
+def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
+    p, o = rehearsal.predicted, rehearsal.obtained
+    axes.plot(PLACES, _percent(MEDIAN * p.error), color=BLUE, label="median, predicted")
+    axes.plot(PLACES, _percent(NINETY * p.error), color=BLUE, linestyle=":", label="9 in 10 below, predicted")
+    known = _best_known(p)
+    highest = [float(np.max(_percent(NINETY * p.error)[known]))]
+    if o is not None:
+        axes.plot(PLACES, _percent(o.median), color=ORANGE, label=f"median of {o.runs} fits")
+        axes.plot(PLACES, _percent(o.ninety), color=ORANGE, linestyle=":", label="9 in 10 below, of the fits")
+        highest.append(float(np.max(_percent(o.ninety)[known])))
+    axes.fill_between(
+        PLACES, 0.0, 2.0 * max(highest), where=~p.identified, color=FAINT, alpha=0.6, linewidth=0.0, step="mid"
+    )
+    axes.set_ylim(0.0, 1.35 * max(highest))
+    axes.set_ylabel("error of k [%]")
+    axes.set_title("error along the beam" + ("" if np.all(p.identified) else " (grey: not identified)"))
+    axes.legend(ncols=2, loc="upper left")
+
+
+def _best_known(predicted: PredictedBand) -> BoolArray:
+    """(S,) the places that set the axes: where k would be known; where it is nowhere, the best quarter of them."""
+    known = predicted.identified
+    return np.asarray(known if np.any(known) else predicted.sd <= np.quantile(predicted.sd, 0.25))
+
+
+def _percent(log_error: Array) -> Array:
+    """Sizes of log k as ones of k, as in the table."""
+    return np.asarray(100.0 * np.expm1(log_error))
+
+
+def _marks(axes: Axes, rehearsal: Rehearsal) -> None:
+    """Tags as ticks below, pushes as arrows."""
+    across = axes.get_xaxis_transform()
+    tags = list(rehearsal.setup.tags)
+    axes.plot(tags, [0.0] * len(tags), "s", color=INK, markersize=6, clip_on=False, transform=across, zorder=5)
+    for push in rehearsal.setup.pushes:
+        axes.plot([push.at_s], [0.06], "^", color=ORANGE, markersize=7, clip_on=False, transform=across, zorder=5)
+
+
+# The files of a rehearsal: a figure, a table along the beam, and all of it as JSON.
+
+REHEARSE_FORMAT = "onebend-rehearse-1"
+COLUMNS = (
+    "s",
+    "k_N_m",
+    "predicted_sd",
+    "predicted_median",
+    "predicted_90",
+    "predicted_identified",
+    "obtained_sd",
+    "obtained_median",
+    "obtained_90",
+    "obtained_identified",
+    "coverage",
+)
+
+
+def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
+    """What `--json` prints, and `summary.json` holds."""
+    return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
+
+
+def writer_of(rehearsal: Rehearsal, pictures: Pictures, *, written_by: str) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder."""
+
+    def write(folder: Path) -> None:
+        write_table(folder / "rehearsal.csv", rehearsal)
+        pictures.write(folder)
+        runs = [run.as_dict() for run in rehearsal.runs]
+        whole = {**summary_of(rehearsal, written_by=written_by), "runs": runs}
+        write_summary(folder, whole)
+
+    return write
+
+
+def write_table(path: Path, rehearsal: Rehearsal) -> None:
+    """A row a place; sizes are of log k, empty where nothing was simulated."""
+    p, o = rehearsal.predicted, rehearsal.obtained
+    columns = [PLACES, p.k, p.sd, MEDIAN * p.error, NINETY * p.error, p.identified]
+    unknown = np.full(len(PLACES), np.nan)
+    columns += [unknown] * 5 if o is None else [o.sd, o.median, o.ninety, o.identified, o.coverage]
+    write_csv(path, COLUMNS, ([_cell(value) for value in row] for row in zip(*columns, strict=True)))
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, np.bool_):
+        return str(bool(value)).lower()
+    return f"{value:.6g}" if np.isfinite(value) else ""

@@ -1,0 +1,564 @@
+"""The command that rehearses a push before it is filmed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+import onebend
+from onebend.beam.stiffness import half_width_words
+from onebend.cli import BY
+from onebend.cli.common import (
+    LEAST,
+    MOST,
+    Goal,
+    Gravity,
+    Json,
+    Model,
+    Output,
+    Overwrite,
+    Point,
+    PushAt,
+    Quiet,
+    clean_errors,
+    made_from_files,
+    or_nan,
+    or_unlimited,
+    print_json,
+    print_summary,
+    progress_of,
+    put_in_place,
+    say,
+    screen,
+    workplace,
+)
+from onebend.cli.control import show_loop
+from onebend.cli.models import gravity_on, read_trusted
+from onebend.control.loop import controller
+from onebend.control.loop_simulation import (
+    MOST_DRAWN,
+    LoopCamera,
+    drawn_beams,
+    simulate_trials,
+    trial_settings,
+    wrong_beams,
+)
+from onebend.errors import RecordingError
+from onebend.lab.commands import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
+from onebend.lab.forecast import BudgetEntry, Setup, known_beam, setup_of
+from onebend.lab.random_bench import FilmRequest, PushName
+from onebend.lab.rehearsal import (
+    MEDIAN,
+    NINETY,
+    REHEARSE_FORMAT,
+    Obtained,
+    Rehearsal,
+    rehearsal_figure,
+    rehearse as make_rehearsal,
+    setup_words,
+    summary_of,
+    writer_of,
+)
+from onebend.lab.study import SensorKind, StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
+from onebend.lab.study_report import (
+    REPRODUCE_FORMAT,
+    below_printed,
+    draw_figures,
+    summary_of as study_summary_of,
+    writer,
+)
+from onebend.learning.design import PLACES, identified_words
+from onebend.progress import available_cores
+from onebend.report.pictures import draw
+from onebend.report.wording import UNKNOWN, millimetres, significant
+from onebend.results.control_files import LOOP_FORMAT, loop_summary, loop_writer
+from onebend.results.model import model_file
+from onebend.results.provenance import inputs_of
+
+# Commands that bend a learned beam, or rehearse to.
+
+KError = Annotated[
+    float,
+    typer.Option(
+        "--k-error",
+        min=0.0,
+        max=0.95,
+        metavar="SHARE",
+        help="Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
+    ),
+]
+
+
+Draws = Annotated[
+    int | None,
+    typer.Option(
+        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band of k(s) instead."
+    ),
+]
+
+
+Noise = Annotated[
+    float,
+    typer.Option("--noise-mm", min=0.0, max=1e3, metavar="MM", help="Of each coordinate the camera sees, one sd."),
+]
+
+
+Delay = Annotated[
+    float,
+    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
+]
+
+
+Rate = Annotated[
+    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
+]
+
+
+Duration = Annotated[
+    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
+]
+
+
+LoopMaxForce = Annotated[
+    float | None, typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force.")
+]
+
+
+Feeling = Annotated[
+    Literal["nothing", "log", "shape"],
+    typer.Option(
+        "--felt",
+        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+    ),
+]
+
+
+ForceOff = Annotated[
+    float,
+    typer.Option(
+        "--force-off-N",
+        min=0.0,
+        max=1000.0,
+        metavar="N",
+        help="By so much the robot's force is off, across it, and the log of --felt log, along it.",
+    ),
+]
+
+
+Hidden = Annotated[bool, typer.Option("--hidden", help="The camera never sees the point, nor a tag on it.")]
+
+
+def loop(
+    model: Model,
+    *,
+    goal: Goal,
+    push_at: PushAt = 1.0,
+    point: Point = 1.0,
+    k_error: KError = 0.3,
+    draws: Draws = None,
+    delay_ms: Delay = 50.0,
+    fps: Rate = 30.0,
+    noise_mm: Noise = 0.05,
+    max_force: LoopMaxForce = None,
+    gravity: Gravity = (0.0, 0.0),
+    felt: Feeling = "nothing",
+    force_off: ForceOff = 0.0,
+    hidden: Hidden = False,
+    duration: Duration = 8.0,
+    output: Output = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
+    from onebend.lab.sensed_force import felt_by  # here: learning and lab, which `reach` does without
+
+    with clean_errors():
+        stored = read_trusted(model)
+        beam, delay = stored.beam, 1e-3 * delay_ms
+        beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
+        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
+        control = controller(
+            beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
+        )
+        feel = felt_by(
+            felt,
+            control,
+            stiffness=stored.uncertain,
+            instruments=stored.bench,
+            force_off=force_off,
+            hidden=hidden,
+        )
+        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm, hidden=((0.0, math.inf),) if hidden else ())
+        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration, force_off=force_off, feel=feel))
+        known = control.margins()
+        rehearsed: dict[str, object] = {"felt": felt, "force_off_N": force_off, "hidden": hidden}
+        summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
+        if output is not None:
+            from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
+
+            with workplace(output, LOOP_FORMAT, overwrite) as place:
+                pictures = draw({"loop": lambda: looping(control, trials)})
+                inputs = inputs_of([model_file(model)])
+                put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
+    if as_json:
+        print_summary(summary, output)
+    else:
+        show_loop(screen(), control, known, trials, output, rehearsed)
+
+
+# What `onebend rehearse` says.
+
+EVERY = 10  # of the 101 places
+FEW = 12  # runs: with fewer, nine in ten mean little
+
+
+def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
+    """All that `onebend rehearse` says."""
+    p, o = rehearsal.predicted, rehearsal.obtained
+    console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]", highlight=False)
+    console.print(
+        f"k(s) would be known to {p.quality.mean_words} (95 %) on average over the whole beam, to "
+        f"{p.quality.worst_words} "
+        f"at worst (s = {p.quality.worst_s:.2f}); {identified_words(p.quality)}.\n",
+        highlight=False,
+    )
+    console.print(errors_table(rehearsal))
+    if o is not None:
+        console.print(f"\n{obtained_words(o)}", highlight=False)
+    elif rehearsal.runs:
+        console.print(f"\n[yellow]![/] Every fit failed: {escape(rehearsal.runs[0].failure)}", highlight=False)
+    console.print()
+    console.print(budget_table(rehearsal.budget))
+    console.print()
+    if rehearsal.advice:
+        console.print(advice_table(rehearsal))
+    else:
+        console.print("No change helps much.")
+
+
+def errors_table(rehearsal: Rehearsal) -> Table:
+    """The error of k along the beam, in percent."""
+    p, o = rehearsal.predicted, rehearsal.obtained
+    title = "Error of k [%]: median, and nine in ten are below"
+    title += "" if np.all(p.identified) else " (*: not identified)"
+    table = Table(title=title, title_justify="left", box=None)
+    table.add_column("s", justify="right")
+    table.add_column("k \\[N m]", justify="right")
+    names = ["predicted", "9 in 10"]
+    names += [] if o is None else ["obtained", "9 in 10", "in the band"]
+    for name in names:
+        table.add_column(name, justify="right")
+    for i in range(0, len(PLACES), EVERY):
+        cells = [_percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])]
+        if o is not None:
+            cells += [_percent(o.median[i]), _percent(o.ninety[i]), f"{100.0 * o.coverage[i]:.0f} %"]
+        place = f"{PLACES[i]:.1f}{' ' if p.identified[i] else '*'}"
+        table.add_row(place, significant(float(p.k[i])), *cells)
+    return table
+
+
+def budget_table(budget: Sequence[BudgetEntry]) -> Table:
+    """The band if one nuisance were known exactly."""
+    table = Table(
+        title="What costs most: how well k(s) would be known if one thing were known exactly",
+        title_justify="left",
+        box=None,
+    )
+    for name in ("known exactly", "k(s) then", "removes"):
+        table.add_column(name, justify="left" if name == "known exactly" else "right")
+    for entry in budget:
+        table.add_row(escape(entry.name), half_width_words(0.5 * entry.mean_width), share_words(entry.share))
+    return table
+
+
+def advice_table(rehearsal: Rehearsal) -> Table:
+    """Changes, best first."""
+    table = Table(title="What to change, by how much it narrows the band", title_justify="left", box=None)
+    for name in ("", "change", "k(s) then", "removes"):
+        table.add_column(name, justify="left" if name == "change" else "right")
+    for i, change in enumerate(rehearsal.advice, 1):
+        table.add_row(str(i), escape(change.text), change.quality.mean_words, share_words(change.share))
+    return table
+
+
+def obtained_words(o: Obtained) -> str:
+    """The simulated recordings in a few sentences."""
+    came = f"{o.runs} simulated recordings" if o.runs > 1 else "One simulated recording"
+    text = f"{came}: the 95 % band held the truth at {100.0 * o.covered:.0f} %"
+    text += f" (± {100.0 * o.covered_error:.0f})" if o.covered_error > 0.0 else ""
+    text += " of the places that the fits call identified." if np.isfinite(o.covered) else " of no place."
+    if not np.isfinite(o.covered):
+        text = f"{came}: none calls k identified anywhere."
+    if o.runs < FEW:
+        text += " So few runs say little about the largest errors."
+    if o.failed:
+        text += f" {o.failed} more failed: {escape(o.why_failed[0])}"
+    return text
+
+
+def share_words(share: float) -> str:
+    """A share of the band."""
+    return f"{100.0 * share:.0f} %" if share >= 0.005 else "-"
+
+
+def _percent(log_error: float) -> str:
+    """A size of log k as one of k."""
+    return f"{100.0 * np.expm1(log_error):.2g}" if log_error < 1.0 else f"x {np.exp(log_error):.2g}"
+
+
+TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
+
+Rehearsed = Annotated[
+    str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
+]
+TagPlaces = Annotated[
+    str | None,
+    typer.Option(
+        "--tags", metavar="S,S,...", help="Where the tags sit along the beam; default: thirds, or the model's."
+    ),
+]
+SlowPush = Annotated[PushName, typer.Option("--push", help="slow: at the tip. s08, s06: slow, there.")]
+PushesAt = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam; once for each push."
+    ),
+]
+Forces = Annotated[
+    list[float] | None, typer.Option("--force-N", metavar="N", help="Peak; default: by --bend-deg. One, or one a push.")
+]
+Directions = Annotated[
+    list[float] | None,
+    typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
+]
+GainSd = Annotated[
+    float | None,
+    typer.Option("--gain-sd", min=0.0, max=0.5, metavar="SD", help="Of the force's scale; default: the sensor's."),
+]
+PlacementSd = Annotated[
+    float,
+    typer.Option("--placement-mm", min=1e-3, max=MOST, metavar="MM", help="How well the tags are placed, one sd."),
+]
+TurnSd = Annotated[
+    float, typer.Option("--turn-deg", min=1e-3, max=MOST, metavar="DEG", help="How well the tags are turned, one sd.")
+]
+ClockSd = Annotated[
+    float | None,
+    typer.Option(
+        "--clock-sd-s",
+        min=0.0,
+        max=MOST,
+        metavar="S",
+        help="How well the clocks agree; 0: one clock; default: found from the data.",
+    ),
+]
+Runs = Annotated[
+    int,
+    typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once."),
+]
+Jobs = Annotated[
+    int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes that simulate; default: all cores.")
+]
+Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="How many changes to name.")]
+RehearsalFolder = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
+]
+RunSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the first run; the next ones count up.")]
+
+
+def rehearse(
+    design: Rehearsed,
+    *,
+    output: RehearsalFolder = None,
+    tags: TagPlaces = None,
+    push: SlowPush = "slow",
+    push_at: PushesAt = None,
+    force: Forces = None,
+    bend: Bend = 65.0,
+    direction: Directions = None,
+    seconds: Seconds = None,
+    sensor: Sensor = "franka",
+    gain_sd: GainSd = None,
+    camera: Camera = "hd",
+    fps: Fps = None,
+    tilt: Tilt = None,
+    distance: Distance = None,
+    placement: PlacementSd = 1e3 * Setup.placement_sd,
+    turn: TurnSd = TURN_DEG,
+    clock_sd: ClockSd = None,
+    runs: Runs = 24,
+    seed: RunSeed = 0,
+    jobs: Jobs = None,
+    count: Advices = 8,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
+    with clean_errors():
+        first = FilmRequest(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
+        first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
+        setup = setup_of(
+            known_beam(design),
+            wishes_of(first, push_at or [], force or [], direction or []),
+            tags=places_of(tags),
+            gain_sd=or_nan(gain_sd),
+            placement_sd=1e-3 * placement,
+            turn_sd=math.radians(turn),
+            clock_sd=or_nan(clock_sd),
+        )
+        work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
+        found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
+    if as_json:
+        print_json(summary_of(found, written_by=BY))
+        return
+    show_rehearsal(screen(), found)
+    if output is not None:
+        say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+
+
+def _carried_out(
+    work: Callable[..., Rehearsal], source: Path, output: Path | None, *, overwrite: bool, quiet: bool
+) -> Rehearsal:
+    """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
+    if output is None:
+        with progress_of(quiet) as progress:
+            return work(progress=progress)
+    with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+        inputs = inputs_of([source])
+        found = work(keep=place.work, progress=progress)
+        pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
+        put_in_place(place, writer_of(found, pictures, written_by=BY), pictures, inputs=inputs)
+    return found
+
+
+def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
+    """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
+    given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
+    count = max(1, *map(len, given.values()))
+    for name, values in given.items():
+        if len(values) not in (0, 1, count):
+            raise RecordingError(
+                f"{name} is given {len(values)} times for {count} pushes. Give it once, or once a push"
+            )
+    for s in at:
+        if not 0.0 < s <= 1.0:
+            raise RecordingError(f"--push-at {s:g} is not on the beam: give a place in (0, 1]")
+
+    def pick(values: list[float], i: int) -> float:
+        return values[min(i, len(values) - 1)] if values else math.nan
+
+    return [
+        replace(first, at_s=pick(at, i), force=pick(force, i), direction=math.radians(pick(direction, i)))
+        for i in range(count)
+    ]
+
+
+def places_of(text: str | None) -> tuple[float, ...]:
+    """Numbers of `0.33,0.67,1`. Raises `RecordingError` where one is none."""
+    if text is None:
+        return ()
+    try:
+        places = tuple(float(one) for one in text.split(","))
+    except ValueError:
+        raise RecordingError(f"--tags {text!r}: write places along the beam such as 0.33,0.67,1") from None
+    if not all(math.isfinite(s) for s in places):
+        raise RecordingError(f"--tags {text!r}: every place must be a number in (0, 1]")
+    return places
+
+
+# What `onebend reproduce`, `onebend batch` and `onebend population` say in the end.
+
+
+def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
+    """The error at the tip of every validation, the tasks, and where the report is."""
+    table = Table(title="RMS error at the tip \\[mm]", title_justify="left", box=None, pad_edge=False)
+    for name in ("beam", "push"):
+        table.add_column(name)
+    for name in ("printed", "paper's method", "fit", "true beam"):
+        table.add_column(name, justify="right")
+    for beam in outcome.beams:
+        for film in beam.films[1:]:
+            printed = printed_m3(beam.name, film.strategy.name)
+            table.add_row(
+                beam.name,
+                film.strategy.name,
+                UNKNOWN if printed is None else millimetres(printed),
+                UNKNOWN if film.paper is None else millimetres(film.paper.rms[-1]),
+                f"[bold]{millimetres(film.fit.rms[-1])}[/]",
+                millimetres(film.true.rms[-1]),
+            )
+    console.print(table)
+    below, known = below_printed(outcome)
+    tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
+    reached = sum(done.found.converged for done in tasks)
+    console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
+    console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.", highlight=False)
+    if words := quick_words(outcome.setting):
+        console.print(words, highlight=False)
+    console.print(f"Wrote {output / 'report.html'}", highlight=False, markup=False)
+
+
+# Commands over many recordings: the paper's experiments made again, batches, populations.
+
+ReproduceOut = Annotated[
+    Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")
+]
+
+
+Quick = Annotated[bool, typer.Option("--quick", help="Shorter pushes, 12 frames/s: a third of the time.")]
+
+
+WithoutVideo = Annotated[
+    bool, typer.Option("--without-video", help="Tags' poses with a camera's noise instead of films: a minute.")
+]
+
+
+ReproduceSensor = Annotated[
+    SensorKind,
+    typer.Option("--sensor", help="paper: errors as large as the paper's. franka: as measured on such a robot."),
+]
+
+
+ReproduceSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of all that is drawn.")]
+
+
+Processes = Annotated[
+    int | None, typer.Option("--processes", min=1, metavar="N", help="That work at once; default: one a core.")
+]
+
+
+def reproduce(
+    *,
+    output: ReproduceOut,
+    quick: Quick = False,
+    without_video: WithoutVideo = False,
+    sensor: ReproduceSensor = "paper",
+    seed: ReproduceSeed = 0,
+    processes: Processes = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
+    with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+        setting = StudySettings(seed=seed, quick=quick, video=not without_video, sensor=sensor)
+        found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
+        pictures = draw_figures(found, progress=progress)
+        summary = study_summary_of(found, written_by=BY)
+        write = writer(found, pictures, summary, place.work, version=onebend.__version__)
+        put_in_place(place, write, pictures, made_from=made_from_files((), {"study": setting}))
+    if as_json:
+        print_json(summary | {"output": str(output)})
+    else:
+        show_reproduced(screen(), found, output)

@@ -1,0 +1,592 @@
+"""Frames of the scene: moving things are drawn at several moments of the exposure, and the frame is their mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isfinite, nan
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, shift, zoom
+from scipy.spatial.transform import Rotation
+
+from onebend.errors import RecordingError
+from onebend.recording.camera import FACING, distort, project
+from onebend.recording.entries import CameraEntry
+from onebend.records import Array, View
+
+# How much of each pixel polygons cover: exact along the rows of the picture, sampled finely across them.
+#
+# Every edge adds, in the lines that it crosses, what lies to its right; the sum along a row is the coverage. Polygons
+# that share an edge and have one orientation leave no seam between them.
+
+Image = NDArray[np.float32]
+LINES = 8  # a row of pixels
+
+
+@dataclass(frozen=True)
+class PixelBox:
+    """Pixels from (left, top) up to but not including (right, bottom)."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, columns."""
+        return max(self.bottom - self.top, 0), max(self.right - self.left, 0)
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Rows and columns of the whole picture."""
+        return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    @property
+    def halved(self) -> PixelBox:
+        """The same box in a picture of half the size; the edges are even."""
+        return PixelBox(self.left // 2, self.top // 2, self.right // 2, self.bottom // 2)
+
+    def within(self, outer: PixelBox) -> tuple[slice, slice]:
+        """Rows and columns of `outer`, which holds this box."""
+        down, across = self.top - outer.top, self.left - outer.left
+        return slice(down, down + self.shape[0]), slice(across, across + self.shape[1])
+
+
+def box_around(points: Array, width: int, height: int, margin: float = 2.0) -> PixelBox:
+    """The box with even edges around pixels (..., 2), within a picture with even sides."""
+    flat = points.reshape(-1, 2)
+    low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
+    left, top = (int(np.clip(2 * np.floor(v / 2), 0, side)) for v, side in zip(low, (width, height), strict=True))
+    right, bottom = (int(np.clip(2 * np.ceil(v / 2), 0, side)) for v, side in zip(high, (width, height), strict=True))
+    return PixelBox(left, top, max(right, left), max(bottom, top))
+
+
+def edges_of(loops: Array) -> Array:
+    """Edges (E, 4) x0, y0, x1, y1 of closed polygons (..., corners, 2)."""
+    nodes = loops.reshape(-1, *loops.shape[-2:])
+    return np.concatenate([nodes, np.roll(nodes, -1, axis=1)], axis=-1).reshape(-1, 4)
+
+
+def coverage(loops: Array, box: PixelBox) -> Image:
+    """Share of each pixel of `box` (rows, columns) that polygons (..., corners, 2) [px] of one orientation cover."""
+    rows, columns = box.shape
+    if rows == 0 or columns == 0:
+        return np.zeros((rows, columns), dtype=np.float32)
+    x0, y0, x1, y1 = (edges_of(loops) + 0.5 - np.array([box.left, box.top] * 2)).T  # a pixel's edges at whole numbers
+    low, high = np.minimum(y0, y1) * LINES, np.maximum(y0, y1) * LINES
+    first = np.clip(np.ceil(low - 0.5), 0, rows * LINES).astype(np.int64)
+    count = np.clip(np.ceil(high - 0.5), 0, rows * LINES).astype(np.int64) - first
+    edge = np.repeat(np.arange(len(count)), count)
+    line = first[edge] + np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    slope = (x1 - x0)[edge] / (y1 - y0)[edge]
+    x = np.clip(x0[edge] + ((line + 0.5) / LINES - y0[edge]) * slope, 0.0, columns)
+    sign = np.where(y1 > y0, 1.0, -1.0)[edge] / LINES
+    pixel = np.floor(x).astype(np.int64)
+    part = x - pixel
+    at = (line // LINES) * (columns + 2) + pixel
+    size = rows * (columns + 2)
+    steps = np.bincount(np.concatenate([at, at + 1]), np.concatenate([sign * (1.0 - part), sign * part]), size)
+    sums = np.cumsum(steps.astype(np.float32).reshape(rows, -1), axis=1)[:, :columns]
+    return np.asarray(np.minimum(np.abs(sums), np.float32(1.0)))
+
+
+# What is in the picture apart from beam and tags: table, light, tool, hand; and the camera's noise.
+
+Colour = tuple[float, float, float]  # 0 to 1
+Backdrop = Literal["wood", "mat", "cloth", "plain"]
+TO_YUV = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])  # BT.601
+
+
+@dataclass(frozen=True)
+class Scene:
+    """How the scene looks. Times are those of the film."""
+
+    backdrop: Backdrop = "wood"
+    beam: Colour = (0.80, 0.77, 0.74)
+    clamp: Colour = (0.28, 0.29, 0.30)
+    tool: Colour = (0.28, 0.30, 0.31)
+    hand: Colour = (0.36, 0.24, 0.21)
+    paper: float = 0.90  # brightness of the tags' paper
+    ink: float = 0.12
+    print_dpi: float = 2400.0  # dots per inch of the printer that made the tags; 0: edges without error
+    brightness: float = 1.0
+    falloff: float = 0.2  # of the light, from the brightest place to the farthest corner
+    brightest: tuple[float, float] = (0.6, 0.4)  # place in the picture, as parts of its width and height
+    flicker: float = 0.03  # of the light, largest change
+    flicker_time: float = 3.0  # s, its period
+    step: float = 0.0  # of the light: a cloud or a lamp, at `step_at`
+    step_at: float = inf  # s
+    exposure: float = 0.01  # s
+    blur: float = 0.7  # px, sd of the lens's point image
+    noise: float = 1.5  # of 255, sd of the sensor's noise in a pixel of middle brightness
+    overlap: float = 0.0  # m, how far the tool reaches over the beam's edge, and over tags there
+    tool_width: float = 0.007  # m
+    slant: float = 0.3  # rad, of the tool against the push
+    hand_at: float = inf  # s, when a hand passes before the beam's middle
+    crf: int = 20  # of H.264: 0 is lossless, 51 the worst
+
+    def __post_init__(self) -> None:
+        if self.backdrop not in get_args(Backdrop):
+            raise RecordingError(
+                f"there is no backdrop {self.backdrop!r}. Take one of {', '.join(get_args(Backdrop))}."
+            )
+        if (
+            min(self.exposure, self.blur, self.noise, self.tool_width, self.print_dpi) < 0.0
+            or not 0.0 <= self.falloff < 1.0
+        ):
+            raise RecordingError("exposure, blur, noise and dots per inch cannot be negative; falloff is in [0, 1)")
+        if not 0 <= self.crf <= 51:
+            raise RecordingError(f"H.264 knows qualities from 0 to 51, got {self.crf}")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What the table reflects: brightness (H, W), and the two colour differences at half the size."""
+
+    y: Image
+    u: Image
+    v: Image
+
+
+def yuv(colour: Colour) -> tuple[float, float, float]:
+    """Brightness 0 to 1 and the two colour differences -0.5 to 0.5."""
+    y, u, v = (TO_YUV @ np.array(colour)).tolist()
+    return y, u, v
+
+
+def backdrop(scene: Scene, view: View, shape: tuple[int, int], rng: np.random.Generator) -> Picture:
+    """The table (H, W), as sharp as the lens shows it."""
+    height, width = shape
+    grain = {"wood": (3, 60), "mat": (14, 14), "cloth": (10, 10), "plain": (60, 60)}[scene.backdrop]
+    base, swing = {
+        "wood": ((0.55, 0.36, 0.19), 0.5),
+        "mat": ((0.22, 0.40, 0.30), 0.35),
+        "cloth": ((0.56, 0.57, 0.60), 0.35),
+        "plain": ((0.70, 0.70, 0.68), 0.03),
+    }[scene.backdrop]
+    field = octaves(shape, grain, rng)
+    y, u, v = yuv(base)
+    bright = (y * (1.0 + swing * field)).astype(np.float32)
+    if scene.backdrop == "mat":
+        bright += 0.12 * mat_lines(view, shape)
+    picture = Picture(
+        gaussian_filter(np.clip(bright, 0.02, 1.0), scene.blur),
+        (u * (1.0 + swing * field[::2, ::2])).astype(np.float32),
+        (v * (1.0 + swing * field[::2, ::2])).astype(np.float32),
+    )
+    for _ in range(int(rng.integers(0, 6))):
+        spot(picture, rng.uniform((0, 0), (width, height)), rng.uniform(4.0, 10.0), tuple(rng.uniform(0.1, 0.6, 3)))
+    return picture
+
+
+def octaves(shape: tuple[int, int], grain: tuple[int, int], rng: np.random.Generator) -> Image:
+    """A random field, about -1 to 1, with structures of `grain` (rows, columns) px and larger."""
+    total = np.zeros(shape, dtype=np.float32)
+    for octave in range(5):
+        sides = zip(shape, grain, strict=True)
+        rows, columns = (max(2, round(side / (cell * 2.0**octave)) + 2) for side, cell in sides)
+        coarse = rng.standard_normal((rows, columns)).astype(np.float32)
+        factors = (shape[0] / (rows - 1) + 1e-3, shape[1] / (columns - 1) + 1e-3)
+        fine = zoom(coarse, factors, order=1)[: shape[0], : shape[1]]
+        total[: fine.shape[0], : fine.shape[1]] += 1.5**octave * fine
+    return total / np.float32(2.5 * total.std())
+
+
+def mat_lines(view: View, shape: tuple[int, int], spacing: float = 0.02, thick: float = 0.0004) -> Image:
+    """Coverage (H, W) of the printed lines of a cutting mat."""
+    reach = np.arange(-15, 20) * spacing
+    along = np.linspace(-0.3, 0.4, 60)
+    loops = []
+    for at in reach:
+        edge = np.concatenate([along, along[::-1]])
+        side = np.concatenate([np.full(60, at - thick / 2), np.full(60, at + thick / 2)])
+        loops += [np.stack([edge, side], axis=-1), np.stack([side, edge], axis=-1)[::-1]]
+    px = project(view, np.stack(loops))
+    kept = np.isfinite(px).all(axis=(1, 2)) & (np.abs(px) < 1e5).all(axis=(1, 2))
+    return coverage(px[kept], box_around(np.array([[0, 0], [shape[1], shape[0]]]), shape[1], shape[0], 0.0))
+
+
+def spot(picture: Picture, centre: Array, radius: float, colour: Colour) -> None:
+    """Draw a disc, in place."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
+    loop = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    height, width = picture.y.shape
+    paint(picture, loop[None], colour, width, height)
+
+
+def paint(picture: Picture, loops: Array, colour: Colour, width: int, height: int) -> None:
+    """Draw polygons (..., corners, 2) [px] over a whole picture, in place."""
+    box = box_around(loops, width, height)
+    blend(picture, coverage(loops, box), yuv(colour), box.slices, box.halved.slices)
+
+
+def blend(
+    picture: Picture,
+    cover: Image,
+    colour: tuple[float, float, float],
+    full: tuple[slice, slice],
+    half: tuple[slice, slice],
+) -> None:
+    """Lay a colour over a part of `picture`, as densely as `cover` says, in place."""
+    if cover.size == 0:
+        return
+    coarse = np.float32(0.25) * (cover[::2, ::2] + cover[1::2, ::2] + cover[::2, 1::2] + cover[1::2, 1::2])
+    for plane, level, dense, part in (
+        (picture.y, colour[0], cover, full),
+        (picture.u, colour[1], coarse, half),
+        (picture.v, colour[2], coarse, half),
+    ):
+        plane[part] += dense * (np.float32(level) - plane[part])
+
+
+def lamp(scene: Scene, shape: tuple[int, int]) -> Image:
+    """(H, W) the light that falls on each place, 1 at the brightest."""
+    height, width = shape
+    x = (np.arange(width) / width - scene.brightest[0]) * width / height
+    y = np.arange(height) / height - scene.brightest[1]
+    square = x[None, :] ** 2 + y[:, None] ** 2
+    return np.asarray(scene.brightness * (1.0 - scene.falloff * square / square.max()), dtype=np.float32)
+
+
+def light_at(scene: Scene, time: float) -> float:
+    """The lamp's strength over its usual one."""
+    wave = scene.flicker * np.sin(2.0 * np.pi * time / scene.flicker_time)
+    return float(1.0 + wave + (scene.step if time >= scene.step_at else 0.0))
+
+
+# Where the camera stands and what it is: a pinhole with a lens, tilted against the table.
+
+MARGIN = 0.06  # of the picture's shorter side: what has to be seen stays this far from the edges
+CLOSER, TRIES = 1.03, 200  # steps of the search for a distance
+NEAREST = 0.05  # m
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that stands still. Without a `distance` it stands as near as shows all that has to be seen."""
+
+    width: int = 1280  # px
+    height: int = 720  # px
+    focal: float = 1200.0  # px
+    centre: tuple[float, float] = (0.0, 0.0)  # px, of the principal point from the picture's middle
+    dist: tuple[float, float, float, float, float] = (-0.06, 0.02, 0.0004, -0.0003, 0.0)  # k1 k2 p1 p2 k3
+    tilt: tuple[float, float] = (0.03, 0.0)  # rad, about the picture's x and y axes
+    roll: float = 0.0  # rad, counter-clockwise turn of the table in the picture
+    distance: float = nan  # m
+
+    def __post_init__(self) -> None:
+        if self.width < 64 or self.height < 64 or self.width % 2 or self.height % 2:
+            raise RecordingError(f"a film needs even sides of 64 px or more, got {self.width} x {self.height}")
+        if not (self.focal > 0.0 and isfinite(self.focal)):
+            raise RecordingError(f"a camera needs a focal length above zero, got {self.focal} px")
+        if isfinite(self.distance) and not self.distance >= NEAREST:
+            raise RecordingError(f"a camera stands at least {NEAREST} m away, got {self.distance} m")
+        if max(abs(v) for v in self.tilt) > 1.0:
+            raise RecordingError("a camera is tilted by less than a radian (57 degrees)")
+
+    @property
+    def matrix(self) -> Array:
+        """(3, 3) px."""
+        cx, cy = (self.width - 1) / 2 + self.centre[0], (self.height - 1) / 2 + self.centre[1]
+        return np.array([[self.focal, 0.0, cx], [0.0, self.focal, cy], [0.0, 0.0, 1.0]])
+
+
+def view_from(camera: Camera, points: Array) -> View:
+    """How `camera` sees the table when it looks at the middle of `points` (N, 2) [m].
+
+    Raises:
+        RecordingError: not all of the points are in the picture.
+    """
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    distance = camera.distance
+    if isfinite(distance):
+        view = looking(camera, middle, distance)
+        if not all_seen(camera, view, points, 0.0):
+            raise RecordingError(
+                f"from {distance:.3g} m the camera does not see the whole push. Give it a larger distance, or none."
+            )
+        return view
+    distance = NEAREST
+    for _ in range(TRIES):
+        view = looking(camera, middle, distance)
+        if all_seen(camera, view, points, MARGIN * min(camera.width, camera.height)):
+            return view
+        distance *= CLOSER
+    raise RecordingError("no distance shows the whole push through this lens. Give a lens with less distortion.")
+
+
+def looking(camera: Camera, middle: Array, distance: float) -> View:
+    """The view whose principal ray meets the table at `middle` (2,), `distance` [m] from the camera."""
+    tilt = Rotation.from_euler("xy", camera.tilt).as_matrix()
+    turn = Rotation.from_euler("z", camera.roll).as_matrix()
+    rotation = tilt @ FACING @ turn
+    return View(
+        matrix=camera.matrix,
+        dist=np.array(camera.dist),
+        rotation=rotation,
+        translation=np.array([0.0, 0.0, distance]) - rotation[:, :2] @ middle,
+        calibrated=True,
+        corner_sd=0.0,
+    )
+
+
+def all_seen(camera: Camera, view: View, points: Array, margin: float) -> bool:
+    """Whether every point is in front of the camera and `margin` [px] inside the picture."""
+    depth = points @ view.rotation[2, :2] + view.translation[2]
+    if np.any(depth < 0.2 * view.translation[2]) or np.any(depth <= 0.0):
+        return False
+    px = project(view, points)
+    return bool(np.all(px > margin) and np.all(px < np.array([camera.width, camera.height]) - 1 - margin))
+
+
+def calibration(camera: Camera) -> CameraEntry:
+    """What a perfect calibration of it says, to the digits that are written."""
+    matrix = camera.matrix
+    return CameraEntry(
+        width=camera.width,
+        height=camera.height,
+        fx=round(camera.focal, 3),
+        fy=round(camera.focal, 3),
+        cx=round(float(matrix[0, 2]), 3),
+        cy=round(float(matrix[1, 2]), 3),
+        dist=tuple(round(v, 6) for v in camera.dist),
+    )
+
+
+# Polygons that stand out of the table's plane, pixels of them, and rows of a picture that are exposed one by one.
+
+ROW_ITERATIONS = 4  # things move by far less than a picture while it is read
+
+
+def placed_in_space(loops: Array, pose: Array) -> Array:
+    """Polygons (..., corners, 2) [m] of a flat thing at `pose` (6,): x, y, angle, z, and its face's tilts.
+
+    Tilts [rad]: about its own x axis, then upwards along it. (..., corners, 3); still (..., corners, 2) in the plane.
+    """
+    x, y, turn, height, roll, slope = pose.tolist()
+    cos, sin = np.cos(turn), np.sin(turn)
+    into_room = np.array([[cos, sin], [-sin, cos]])
+    if height == 0.0 and roll == 0.0 and slope == 0.0:
+        return np.asarray(loops @ into_room + pose[:2])
+    u, v = loops[..., 0], loops[..., 1]
+    up = v * np.sin(roll)
+    along = u * np.cos(slope) - up * np.sin(slope)
+    flat = np.stack([along, v * np.cos(roll)], axis=-1) @ into_room + np.array([x, y])
+    z = height + u * np.sin(slope) + up * np.cos(slope)
+    return np.concatenate([flat, z[..., None]], axis=-1)
+
+
+def lifted(xy: Array, z: Array) -> Array:
+    """(..., 3) m, points (..., 2) at heights (...,); as they are where all lie in the plane."""
+    return np.concatenate([xy, z[..., None]], axis=-1) if np.any(z) else xy
+
+
+def pixels(view: View, points: Array) -> Array:
+    """Pixels (..., 2) of points (..., 2) in the plane or (..., 3) in space [m]."""
+    if points.shape[-1] == 2:
+        return project(view, points)
+    inside = points @ view.rotation.T + view.translation
+    ray = inside[..., :2] / inside[..., 2:]
+    return np.asarray(distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2])
+
+
+def rolled(at: Array, rows: int) -> Array:
+    """Pixels (..., 2) of what is seen at `at` (3, ..., 2) as the first, the middle and the last of the rows is exposed.
+
+    Things move along a parabola meanwhile; each is seen when its own row is: v = v(share), share = v / rows.
+    """
+    seen = at[0]
+    for _ in range(ROW_ITERATIONS):
+        u = np.clip(seen[..., 1:] / rows, 0.0, 1.0)
+        seen = (1.0 - u) * (1.0 - 2.0 * u) * at[0] + 4.0 * u * (1.0 - u) * at[1] + u * (2.0 * u - 1.0) * at[2]
+    return np.asarray(seen)
+
+
+Bytes = NDArray[np.uint8]
+BLURRED = 4  # px: how far beyond what moves the lens blurs
+BLACK, RANGE = 16.0, 219.0  # luma of a video
+GREY, COLOUR_RANGE = 128.0, 224.0  # of its colour differences
+COLOUR_NOISE = 0.5  # of the brightness's
+GRAIN = 96  # px: the field of noise is so much larger than a picture
+
+
+@dataclass(frozen=True)
+class ColourLayer:
+    """Polygons of one colour, neighbours on the table: their boxes together are hardly larger than they are."""
+
+    loops: Array  # (..., corners, 2) m, or (..., corners, 3)
+    colour: Colour
+    late: tuple[Array, ...] = ()  # the same as the middle and the last row are exposed; none: all rows are at once
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """What polygons (..., corners, 2) [m] keep from the light."""
+
+    loops: Array
+    density: float = 0.35
+    soft: float = 5.0  # px, sd of its edge
+    late: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn of one moment, the nearest to the camera last."""
+
+    shadows: list[Shadow]
+    layers: list[ColourLayer]
+    shift: Array = field(default_factory=lambda: np.zeros((3, 2)))  # px, of the picture at its first, middle, last row
+    rows: int = 1  # of the picture
+
+
+@dataclass(frozen=True)
+class YuvFrame:
+    """A frame as a video holds it: luma (H, W) and the two chroma planes at half the size."""
+
+    y: Bytes
+    u: Bytes
+    v: Bytes
+
+
+@dataclass(frozen=True)
+class StaticScene:
+    """What does not change over a film."""
+
+    scene: Scene
+    view: View
+    table: Picture
+    light: Image  # (H, W)
+    half_light: Image
+    scope: PixelBox  # holds whatever moves
+    grain: Image  # (H + GRAIN, W + GRAIN) of unit sd
+
+
+def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, moving: Array, seed: int) -> StaticScene:
+    """The table with what stands `still`, seen in `size` (width, height); all that moves is within `moving` (N, 2) m.
+
+    Two stages of one seed look alike.
+    """
+    width, height = size
+    table = backdrop(scene, view, (height, width), np.random.default_rng([seed, 10]))
+    full = PixelBox(0, 0, width, height)
+    darken(table, still, view, full)
+    draw(table, still, view, full)
+    light = lamp(scene, (height, width))
+    scope = box_around(project(view, moving), width, height, margin=4.0 * BLURRED)
+    rng = np.random.default_rng([seed, 11])
+    grain = rng.standard_normal((height + GRAIN, width + GRAIN), dtype=np.float32)
+    return StaticScene(scene, view, table, light, light[::2, ::2], scope, grain)
+
+
+def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
+    """Pixels (..., corners, 2) of a thing in a drawing."""
+    first = pixels(view, thing.loops)
+    if not thing.late and not np.any(drawing.shift):
+        return first
+    later = [pixels(view, loops) for loops in thing.late] or [first, first]
+    shift = drawing.shift.reshape(3, *[1] * (first.ndim - 1), 2)
+    return rolled(np.stack([first, *later]) + shift, drawing.rows)
+
+
+def draw(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
+    """Draw layers over `picture`, which shows the box `scope` of the whole, in place."""
+    for layer in drawing.layers:
+        px = seen_at(view, layer, drawing)
+        box = clipped(box_around(px, scope.right, scope.bottom), scope)
+        if 0 not in box.shape:
+            blend(picture, coverage(px, box), yuv(layer.colour), box.within(scope), box.halved.within(scope.halved))
+
+
+def darken(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
+    """Lay shadows over `picture` in place. They are soft: half the resolution is enough."""
+    for shadow in drawing.shadows:
+        px = seen_at(view, shadow, drawing)
+        box = clipped(box_around(px, scope.right, scope.bottom, margin=3.0 * shadow.soft), scope)
+        if 0 in box.shape:
+            continue
+        cover = gaussian_filter(coverage(0.5 * px - 0.25, box.halved), 0.5 * shadow.soft, truncate=2.5)
+        left = np.float32(1.0) - np.float32(shadow.density) * cover
+        full, half = box.within(scope), box.halved.within(scope.halved)
+        picture.y[full] *= np.repeat(np.repeat(left, 2, axis=0), 2, axis=1)
+        picture.u[half] *= left
+        picture.v[half] *= left
+
+
+def clipped(box: PixelBox, scope: PixelBox) -> PixelBox:
+    """The part of a box that is inside another; without area where none is."""
+    left, top = max(box.left, scope.left), max(box.top, scope.top)
+    return PixelBox(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
+
+
+def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.random.Generator) -> YuvFrame:
+    """The frame around `time` [s] as 8 bit planes: the mean over `moments` of its exposure, light, blur and noise.
+
+    Shadows are those of the middle moment.
+    """
+    scope = staged.scope
+    full, half = scope.slices, scope.halved.slices
+    middle = moments[len(moments) // 2]
+    seen = shifted(staged.table, middle.shift[1])
+    under = Picture(seen.y[full], seen.u[half], seen.v[half])
+    darken(under, middle, staged.view, scope)
+    mean = Picture(np.zeros_like(under.y), np.zeros_like(under.u), np.zeros_like(under.v))
+    for moment in moments:
+        now = Picture(under.y.copy(), under.u.copy(), under.v.copy())
+        draw(now, moment, staged.view, scope)
+        mean.y[:] += now.y
+        mean.u[:] += now.u
+        mean.v[:] += now.v
+    share = np.float32(1.0 / len(moments))
+    rows, columns = (slice(BLURRED, side - BLURRED) for side in scope.shape)
+    under.y[rows, columns] = gaussian_filter(mean.y * share, staged.scene.blur, truncate=3.5)[rows, columns]
+    under.u[:], under.v[:] = mean.u * share, mean.v * share
+    return exposed(staged, seen, np.float32(light_at(staged.scene, time)), rng)
+
+
+def shifted(table: Picture, by: Array) -> Picture:
+    """A copy of a picture, moved by (2,) px to the right and down."""
+    if not np.any(by):
+        return Picture(table.y.copy(), table.u.copy(), table.v.copy())
+    y, u, v = (
+        shift(plane, share * by[::-1], order=1, mode="nearest", prefilter=False)
+        for plane, share in ((table.y, 1.0), (table.u, 0.5), (table.v, 0.5))
+    )
+    return Picture(y, u, v)
+
+
+def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> YuvFrame:
+    """Light, noise and rounding: planes of 8 bit; `seen` is used up. The noise is a part of one large field."""
+    scene = staged.scene
+    size = np.float32(scene.noise / 255.0)
+    out = []
+    for plane, light, low, span, share in (
+        (seen.y, staged.light, BLACK, RANGE, 1.0),
+        (seen.u, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
+        (seen.v, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
+    ):
+        level = np.multiply(plane, light, out=plane)  # in place: fresh memory costs more than the sums
+        level *= strength
+        noise = np.multiply(grain_of(staged.grain, level.shape, rng), size * np.float32(share))
+        if share == 1.0:
+            spread = np.abs(level)
+            spread *= np.float32(1.2)
+            spread += np.float32(0.4)
+            noise *= np.sqrt(spread, out=spread)
+        level += noise
+        level *= np.float32(span)
+        level += np.float32(low + 0.5)
+        out.append(np.clip(level, 0.0, 255.0, out=level).astype(np.uint8))
+    return YuvFrame(out[0], out[1], out[2])
+
+
+def grain_of(field: Image, shape: tuple[int, int], rng: np.random.Generator) -> Image:
+    """A part (rows, columns) of a field of noise from a random place, mirrored at random."""
+    down, across = rng.integers(0, GRAIN, 2).tolist()
+    part = field[down : down + shape[0], across : across + shape[1]]
+    turn = int(rng.integers(0, 4))
+    part = part[::-1] if turn & 1 else part
+    part = part[:, ::-1] if turn & 2 else part
+    return -part if rng.random() < 0.5 else part

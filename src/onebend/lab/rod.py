@@ -1,0 +1,326 @@
+"""A beam that stretches, shears and relaxes, followed through a push in time; made apart from `beam.statics`.
+
+The beam is cut into some 800 straight cells of angle a_j that turn against each other at joints:
+
+    M_j = K_j (u_j - a v_j),   u_j = a_{j+1} - a_j - rest,   tau v_j' = u_j - v_j,   1/K_j = int ds / k between middles
+    M_j - M_{j-1} = -L h_j (r' x n),   r' = (1 + N/EA) d1 + (Q/kGA) d2,   N = n . d1,   Q = n . d2
+
+(the rod of Simo and Reissner in a standard linear solid, the axial and shear flexibility elastic). The clamp is a
+joint of its own. v is integrated exactly for u that runs straight between two times. Newton's method on the tridiagonal
+equations, from one time to the next. Inertia is mass times the acceleration of the motion without it (first order in
+the square of the push's frequency over the beam's: it follows the push, and does not swing). Errors fall with the
+square of the cells' size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_banded
+
+from onebend.beam.model import Beam
+from onebend.beam.statics import Equilibrium
+from onebend.errors import MechanicsError
+from onebend.lab.bench import RealBench, instant_stiffness, patch_ends, rest_curvature, section_flexibility
+from onebend.records import Array
+
+CELLS = 800
+STEP = 1.0 / 60.0  # s, the largest
+MOST_ITERATIONS = 40
+TOLERANCE = 1e-10  # rad
+LARGEST_TURN = 0.5  # rad, of a cell in one step of time: beyond it the beam has snapped through
+RIGID = 1e-9  # compliance of a rigid clamp over the beam's 1/k
+WEIGHT_STEPS = 16
+
+
+@dataclass(frozen=True)
+class RodTask:
+    """What is followed."""
+
+    beam: Beam
+    effects: RealBench
+    tags: Array  # (m,) s, where they really sit
+    force: Callable[[Array], Array]  # (T,) s -> (T, 2) N
+    at_s: float  # where the push is said to act
+    until: float  # s
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
+
+
+@dataclass(frozen=True)
+class RodMotion:
+    """What came out, at T even times from 0 and at the N + 1 ends of the cells."""
+
+    time: Array  # (T,) s
+    s: Array  # (N + 1,)
+    pose: Array  # (T, N + 1, 3) m, m, rad
+    contact: Array  # (T,) s, place where the push acts
+    secant: float  # secant modulus over the instantaneous one: least squares of M on the turns of the whole push
+
+    def poses(self, time: Array, s: Array) -> Array:
+        """(T', S, 3) at any times, by a cubic spline; `s` (S,) where cells end, else by cubics along the beam."""
+        node = np.clip(np.searchsorted(self.s, s - 1e-9), 0, len(self.s) - 1)
+        exact = bool(np.all(np.abs(self.s[node] - s) < 1e-9))
+        at_s = self.pose[:, node] if exact else CubicSpline(self.s, self.pose, axis=1)(s)
+        return np.asarray(CubicSpline(self.time, at_s)(np.clip(time, 0.0, self.time[-1])))
+
+    def contacts(self, time: Array) -> Array:
+        """(T',) s, place where the push acts."""
+        return np.interp(time, self.time, self.contact)
+
+    @property
+    def tool(self) -> Array:
+        """(T, 2) m, the beam's places where the push acts."""
+        cell = np.clip(np.searchsorted(self.s, self.contact, side="right") - 1, 0, len(self.s) - 2)
+        share = (self.contact - self.s[cell]) / (self.s[cell + 1] - self.s[cell])
+        frame, xy = np.arange(len(self.time)), self.pose[..., :2]
+        return np.asarray((1.0 - share)[:, None] * xy[frame, cell] + share[:, None] * xy[frame, cell + 1])
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """The beam as cells and joints; joint 0 is at the clamp, joint j after cell j."""
+
+    length: float  # m
+    edges: Array  # (N + 1,)
+    size: Array  # (N,) in s
+    joint: Array  # (N,) N m/rad, of joints 0 to N - 1
+    rest: Array  # (N,) rad, turn at rest of these
+    to_edge: Array  # (N,) share of a joint's turn before its edge
+    clamp: float  # N m/rad
+    stretch: Array  # (N,) 1/N
+    shear: Array  # (N,) 1/N
+    mass: Array  # (N,) kg, of each
+
+
+def march(task: RodTask, step: float = STEP, *, at: Array | None = None) -> RodMotion:
+    """Follow the push from rest at even times, at most `step` [s] apart; cells end at places `at` too.
+
+    Raises:
+        MechanicsError: the beam snaps through, or inertia or weight are asked for and its mass is not known.
+    """
+    count = int(np.ceil(task.until / step - 1e-9))
+    time: Array = step * np.arange(count + 1, dtype=float)
+    cells = cells_of(task, at)
+    heavy = task.effects.inertia or any(task.gravity)
+    if heavy and not float(np.min(cells.mass)) > 0.0:
+        raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
+    own = cells.mass[None, :, None] * np.asarray(task.gravity) * np.ones((len(time), 1, 1))
+    motion = follow(task, cells, time, own)
+    if not task.effects.inertia:
+        return motion
+    middle = 0.5 * (motion.pose[:, 1:, :2] + motion.pose[:, :-1, :2])
+    acceleration = CubicSpline(time, middle).derivative(2)(time)
+    return follow(task, cells, time, own - cells.mass[None, :, None] * acceleration)
+
+
+def cells_of(task: RodTask, at: Array | None) -> _Cells:
+    """Cells that end at every jump of k, every patch's ends, every tag and the push's place."""
+    beam, effects = task.beam, task.effects
+    patches = patch_ends(effects, beam.length, task.tags)
+    even = np.linspace(0.0, 1.0, CELLS + 1)
+    more = [
+        np.clip(task.tags, 0.0, 1.0),
+        np.clip(patches.ravel(), 0.0, 1.0),
+        beam.stiffness.jumps,
+        [task.at_s],
+        [] if at is None else at,
+    ]
+    edges = np.unique(np.concatenate([even, *(np.asarray(part, dtype=float) for part in more)]))
+    edges = edges[np.concatenate([[True], np.diff(edges) > 1e-9])]
+    size, middle = np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
+    half = 0.5 * size / instant_stiffness(beam, effects, task.tags, middle)
+    turn = 0.5 * size * rest_curvature(beam, effects, middle)
+    before = np.concatenate([[0.0], half[:-1]])
+    flexibility = before + half
+    stretch, shear = section_flexibility(beam, effects, middle)
+    mean = float(np.sum(size / half)) / 2.0 / len(size)
+    return _Cells(
+        length=beam.length,
+        edges=edges,
+        size=size,
+        joint=1.0 / flexibility,
+        rest=np.concatenate([[0.0], turn[:-1]]) + turn,
+        to_edge=before / flexibility,
+        clamp=float(1.0 / max(effects.clamp_compliance, RIGID / mean)),
+        stretch=stretch,
+        shear=shear,
+        mass=np.asarray(beam.mass_per_length(middle)) * size * beam.length,
+    )
+
+
+def follow(task: RodTask, cells: _Cells, time: Array, carried: Array) -> RodMotion:
+    """One pass over all times, with forces `carried` (T, N, 2) [N] on the cells."""
+    effects, force = task.effects, task.force(time)
+    share, decay = effects.relaxation, np.exp(-(time[1] - time[0]) / effects.relaxation_time)
+    contact = contact_of(task, cells)
+    beyond = np.cumsum(carried[:, ::-1], axis=1)[:, ::-1] - 0.5 * carried  # what each cell's middle holds
+    ramp = (1.0 - decay) * effects.relaxation_time / (time[1] - time[0])
+    new, old = 1.0 - ramp, ramp - decay  # v' = decay v + old u + new u'
+    angle = contact.rest
+    for part in np.arange(1, WEIGHT_STEPS) / WEIGHT_STEPS if np.any(beyond[0]) else ():
+        angle, _ = balanced(cells, contact, angle, part * force[0], part * beyond[0], np.zeros(len(cells.size)), share)
+    turned = lagged = np.zeros(len(cells.size))
+    pose, places, work = [], [], np.zeros(2)
+    for i in range(len(time)):
+        held, now = (decay * lagged + old * turned, new) if i else (lagged, 1.0)  # relaxed at the beginning
+        angle, place = balanced(cells, contact, angle, force[i], beyond[i], share * held, share * now)
+        turned = np.diff(angle) - cells.rest
+        lagged = held + now * turned
+        work += [float(cells.joint @ (turned * (turned - share * lagged))), float(cells.joint @ turned**2)]
+        pose.append(poses_of(cells, angle, force[i] * contact.loaded(place)[:, None] + beyond[i]))
+        places.append(place)
+    secant = float(work[0] / work[1]) if share and work[1] > 0.0 else 1.0
+    return RodMotion(time, cells.edges, np.stack(pose), np.array(places), secant)
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """Where the push acts as the beam turns, and how the unloaded beam lies."""
+
+    rest: Array  # (N + 1,) rad, angles of clamp and cells without load
+    start: float  # s
+    slide: float  # in s per rad
+    edges: Array  # (N + 1,) s
+    middle: Array  # (N + 1,) s, of clamp and cells
+
+    def place(self, angle: Array) -> float:
+        """s: it slides by `slide` for each radian that its first place has turned; it stays on the beam."""
+        turn = float(np.interp(self.start, self.middle, angle - self.rest))
+        return float(np.clip(self.start + self.slide * turn, 0.0, 1.0))
+
+    def loaded(self, place: float) -> Array:
+        """(N,) share of each cell that holds the push."""
+        return np.asarray(np.clip((place - self.edges[:-1]) / np.diff(self.edges), 0.0, 1.0))
+
+
+def contact_of(task: RodTask, cells: _Cells) -> _Contact:
+    """The contact at the beginning."""
+    length = task.beam.length
+    return _Contact(
+        rest=task.beam.clamp_angle + np.concatenate([[0.0], np.cumsum(cells.rest)]),
+        start=float(np.clip(task.at_s + task.effects.push_off / length, 0.0, 1.0)),
+        slide=task.effects.slide / length,
+        edges=cells.edges,
+        middle=np.concatenate([[0.0], 0.5 * (cells.edges[1:] + cells.edges[:-1])]),
+    )
+
+
+def balanced(
+    cells: _Cells, contact: _Contact, angle: Array, force: Array, beyond: Array, offset: Array, part: float
+) -> tuple[Array, float]:
+    """Angles (N + 1,) [rad] of clamp and cells in equilibrium, and the push's place.
+
+    Moments are joint ((1 - part) u - offset): `part` and `offset` (N,) are what has relaxed.
+    """
+    begin, count = angle, len(cells.size)
+    arm, mixed = cells.length * cells.size, cells.stretch - cells.shear
+    stiffness = (1.0 - part) * cells.joint
+    band = np.zeros((3, count + 1))
+    band[0, 1:], band[2, :-1] = stiffness, stiffness
+    fixed = -np.concatenate([[cells.clamp], stiffness]) - np.concatenate([stiffness, [0.0]])
+    place = contact.place(angle)
+    for _ in range(MOST_ITERATIONS):
+        held = force * contact.loaded(place)[:, None] + beyond
+        cos, sin = np.cos(angle[1:]), np.sin(angle[1:])
+        along, across = held[:, 0] * cos + held[:, 1] * sin, held[:, 1] * cos - held[:, 0] * sin
+        moment = stiffness * (np.diff(angle) - cells.rest) - cells.joint * offset
+        left = np.concatenate([[cells.clamp * (angle[0] - contact.rest[0])], moment])
+        residual = np.concatenate([moment, [0.0]]) - left
+        residual[1:] += arm * across * (1.0 + along * mixed)
+        band[1] = fixed
+        band[1, 1:] += arm * (-along + mixed * (across**2 - along**2))
+        change = solve_banded((1, 1), band, -residual, check_finite=False)
+        angle = angle + change
+        before, place = place, contact.place(angle)
+        if not np.all(np.abs(angle - begin) < LARGEST_TURN):
+            break
+        if np.max(np.abs(change)) < TOLERANCE and abs(place - before) < TOLERANCE:
+            return angle, place
+    raise MechanicsError("the virtual beam snaps through under this push. Give a smaller one")
+
+
+def poses_of(cells: _Cells, angle: Array, held: Array) -> Array:
+    """(N + 1, 3) m, m, rad at the cells' ends, of cells that hold forces (N, 2)."""
+    cos, sin = np.cos(angle[1:]), np.sin(angle[1:])
+    along, across = held[:, 0] * cos + held[:, 1] * sin, held[:, 1] * cos - held[:, 0] * sin
+    stretched, sheared = 1.0 + along * cells.stretch, across * cells.shear
+    way = np.stack([stretched * cos - sheared * sin, stretched * sin + sheared * cos], axis=-1)
+    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(cells.length * cells.size[:, None] * way, axis=0)])
+    turn = np.diff(angle)
+    at_edges = np.append(angle[:-1] + cells.to_edge * turn, angle[-1] + 0.5 * cells.rest[-1])
+    return np.concatenate([xy, at_edges[:, None]], axis=-1)
+
+
+# A beam that also stretches, which the inextensible model cannot represent; solved independently of `beam.statics`.
+#
+# With an axial strain `e = F . u / (E A)` the position is `r' = L (1 + e) u` and the moment's balance `M' = -L (1 +
+# e) (cos alpha F_y - sin alpha F_x)`, `alpha' = q0 + M / k` from clamp to force, M = 0 there (Reissner's beam without
+# shear). Integrated from the clamp by Runge-Kutta; the moment at the clamp is found by Newton's method.
+
+STEPS = 200
+MOST_NEWTON_STEPS = 30  # Newton steps
+LARGEST_RESIDUAL = 10.0  # of the largest moment: what is left at the force may not grow beyond
+
+
+def stretched(
+    beam: Beam, force: Array, at_s: float, s: Array, axial_stiffness: float, start: Equilibrium
+) -> tuple[Array, Array]:
+    """(T, S, 2) m positions and (T, S) rad angles at `s` (S,), from the shapes `start` of the unstretched beam.
+
+    Raises:
+        MechanicsError: no shape was found: the axial stiffness is too small for the force.
+    """
+    edges = np.unique(np.concatenate([np.linspace(0.0, 1.0, STEPS + 1), [at_s], beam.stiffness.jumps, s]))
+    tip = start.xy(np.array([at_s]))[:, 0]
+    moment = tip[:, 0] * force[:, 1] - tip[:, 1] * force[:, 0]
+    scale = max(float(np.max(np.abs(moment))), 1e-12)
+    text = f"no shape of the beam with an axial stiffness of {axial_stiffness:g} N was found. Give a larger one"
+    for _ in range(MOST_NEWTON_STEPS):
+        residual = shoot(beam, force, at_s, edges, axial_stiffness, moment)[-1][:, 3]
+        worst = float(np.max(np.abs(residual)))
+        if worst < 1e-11 * scale:
+            break
+        if not worst < LARGEST_RESIDUAL * scale:
+            raise MechanicsError(text)
+        h = 1e-5 * scale
+        more = shoot(beam, force, at_s, edges, axial_stiffness, moment + h)[-1][:, 3]
+        moment = moment - residual * h / (more - residual)
+    else:
+        raise MechanicsError(text)
+    path = np.stack(shoot(beam, force, at_s, edges, axial_stiffness, moment), axis=1)[:, np.searchsorted(edges, s)]
+    return path[..., :2], path[..., 2]
+
+
+def shoot(beam: Beam, force: Array, at_s: float, edges: Array, axial: float, moment: Array) -> list[Array]:
+    """States (T, 4) x, y, alpha, M at every edge, from the clamp's moment (T,)."""
+    count = len(force)
+    state = np.stack([np.zeros(count), np.zeros(count), np.full(count, beam.clamp_angle), moment], axis=1)
+    states = [state]
+    for low, high in pairwise(edges.tolist()):
+        h = high - low
+        inside = np.array([low + 1e-9 * h, 0.5 * (low + high), high - 1e-9 * h])  # never on a jump
+        k, q0 = np.asarray(beam.stiffness(inside)), np.asarray(beam.rest_curvature(inside))
+        loaded = high <= at_s + 1e-12
+
+        def rate(y: Array, i: int, loaded: bool = loaded, k: Array = k, q0: Array = q0) -> Array:
+            cos, sin = np.cos(y[:, 2]), np.sin(y[:, 2])
+            f = force if loaded else np.zeros_like(force)
+            stretch = beam.length * (1.0 + (f[:, 0] * cos + f[:, 1] * sin) / axial)
+            bend = q0[i] + y[:, 3] / k[i] if loaded else np.full(count, q0[i])
+            turn = -stretch * (cos * f[:, 1] - sin * f[:, 0])
+            return np.stack([stretch * cos, stretch * sin, bend, turn], axis=1)
+
+        a = rate(state, 0)
+        b = rate(state + 0.5 * h * a, 1)
+        c = rate(state + 0.5 * h * b, 1)
+        d = rate(state + h * c, 2)
+        state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        if abs(high - at_s) < 1e-12:
+            end = state
+        states.append(state)
+    states[-1] = np.concatenate([states[-1][:, :3], end[:, 3:]], axis=1)
+    return states

@@ -1,0 +1,170 @@
+"""A simulated loop that feels the force by the beam's shape: tags put on by hand, seen with noise, sensed live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.control.loop import Controller, Exposure, ForceSense, LoggedForce
+from onebend.control.loop_simulation import along
+from onebend.errors import ControlError
+from onebend.lab.bench import PushProfile, TagNoise, filmed
+from onebend.lab.virtual import VirtualBench, VirtualTag, from_base, tag_places, tag_poses_on
+from onebend.learning.instruments import Instruments
+from onebend.learning.sensing.sense import LiveForce, OnlineSense
+from onebend.recording.beam_frame import beam_turn, rest_shape, to_beam_frame, turned
+from onebend.records import Array, Markers, Observations, Source, Stated
+
+_REST = 30  # frames of the beam with nothing on it
+_STEP = 1.0 / 30.0  # s, between them
+_USUAL = (0.25, 0.5, 0.75, 1.0)  # of s: tags, where the model knows none
+_AT_POINT = 0.02  # of s: a tag so near to a hidden point is hidden too
+_LOG_NOISE = 0.01  # N, one sd of a sample
+FeltBy = Literal["nothing", "log", "shape"]
+
+
+@dataclass(frozen=True)
+class SensedTags:
+    """The tags by which a simulated loop feels the force, and how they are seen."""
+
+    tags: tuple[VirtualTag, ...]
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: the base tag's pose in the clamp's frame
+    noise: TagNoise = field(default_factory=TagNoise)
+    placement_sd: float = 5e-4  # m, as stated
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
+
+
+def drawn_tags(places: Sequence[float], rng: np.random.Generator, *, placement_sd: float = 5e-4) -> SensedTags:
+    """Tags at `places` of s, each off by a draw of the tolerance, on a base tag put on as exactly."""
+    off = rng.normal(0.0, placement_sd, (len(places), 2))
+    tags = [VirtualTag(i + 1, s, *away) for i, (s, away) in enumerate(zip(places, off.tolist(), strict=True))]
+    x, y = rng.normal(0.0, placement_sd, 2).tolist()
+    base = (x, y, float(rng.normal(0.0, np.radians(1.0))))
+    return SensedTags(tuple(tags), base, placement_sd=placement_sd)
+
+
+def felt_by(
+    what: FeltBy,
+    control: Controller,
+    *,
+    stiffness: UncertainStiffness | None = None,
+    instruments: Instruments | None = None,
+    force_off: float = 0.0,
+    hidden: bool = False,
+    seed: int = 0,
+) -> Callable[[Beam], ForceSense] | None:
+    """For `simulate_range`: nothing, a log that is off by `force_off` [N] along the force that the model needs, or the
+    shape by tags at the places of `instruments`; where the point is `hidden`, without those on it."""
+    if what == "nothing":
+        return None
+    if what == "log":
+        bias = force_off * along(control)
+        return lambda _: LoggedForce(bias, noise=_LOG_NOISE, sd=max(force_off, _LOG_NOISE), seed=seed)
+    places = _USUAL if instruments is None else instruments.tags
+    shown = [s for s in places if not (hidden and abs(s - control.point_s) < _AT_POINT)]
+    if len(shown) < 2:
+        raise ControlError("the shape tells no force: of the tags, fewer than two are seen beside the hidden point")
+    drawn = drawn_tags(shown, np.random.default_rng([seed, 1]))
+    x, y = control.gravity.tolist()
+    seen = replace(drawn, gravity=(x, y))
+
+    def of(truth: Beam) -> SensedForce:
+        model = replace(control.beam, mass_per_length=truth.mass_per_length)
+        return SensedForce(
+            model, truth, seen, push_s=control.push_s, stiffness=stiffness, instruments=instruments, seed=seed
+        )
+
+    return of
+
+
+class SensedForce:
+    """The force on a beam by its shape, for `simulate_loop`; it remembers the frame before: one for each run.
+
+    The model's own scale of k is left out of the region: a loop compares the force with the model's, which has the
+    same scale.
+    """
+
+    def __init__(
+        self,
+        model: Beam,
+        truth: Beam,
+        seen: SensedTags,
+        *,
+        push_s: float,
+        stiffness: UncertainStiffness | None = None,
+        instruments: Instruments | None = None,
+        seed: int = 0,
+    ) -> None:
+        """`truth` is the beam that moves, `model` what is thought of it, with its band `stiffness`.
+
+        Raises:
+            LearningError: as `sense`.
+        """
+        self._bench = VirtualBench(truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base)
+        self._seen, self._rng = seen, np.random.default_rng(seed)
+        rest = truth.equilibrium((0.0, 0.0))
+        s = self._places
+        still = np.repeat(np.column_stack([rest.xy(s), rest.angle(s)])[None], _REST, axis=0)
+        shown = self._markers(np.arange(_REST, dtype=np.float64) * _STEP, still)
+        nothing = np.ones(_REST, dtype=bool)
+        self._turn = beam_turn(rest_shape(shown, nothing), seen.placement_sd)
+        at_rest = _at_rest(shown, model.length, seen, push_s)
+        relative = None if stiffness is None else replace(stiffness, gain_sd=0.0)
+        self._live = OnlineSense(model, at_rest, stiffness=relative, instruments=instruments)
+
+    def __call__(self, seen: Exposure) -> LiveForce:
+        """The force of this frame."""
+        shown = turned(
+            self._markers(np.full(1, seen.time, dtype=np.float64), seen.pose(self._places)[None]), self._turn
+        )
+        return self._live.add(seen.time, shown.xy[0], shown.angle[0], shown.covariance[0])
+
+    @property
+    def _places(self) -> Array:
+        return np.clip(tag_places(self._bench), 0.0, 1.0)
+
+    def _markers(self, time: Array, beam: Array) -> Markers:
+        """What the camera makes of the tags, the beam at their places being `beam` (T, m, 3)."""
+        pose = from_base(tag_poses_on(self._bench, beam[..., :2], beam[..., 2]), self._seen.base)
+        poses, covariance = filmed(self._seen.noise, pose, _STEP, self._rng)
+        return Markers(
+            time=time,
+            tag_id=np.array([tag.id for tag in self._seen.tags], dtype=np.int64),
+            s=np.array([tag.s for tag in self._seen.tags]),
+            xy=poses[..., :2],
+            angle=poses[..., 2],
+            covariance=covariance,
+            base_angle=np.zeros(len(time)),
+            view=None,
+        )
+
+
+def _at_rest(shown: Markers, length: float, seen: SensedTags, push_s: float) -> Observations:
+    """What a recording says of the beam before anything touches it."""
+    count = len(shown.time)
+    in_frame, rest, _ = to_beam_frame(shown, np.ones(count, dtype=bool), seen.placement_sd, np.zeros((count, 2)))
+    return Observations(
+        source=Source("simulated loop"),
+        stated=Stated(rest="straight", mass=np.nan, placement_sd=seen.placement_sd),
+        length=length,
+        time=shown.time,
+        frame=np.arange(count, dtype=np.int64),
+        tag_id=shown.tag_id,
+        marker_s=shown.s,
+        xy=in_frame.xy,
+        angle=in_frame.angle,
+        covariance=in_frame.covariance,
+        force=np.zeros((count, 2)),
+        force_sd=np.zeros(2),
+        push_s=np.full(count, push_s),
+        loaded=np.zeros(count, dtype=bool),
+        rest_xy=rest.xy,
+        rest_angle=rest.angle,
+        rest_covariance=rest.covariance,
+        gravity=np.tile(np.asarray(seen.gravity), (count, 1)),
+    )

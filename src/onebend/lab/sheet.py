@@ -1,0 +1,332 @@
+"""Sheets of AprilTags to print at exact size, with rulers that show whether the printer kept it.
+
+A tag stands upright on its page: the printed right-hand side, which a recording's `turn_deg` speaks of, is the page's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from onebend.errors import MechanicsError
+from onebend.extras import package
+from onebend.recording.entries import FAMILIES, Recording, TagEntry
+from onebend.recording.tag_finder import PrintedTag, printed_tag
+from onebend.records import Array
+
+if TYPE_CHECKING:
+    from reportlab.pdfgen.canvas import Canvas
+
+
+# Pages at exact size: a few kinds of marks in mm from the upper left corner, written as PDF or as SVG.
+
+POINT = 25.4 / 72.0  # mm
+PAGES = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}  # mm, upright
+SUFFIXES = (".pdf", ".svg")
+
+
+@dataclass(frozen=True)
+class Fill:
+    """Black polygons that are filled as one, so that no seam shows where they touch."""
+
+    polygons: Array  # (n, c, 2) mm
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line."""
+
+    start: tuple[float, float]  # mm
+    end: tuple[float, float]  # mm
+    width: float = 0.15  # mm
+
+
+@dataclass(frozen=True)
+class Text:
+    """One line of text on a baseline."""
+
+    at: tuple[float, float]  # mm, on the baseline
+    text: str
+    height: float = 2.5  # mm, of the font
+    anchor: Literal["start", "middle"] = "start"
+
+
+Mark = Fill | Line | Text
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page."""
+
+    width: float  # mm
+    height: float  # mm
+    marks: tuple[Mark, ...]
+
+
+def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Path, ...]:
+    """Write pages as one PDF, or as an SVG a page (`name.svg`, `name-2.svg`, ...); the paths written.
+
+    Raises:
+        MechanicsError: a file name that ends in neither.
+        OSError: the file cannot be written.
+    """
+    files = files_of(path, pages, title)
+    for one, data in files.items():
+        one.write_bytes(data)
+    return tuple(files)
+
+
+def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, bytes]:
+    """What `write_pages` writes: the files' contents by their paths. Raises `MechanicsError` as it does."""
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise MechanicsError(f"{path}: sheets are written as {' or '.join(SUFFIXES)}. Name the file so.")
+    if path.suffix.lower() == ".pdf":
+        return {path: pdf(pages, title)}
+    paths = (path if i == 0 else path.with_name(f"{path.stem}-{i + 1}{path.suffix}") for i in range(len(pages)))
+    return {one: svg(page, title).encode("utf-8") for one, page in zip(paths, pages, strict=True)}
+
+
+def pdf(pages: Sequence[Page], title: str) -> bytes:
+    """The pages as a PDF document; the same pages give the same bytes."""
+    canvas = package("reportlab.pdfgen.canvas", "make").Canvas("", invariant=1, initialFontName="Helvetica")
+    canvas.setTitle(title)
+    canvas.setCreator("onebend")
+    for page in pages:
+        canvas.setPageSize((page.width / POINT, page.height / POINT))
+        for mark in page.marks:
+            _draw(canvas, page, mark)
+        canvas.showPage()
+    return bytes(canvas.getpdfdata())
+
+
+def _draw(canvas: Canvas, page: Page, mark: Mark) -> None:
+    def at(x: float, y: float) -> tuple[float, float]:
+        return float(x) / POINT, (page.height - float(y)) / POINT
+
+    if isinstance(mark, Fill):
+        path = canvas.beginPath()
+        for polygon in mark.polygons:
+            path.moveTo(*at(*polygon[0]))
+            for corner in polygon[1:]:
+                path.lineTo(*at(*corner))
+            path.close()
+        canvas.drawPath(path, stroke=0, fill=1)
+    elif isinstance(mark, Line):
+        canvas.setLineWidth(mark.width / POINT)
+        canvas.line(*at(*mark.start), *at(*mark.end))
+    else:
+        canvas.setFont("Helvetica", mark.height / POINT)
+        write = canvas.drawCentredString if mark.anchor == "middle" else canvas.drawString
+        write(*at(*mark.at), mark.text)
+
+
+def svg(page: Page, title: str) -> str:
+    """The page as an SVG document; its units are mm."""
+    rows = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{page.width:g}mm" height="{page.height:g}mm" '
+        f'viewBox="0 0 {page.width:g} {page.height:g}">',
+        f"<title>{escape(title)}</title>",
+        f'<rect width="{page.width:g}" height="{page.height:g}" fill="white"/>',
+        *(_element(mark) for mark in page.marks),
+        "</svg>",
+        "",
+    ]
+    return "\n".join(rows)
+
+
+def _element(mark: Mark) -> str:
+    if isinstance(mark, Fill):
+        outlines = ("M" + "L".join(f"{x:.9g},{y:.9g}" for x, y in np.round(p, 5)) + "Z" for p in mark.polygons)
+        return f'<path fill="black" d="{"".join(outlines)}"/>'
+    if isinstance(mark, Line):
+        (x1, y1), (x2, y2) = mark.start, mark.end
+        return (
+            f'<line x1="{x1:.6g}" y1="{y1:.6g}" x2="{x2:.6g}" y2="{y2:.6g}" stroke="black" '
+            f'stroke-width="{mark.width:g}"/>'
+        )
+    x, y = mark.at
+    return (
+        f'<text x="{x:.6g}" y="{y:.6g}" font-family="Helvetica, Arial, sans-serif" font-size="{mark.height:g}" '
+        f'text-anchor="{mark.anchor}">{escape(mark.text)}</text>'
+    )
+
+
+LEFT, RIGHT, TOP, BOTTOM = 20.0, 10.0, 24.0, 28.0  # mm around the tags; rulers stand to the left and below
+GAP = 8.0  # mm between the white rims of neighbours: cut marks and a label
+CUT, AWAY = 2.0, 0.5  # mm, length of a cut mark and its distance from the corner of the rim
+RULER = 100.0  # mm
+LEAST_RIM = 1.0  # cells
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is to be printed."""
+
+    ids: tuple[int, ...]
+    size: float = 0.012  # m, side of the black square (`size_m` of a recording)
+    family: str = FAMILIES[0]
+    rim: float = 1.0  # cells of white around the black square, at least 1
+    page: str = "a4"
+    cut_marks: bool = True
+    labels: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.ids:
+            raise MechanicsError("a sheet needs at least one tag")
+        doubles = sorted({tag for tag in self.ids if self.ids.count(tag) > 1})
+        if doubles:
+            raise MechanicsError(f"tag {doubles[0]} is asked for twice, but each tag of a recording has its own number")
+        if not (math.isfinite(self.size) and self.size > 0.0):
+            raise MechanicsError(f"a tag's size must be positive, got {self.size} m")
+        if not (math.isfinite(self.rim) and self.rim >= LEAST_RIM):
+            raise MechanicsError(f"a tag needs a white rim of at least {LEAST_RIM:g} cell, got {self.rim}")
+        if self.page not in PAGES:
+            raise MechanicsError(f"no page is named {self.page!r}. Take one of {', '.join(PAGES)}.")
+
+    def outer(self, tag: PrintedTag) -> float:
+        """mm, side of the square that is cut out."""
+        return 1e3 * self.size / tag.border * max(len(tag.cells), tag.border + 2.0 * self.rim)
+
+
+def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
+    """The tags of a sheet in rows, upright, as many pages as they need.
+
+    Raises:
+        MechanicsError: a tag that is larger than the page.
+        RecordingError: an unknown family, or an id that it does not have.
+    """
+    tags = [printed_tag(tag_id, sheet.family) for tag_id in sheet.ids]
+    width, height = PAGES[sheet.page]
+    pitch = sheet.outer(tags[0]) + GAP
+    across, down = int((width - LEFT - RIGHT) // pitch), int((height - TOP - BOTTOM) // pitch)
+    if across < 1 or down < 1:
+        most = min(width - LEFT - RIGHT, height - TOP - BOTTOM) - GAP
+        raise MechanicsError(
+            f"a tag of {1e3 * sheet.size:g} mm with its rim is {pitch - GAP:.1f} mm wide, but {sheet.page} has room "
+            f"for {most:.1f} mm. Ask for smaller tags"
+        )
+    pages = []
+    for first in range(0, len(tags), across * down):
+        marks = furniture(sheet, (width, height))
+        for place, tag in enumerate(tags[first : first + across * down]):
+            x = LEFT + pitch * (place % across + 0.5)
+            y = TOP + pitch * (place // across + 0.5)
+            marks += _with_surroundings(sheet, tag, (x, y))
+        pages.append(Page(width, height, tuple(marks)))
+    return tuple(pages)
+
+
+def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> Page:
+    """A page with a recording's tags at their places along the beam, to lay the beam on; lying where it is long.
+
+    Raises:
+        MechanicsError: the beam is longer than the page, or two tags overlap.
+        RecordingError: an id that the family does not have.
+    """
+    entries = (*recording.tags.on_base, *recording.tags.on_beam)
+    family = recording.tags.family
+    sheet = Sheet(tuple(entry.id for entry in entries), recording.tags.size, family, rim, page)
+    tags = [printed_tag(entry.id, family) for entry in entries]
+    length, outer = 1e3 * recording.beam.length, sheet.outer(tags[0])
+    _refuse_overlap(entries, length, outer)
+    upright = PAGES[page]
+    size = upright if length + outer + LEFT + RIGHT <= upright[0] else upright[::-1]
+    if length + outer + LEFT + RIGHT > size[0]:
+        raise MechanicsError(
+            f"a beam of {length:.0f} mm with its tags does not fit on {page} ({size[0]:.0f} mm lying). Print the tags "
+            "alone (--ids) and measure their places"
+        )
+    left, y = 0.5 * (size[0] - length) + 0.5 * (LEFT - RIGHT), 0.5 * size[1]
+    marks = furniture(sheet, size, f"places along the beam of {recording.name}, {length:g} mm from clamp to tip")
+    for tag, entry in zip(tags, entries, strict=True):
+        x = left + entry.s * length
+        marks += [Fill(tag_polygons(tag, sheet.size, (x, y), entry.turn))]
+        for side in (-1.0, 1.0):
+            near = y + side * (0.5 * outer * (abs(math.cos(entry.turn)) + abs(math.sin(entry.turn))) + AWAY)
+            marks += [Line((x, near), (x, near + side * 4.0))]
+        marks += [Text((x, y + 0.75 * outer + 9.0), f"{entry.id}: s = {entry.s:.4g}", 2.2, "middle")]
+    for x, name in ((left, "clamp"), (left + length, "tip")):
+        marks += [Line((x, y - outer - 14.0), (x, y - outer - 6.0)), Text((x, y - outer - 15.0), name, 2.5, "middle")]
+    marks += [Line((left, y - outer - 10.0), (left + length, y - outer - 10.0))]
+    return Page(*size, tuple(marks))
+
+
+def _refuse_overlap(entries: Sequence[TagEntry], length: float, outer: float) -> None:
+    ordered = sorted(entries, key=lambda entry: entry.s)
+    for one, other in pairwise(ordered):
+        if (other.s - one.s) * length < outer:
+            raise MechanicsError(
+                f"tags {one.id} and {other.id} are {(other.s - one.s) * length:.1f} mm apart, but {outer:.1f} mm wide "
+                "with their rims. Take smaller tags, or other places"
+            )
+
+
+def tag_polygons(tag: PrintedTag, size: float, centre: tuple[float, float], turn: float = 0.0) -> Array:
+    """(n, 4, 2) mm: the black runs of a tag of `size` m about `centre` mm, turned counter-clockwise by `turn` rad."""
+    cell, half = 1e3 * size / tag.border, 0.5 * len(tag.cells)
+    flat = cell * (tag.ink - half)
+    cos, sin = math.cos(turn), math.sin(turn)
+    return np.asarray(flat @ np.array([[cos, -sin], [sin, cos]]) + np.array(centre))  # y runs down the page
+
+
+def _with_surroundings(sheet: Sheet, tag: PrintedTag, centre: tuple[float, float]) -> list[Mark]:
+    x, y = centre
+    half = 0.5 * sheet.outer(tag)
+    marks: list[Mark] = [Fill(tag_polygons(tag, sheet.size, centre))]
+    if sheet.cut_marks:
+        for right in (-1.0, 1.0):
+            for low in (-1.0, 1.0):
+                corner_x, corner_y = x + right * half, y + low * half
+                marks += [
+                    Line((corner_x + right * AWAY, corner_y), (corner_x + right * (AWAY + CUT), corner_y)),
+                    Line((corner_x, corner_y + low * AWAY), (corner_x, corner_y + low * (AWAY + CUT))),
+                ]
+    if sheet.labels:
+        marks += [Text((x, y + half + 3.2), f"{tag.id}", 2.5, "middle")]
+    return marks
+
+
+def furniture(sheet: Sheet, size: tuple[float, float], what: str = "cut along the marks") -> list[Mark]:
+    """The head of a page and its two rulers."""
+    height = size[1]
+    first, last = min(sheet.ids), max(sheet.ids)
+    named = f"{first}" if first == last else f"{first} to {last}"
+    base = height - 14.0
+    marks: list[Mark] = [
+        Text((LEFT, 10.0), f"{sheet.family}, tags {named}; black squares {1e3 * sheet.size:g} mm wide; {what}", 3.0),
+        Text(
+            (LEFT, 14.5),
+            "Print at 100 % (actual size, no fitting to the page). The right-hand side of this page is the",
+            2.5,
+        ),
+        Text((LEFT, 18.0), "tags' right-hand side: towards the beam's tip where turn_deg = 0.", 2.5),
+        Text((LEFT, base + 6.5), f"Both lines must be {RULER:g} mm long. If both are M mm instead, write", 2.5),
+        Text(
+            (LEFT, base + 10.0), f"size_m = {sheet.size:g} * M / {RULER:g}; if they differ, use another printer.", 2.5
+        ),
+    ]
+    marks += _ruler((LEFT, base), (1.0, 0.0))
+    return marks + _ruler((11.0, height - 28.0), (0.0, -1.0))
+
+
+def _ruler(start: tuple[float, float], along: tuple[float, float]) -> list[Mark]:
+    """A ruler of `RULER` mm whose line is its edge; ticks point to the left of its direction."""
+    x, y = start
+    dx, dy = along
+    marks: list[Mark] = [Line(start, (x + RULER * dx, y + RULER * dy))]
+    for i in range(int(RULER) + 1):
+        tall = 4.0 if i % 10 == 0 else 3.0 if i % 5 == 0 else 1.8
+        foot = (x + i * dx, y + i * dy)
+        marks += [Line(foot, (foot[0] + tall * dy, foot[1] - tall * dx), 0.1)]
+    for i in range(0, int(RULER) + 1, 10):
+        marks += [Text((x + i * dx + (6.5 * dy), y + i * dy - 5.0 * dx - 0.7 * dy), f"{i}", 2.0, "middle")]
+    return marks

@@ -1,0 +1,593 @@
+"""The tables of a study: the paper's printed numbers beside ours. SI units; an unknown number is NaN."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import atan2, degrees, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from onebend.files.publish import write_summary
+from onebend.files.single_file import link_tree
+from onebend.lab.study import (
+    LEARNED,
+    OBSERVED,
+    PRINTED,
+    RECORDINGS,
+    WAYS,
+    BeamOutcome,
+    PrintedTrial,
+    S,
+    StudyOutcome,
+    ValidatedFilm,
+    assumed,
+    printed_m3,
+    quick_words,
+    rms_or_nan,
+)
+from onebend.learning.outcome import Trial
+from onebend.progress import Progress, Silent
+from onebend.recording.entries import VideoEntry
+from onebend.recording.video import frame_at
+from onebend.report.control_figures import draw_reach
+from onebend.report.figures import centreline, largest_push
+from onebend.report.page import render
+from onebend.report.pictures import Draw, Pictures, draw
+from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, hue_of, shape, styled
+from onebend.report.wording import UNKNOWN, length_words, millimetres, significant
+from onebend.results.tables import write_csv
+
+Cell = float | int | str
+MARKERS = ("M1", "M2", "M3")
+BY = ("printed", "paper", "fit", "true")
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """Rows under columns whose names end in their unit."""
+
+    key: str  # of the file
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; what is not known is null."""
+        rows = [dict(zip(self.columns, map(_or_none, row), strict=True)) for row in self.rows]
+        return {"title": self.title, "rows": rows}
+
+
+def all_tables(outcome: StudyOutcome) -> tuple[ResultTable, ...]:
+    """Tables I to VI, then what the paper says in its text alone."""
+    return (
+        *(selection_table(beam) for beam in outcome.beams),
+        *(validation_table(beam) for beam in outcome.beams),
+        training_table(outcome),
+        manipulation_table(outcome),
+        stiffness_errors(outcome),
+    )
+
+
+def selection_table(beam: BeamOutcome) -> ResultTable:
+    """Tables I to III: every (n, m) by the paper's method on the training push."""
+    said = PRINTED[beam.name]
+    printed = {(row.n, row.m): row for row in said.trials or ()}
+    rows: list[tuple[Cell, ...]] = []
+    for i, trial in enumerate(beam.learned.trials):
+        there = printed.get((trial.n, trial.m))
+        who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == beam.learned.chosen))
+        chosen = [name for name, it_is in who if it_is]
+        rows.append((trial.n, trial.m, *_printed(there), *_ours(trial), " and ".join(chosen), trial.why_out))
+    return ResultTable(
+        f"table-{said.selection_table}",
+        f"Table {said.selection_table}: RMS of errors of the {beam.name} beam",
+        ("n", "m", *_named("printed"), "printed_bic", *_named("ours"), "ours_bic", "chosen_by", "out_because"),
+        tuple(rows),
+    )
+
+
+def _printed(row: PrintedTrial | None) -> tuple[float, ...]:
+    return (nan,) * 4 if row is None else (*row.rms, row.bic)
+
+
+def _ours(trial: Trial) -> tuple[float, ...]:
+    return (*map(float, trial.rms), trial.bic if np.isfinite(trial.bic) else nan)
+
+
+def _named(by: str) -> tuple[str, ...]:
+    return tuple(f"{by}_{marker}_m" for marker in MARKERS)
+
+
+def validation_table(beam: BeamOutcome) -> ResultTable:
+    """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
+    said = PRINTED[beam.name]
+    printed = dict(said.validation or ())
+    unknown = (nan,) * 3
+    rows: list[tuple[Cell, ...]] = [
+        (film.strategy.says, *printed.get(film.strategy.name, unknown), *_three(film)) for film in beam.films[1:]
+    ]
+    return ResultTable(
+        f"table-{said.validation_table}",
+        f"Table {said.validation_table}: RMS of errors, validation set of the {beam.name} beam",
+        ("strategy", *(name for by in BY for name in _named(by))),
+        tuple(rows),
+    )
+
+
+def _three(film: ValidatedFilm) -> tuple[float, ...]:
+    return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in rms_or_nan(each))
+
+
+def training_table(outcome: StudyOutcome) -> ResultTable:
+    """The training push: the chosen row of Tables I to III beside the fit."""
+    rows: list[tuple[Cell, ...]] = []
+    for beam in outcome.beams:
+        said = PRINTED[beam.name]
+        printed = {(row.n, row.m): row.rms for row in said.trials or ()}.get(said.chosen, (nan,) * 3)
+        fitted = map(float, beam.learned.fitted_rms)
+        rows.append((beam.name, *printed, *_three(beam.films[0]), *fitted))
+    columns = ("beam", *(name for by in (*BY, "fitted") for name in _named(by)))
+    return ResultTable("training", "The training push", columns, tuple(rows))
+
+
+def manipulation_table(outcome: StudyOutcome) -> ResultTable:
+    """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
+    rows: list[tuple[Cell, ...]] = []
+    for beam in outcome.beams:
+        for done in beam.tasks:
+            force = done.found.force
+            rows.append(
+                (
+                    beam.name,
+                    f"{done.task.name}, s = {done.task.s:g}",
+                    WAYS[done.way],
+                    *map(float, done.goal),
+                    float(np.hypot(*force)),
+                    degrees(atan2(force[1], force[0])),
+                    done.found.iterations,
+                    done.found.error,
+                    done.off,
+                    "" if done.found.converged else done.found.reason,
+                )
+            )
+    columns = ("beam", "point", "way", "goal_x_m", "goal_y_m", "force_N", "force_deg", "iterations", "model_error_m")
+    return ResultTable(
+        "manipulation", "The six manipulation tasks", (*columns, "true_error_m", "not_reached_because"), tuple(rows)
+    )
+
+
+def stiffness_errors(outcome: StudyOutcome) -> ResultTable:
+    """How far k(s) is from the truth as the force's scale shows it, and whether the band holds it."""
+    rows: list[tuple[Cell, ...]] = []
+    for beam in outcome.beams:
+        paper = beam.learned.paper
+        chosen = None if beam.learned.chosen is None else beam.learned.trials[beam.learned.chosen]
+        rows.append(
+            (
+                beam.name,
+                "n = {}, m = {}".format(*PRINTED[beam.name].chosen),
+                "none" if chosen is None else f"n = {chosen.n}, m = {chosen.m}",
+                nan if paper is None else 100.0 * beam.error(paper),
+                100.0 * beam.error(beam.learned.fit),
+                100.0 * beam.inside,
+            )
+        )
+    columns = ("beam", "printed_choice", "ours_choice", "paper_log_k_rms_percent", "fit_log_k_rms_percent")
+    return ResultTable("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
+
+
+def stiffness_curves(beam: BeamOutcome) -> ResultTable:
+    """k(s) at 201 places [N m]."""
+    s = np.linspace(0.0, 1.0, 201)
+    band, paper = beam.learned.uncertain.band(s), beam.learned.paper
+    columns = [
+        s,
+        np.asarray(beam.design.beam().stiffness(s)),
+        np.asarray(beam.true.stiffness(s)),
+        np.full(len(s), nan) if paper is None else np.asarray(paper.stiffness(s)),
+        band.k,
+        band.low,
+        band.high,
+    ]
+    names = ("s", "true_k_N_m", "true_k_as_logged_N_m", "paper_k_N_m", "fit_k_N_m", "fit_lo_N_m", "fit_hi_N_m")
+    rows = tuple(tuple(float(value) for value in row) for row in zip(*columns, strict=True))
+    return ResultTable(f"stiffness-{beam.name}", f"k(s) of the {beam.name} beam", names, rows)
+
+
+def write_table(path: Path, table: ResultTable) -> None:
+    """Nine significant digits; `nan` where a figure is not known."""
+    write_csv(path, table.columns, ([_text(cell) for cell in row] for row in table.rows))
+
+
+def _text(cell: Cell) -> str:
+    return f"{cell:.9g}" if isinstance(cell, float) else str(cell)
+
+
+def _or_none(cell: Cell) -> Cell | None:
+    return None if isinstance(cell, float) and not np.isfinite(cell) else cell
+
+
+def below_printed(outcome: StudyOutcome) -> tuple[int, int]:
+    """In how many validations that the paper prints the fit's error at the tip is below the printed one, and of how
+    many."""
+    films = [(film, printed_m3(beam.name, film.strategy.name)) for beam in outcome.beams for film in beam.films[1:]]
+    known = [(film.fit.rms[-1], printed) for film, printed in films if printed is not None]
+    return sum(bool(ours < printed) for ours, printed in known), len(known)
+
+
+def largest(values: Iterable[float]) -> float:
+    """The largest that is known; NaN where none is."""
+    known: Sequence[float] = [value for value in values if np.isfinite(value)]
+    return max(known, default=nan)
+
+
+# The paper's figures, drawn from a run. Lengths in mm, forces in N, stiffness in N m.
+
+MM = 1000.0
+WORST, MIDDLE, BEST = "worst", "average", "best"
+SHOWN = ("slow", "s06")  # Fig. 4
+
+
+def draw_figures(outcome: StudyOutcome, *, progress: Progress = Silent()) -> Pictures:
+    """By name; Fig. 4 only where there are films."""
+    wanted: dict[str, Draw] = {
+        "summary": partial(summary, outcome),
+        "figure-3": partial(designs, outcome),
+        "training": partial(training, outcome),
+        "figure-6": partial(stiffness, outcome),
+        "figure-7": partial(three_validations, outcome),
+        "figure-8": partial(manipulations, outcome),
+    }
+    if outcome.setting.video:
+        wanted["figure-4"] = partial(frames, outcome)
+    return draw(wanted, progress)
+
+
+@styled
+def summary(outcome: StudyOutcome) -> Figure:
+    """The error at the tip in every validation: printed, the paper's method, the fit, the true beam."""
+    figure, axes = blank(3.5, 1, len(outcome.beams), sharey=True)
+    kinds = (("printed in the paper", FAINT), ("paper's method", ORANGE), ("onebend's fit", BLUE))
+    for panel, beam in zip(axes, outcome.beams, strict=True):
+        for x, film in enumerate(beam.films[1:]):
+            printed = printed_m3(beam.name, film.strategy.name)
+            values = (printed, None if film.paper is None else film.paper.rms[-1], film.fit.rms[-1])
+            for i, (value, (_, tint)) in enumerate(zip(values, kinds, strict=True)):
+                if value is not None:
+                    panel.bar(x + 0.27 * (i - 1), MM * value, width=0.25, color=tint)
+            panel.plot([x - 0.4, x + 0.4], [MM * film.true.rms[-1]] * 2, color=INK, linewidth=1.4)
+        if printed_m3(beam.name, "fast") is None:
+            panel.annotate("no printed figures\nat hand", (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=8,
+                        color=MUTED)  # fmt: skip
+        panel.set_xticks(range(len(beam.films) - 1), [film.strategy.name for film in beam.films[1:]])
+        panel.set_title(f"{beam.name} beam")
+        panel.grid(visible=False, axis="x")
+    axes[0].set_ylabel("RMS error at the tip [mm]")
+    for name, tint in kinds:
+        axes[0].bar([0.0], [0.0], color=tint, label=name)
+    axes[0].plot([], [], color=INK, linewidth=1.4, label="the true beam under the logged force")
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+@styled
+def designs(outcome: StudyOutcome) -> Figure:
+    """Fig. 3: the three beams, to scale."""
+    figure, axes = blank(3.6, len(outcome.beams), 1, sharex=True)
+    for panel, beam in zip(axes, outcome.beams, strict=True):
+        half = 0.5 * MM * np.asarray(beam.design.width(S))
+        panel.fill_between(MM * beam.design.length * S, -half, half, color=BLUE, alpha=0.25, linewidth=0)
+        panel.plot(MM * beam.design.length * S, half, color=BLUE)
+        panel.plot(MM * beam.design.length * S, -half, color=BLUE)
+        panel.axvspan(-6.0, 0.0, color=MUTED, alpha=0.5, linewidth=0)
+        for i, s in enumerate(beam.films[0].observations.marker_s):
+            panel.plot(MM * beam.design.length * s, 0.0, shape(i), color=hue_of(i), markersize=5)
+        panel.set(aspect="equal", ylim=(-12, 12), ylabel="[mm]", title=f"{beam.name} width")
+    axes[-1].set_xlabel("along the beam, from the clamp [mm]")
+    return figure
+
+
+@styled
+def frames(outcome: StudyOutcome) -> Figure:
+    """Fig. 4: frames of the films at the largest push, at s = 1 and s = 0.6."""
+    figure, axes = blank(2.15 * len(outcome.beams), len(outcome.beams), len(SHOWN))
+    pairs = [
+        (beam, film) for beam in outcome.beams for name in SHOWN for film in beam.films if film.strategy.name == name
+    ]
+    for panel, (one, film) in zip(axes, pairs, strict=True):
+        panel.set_axis_off()
+        t = largest_push(film.fit)
+        file = outcome.work / RECORDINGS / film.observations.source.name / "video.mp4"
+        panel.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
+        panel.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
+    return figure
+
+
+@styled
+def training(outcome: StudyOutcome) -> Figure:
+    """Force and markers of each training push over time: measured (dots) and simulated under the logged force."""
+    figure, axes = blank(4.8, 2, len(outcome.beams), sharex=True)
+    for i, beam in enumerate(outcome.beams):
+        above, below, film = axes[i], axes[i + len(outcome.beams)], beam.films[0]
+        time = film.fit.time - film.fit.time[0]
+        for axis, tint, name in ((0, GREEN, "Fx"), (1, BLUE, "Fy")):
+            above.plot(time, film.fit.force[:, axis], color=tint, linewidth=1.3, label=name)
+        step = max(1, len(time) // 60)
+        for m in range(len(film.fit.tag_id)):
+            below.plot(time[::step], MM * film.fit.measured[::step, m, 1], shape(m), color=hue_of(m), markersize=3,
+                       alpha=0.6, label=f"M{m + 1}")  # fmt: skip
+            below.plot(time, MM * film.fit.predicted[:, m, 1], color=hue_of(m), linewidth=1.3)
+        above.set_title(f"{beam.name} beam")
+        below.set_xlabel("time in contact [s]")
+    axes[0].set_ylabel("logged force [N]")
+    axes[len(outcome.beams)].set_ylabel("markers' y [mm]")
+    for panel in (axes[0], axes[len(outcome.beams)]):
+        panel.margins(y=0.25)
+        panel.legend(loc="upper center", fontsize=8, ncols=3, columnspacing=1.0, handlelength=1.2)
+    return figure
+
+
+@styled
+def stiffness(outcome: StudyOutcome) -> Figure:
+    """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
+    figure, axes = blank(3.9, 1, len(outcome.beams))
+    for panel, beam in zip(axes, outcome.beams, strict=True):
+        band, true = beam.learned.uncertain.band(S), np.asarray(beam.true.stiffness(S))
+        panel.fill_between(S, band.low, band.high, color=BLUE, alpha=0.2, linewidth=0, label="its 95 % band")
+        panel.plot(S, band.k, color=BLUE, label="onebend's fit")
+        if beam.learned.paper is not None:
+            panel.plot(S, beam.learned.paper.stiffness(S), color=ORANGE, linestyle="--", label="paper's method")
+        panel.plot(S, true, color=INK, linewidth=1.3, label="true")
+        panel.set(ylim=(0.0, 1.6 * float(true.max())), xlabel="s", title=f"{beam.name} beam")
+    axes[0].set_ylabel("k(s) [N m], on the scale of the log")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def ranked(outcome: StudyOutcome) -> tuple[tuple[str, BeamOutcome, ValidatedFilm], ...]:
+    """The validations with the fit's largest, middle and smallest error at the tip."""
+    every = [(beam, film) for beam in outcome.beams for film in beam.films[1:]]
+    order = sorted(every, key=lambda pair: -float(pair[1].fit.rms[-1]))
+    return tuple((word, *order[i]) for word, i in ((WORST, 0), (MIDDLE, len(order) // 2), (BEST, len(order) - 1)))
+
+
+@styled
+def three_validations(outcome: StudyOutcome) -> Figure:
+    """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
+    figure, axes = blank(3.5, 1, 3, sharex=True, sharey=True)
+    for panel, (word, one, film) in zip(axes, ranked(outcome), strict=True):
+        t = largest_push(film.fit)
+        _shape(panel, one, film, t)
+        title = f"{word}: {one.name}, {film.strategy.name}\n{MM * film.fit.rms[-1]:.1f} mm at M3"
+        panel.set(aspect="equal", xlabel="x [mm]", title=title)
+    axes[0].set_ylabel("y [mm]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _shape(panel: Axes, one: BeamOutcome, film: ValidatedFilm, t: int) -> None:
+    pairs = ((one.learned.fit, BLUE, "-", "onebend's fit"), (one.learned.paper, ORANGE, "--", "paper's method"))
+    for beam, tint, line, name in pairs:
+        drawn = None if beam is None else centreline(beam, film.fit, film.observations, t)
+        if drawn is not None:
+            panel.plot(*(MM * drawn.T), color=tint, linestyle=line, label=name)
+    for m in range(len(film.fit.tag_id)):
+        panel.plot(*(MM * film.fit.measured[t, m]), shape(m), color=hue_of(m), markersize=7, markerfacecolor="none",
+                markeredgewidth=1.8, label=f"M{m + 1} measured", zorder=5)  # fmt: skip
+    panel.plot(0.0, 0.0, "s", color=INK, markersize=5)
+
+
+@styled
+def manipulations(outcome: StudyOutcome) -> Figure:
+    """Fig. 8: two tasks a beam, on the way to the goal, and where the same force puts the true beam."""
+    shown = [(beam, done) for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
+    figure, axes = blank(2.6 * len(outcome.beams), len(outcome.beams), 2)
+    for panel, (one, done) in zip(axes, shown, strict=True):
+        draw_reach(panel, done.found, None)
+        panel.plot(*(MM * done.landed), "+", color=GREEN, markersize=11, markeredgewidth=2, zorder=9, label="true beam")
+        panel.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+# `report.html` of a run: one page that carries everything in itself.
+
+GROUPS = {
+    "printed": "printed",
+    "ours": "ours, the paper's method",
+    "paper": "the paper's method",
+    "fit": "onebend's fit",
+    "true": "true beam",
+    "fitted": "fitted",
+}
+NAMES = {
+    "chosen_by": "chosen by",
+    "out_because": "out, because",
+    "ours_choice": "chosen here",
+    "printed_choice": "chosen in the paper",
+    "paper_log_k_rms_percent": "error, paper's method [%]",
+    "fit_log_k_rms_percent": "error, fit [%]",
+    "band_holds_percent": "of s inside the band [%]",
+    "force_N": "force [N]",
+    "force_deg": "direction [deg]",
+    "goal_x_m": "goal x [mm]",
+    "goal_y_m": "goal y [mm]",
+    "model_error_m": "error in the model [m]",
+    "true_error_m": "true beam [mm]",
+    "not_reached_because": "not reached, because",
+}
+FILES = (
+    ("report.html", "this page"),
+    ("summary.json", "all tables for scripts, in SI"),
+    ("tables/*.csv", "every table, and k(s) of each beam at 201 places"),
+    ("figures/*.png", "every figure"),
+    ("learned/BEAM/model.json", "the beam by the fit, for every command that takes a MODEL"),
+    ("learned/BEAM/paper-model.json", "the beam by the paper's method"),
+    ("recordings/BEAM-PUSH", "the films, with the truth of each: recordings like any other"),
+    ("observed/BEAM-PUSH.parquet", "what each recording says"),
+)
+
+
+def page(outcome: StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
+    """The report as HTML. `figures`: PNGs by name, as `draw_figures` gives them; missing ones are left out."""
+    setting = outcome.setting
+    content = {
+        "version": version,
+        "video": setting.video,
+        "seed": setting.seed,
+        "quick": quick_words(setting),
+        "cards": cards(outcome),
+        "selections": [shown(selection_table(beam)) for beam in outcome.beams],
+        "training": shown(training_table(outcome)),
+        "stiffness": shown(stiffness_errors(outcome)),
+        "validations": [shown(validation_table(beam)) for beam in outcome.beams],
+        "manipulation": shown(manipulation_table(outcome)),
+        "assumed": assumed(outcome),
+        "remarks": [f"{beam.name} beam, {text}" for beam in outcome.beams for text in beam.learned.remarks],
+        "files": [file for file in FILES if setting.video or not file[0].startswith("recordings")],
+    }
+    return render("onebend.lab", "study.html", figures, content)
+
+
+def cards(outcome: StudyOutcome) -> list[dict[str, str]]:
+    """The outcome in four figures."""
+    below, known = below_printed(outcome)
+    films = [film for beam in outcome.beams for film in beam.films[1:]]
+    tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
+    reached = [done for done in tasks if done.found.converged]
+    papers = [100.0 * beam.error(beam.learned.paper) for beam in outcome.beams if beam.learned.paper is not None]
+    fits = [100.0 * beam.error(beam.learned.fit) for beam in outcome.beams]
+    worst = largest(float(film.fit.rms[-1]) for film in films)
+    floor = largest(float(film.true.rms[-1]) for film in films)
+    off = largest(done.off for done in reached)
+    return [
+        {
+            "what": "validations below the printed tip error",
+            "value": f"{below} of {known}",
+            "note": f"of Tables IV and V; the largest of all: {millimetres(worst)} mm, the true beam's: "
+            f"{millimetres(floor)} mm",
+        },
+        {
+            "what": "k(s) is off by",
+            "value": f"{significant(min(fits), 2)} … {significant(max(fits), 2)} %",
+            "note": f"the paper's method: {significant(min(papers), 2)} … {significant(max(papers), 2)} %"
+            if papers
+            else "the paper's method gave no beam",
+        },
+        {
+            "what": "tasks reached in the model",
+            "value": f"{len(reached)} of {len(tasks)}",
+            "note": f"to {length_words(largest(done.found.error for done in reached))}",
+        },
+        {
+            "what": "the true beam is then off by",
+            "value": f"{millimetres(off)} mm",
+            "note": "at most, under the same force",
+        },
+    ]
+
+
+def shown(table: ResultTable) -> dict[str, Any]:
+    """A table as the page shows it: lengths in mm, groups of columns above."""
+    groups: list[dict[str, Any]] = []
+    alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: said once, above
+    for name in table.columns:
+        group = _group(name)
+        group += " [mm]" if group and alike else ""
+        if groups and group and groups[-1]["name"] == group:
+            groups[-1]["wide"] += 1
+        else:
+            groups.append({"name": group, "wide": 1})
+    heads = [{"name": _head(name, said=alike), "text": _is_text(table, i)} for i, name in enumerate(table.columns)]
+    rows = [
+        {
+            "cells": [_cell(name, cell) for name, cell in zip(table.columns, row, strict=True)],
+            "chosen": "ours" in str(dict(zip(table.columns, row, strict=True)).get("chosen_by", "")),
+        }
+        for row in table.rows
+    ]
+    return {
+        "title": table.title,
+        "heads": heads,
+        "rows": rows,
+        "groups": groups if any(g["name"] for g in groups) else [],
+    }
+
+
+def _group(column: str) -> str:
+    by = column.split("_")[0]
+    return GROUPS.get(by, "") if "_M" in column or column.endswith("_bic") else ""
+
+
+def _head(column: str, *, said: bool) -> str:
+    if column in NAMES:
+        return NAMES[column]
+    if column.endswith("_bic"):
+        return "BIC"
+    if not _group(column):
+        return column
+    return column.split("_")[1] + ("" if said else " [mm]")
+
+
+def _is_text(table: ResultTable, i: int) -> bool:
+    return any(isinstance(row[i], str) for row in table.rows)
+
+
+def _cell(column: str, cell: Cell) -> str:
+    if isinstance(cell, str | int):
+        return str(cell)
+    if not np.isfinite(cell):
+        return UNKNOWN
+    if column == "model_error_m":
+        return f"{cell:.1g}"
+    if column.endswith("_m"):
+        return millimetres(cell)
+    return f"{cell:.2f}" if column.endswith("_bic") else significant(cell)
+
+
+# The files of a run, and its summary.
+
+REPRODUCE_FORMAT = "onebend-reproduce-1"
+
+
+def summary_of(outcome: StudyOutcome, *, written_by: str) -> dict[str, Any]:
+    """What `--json` prints and `summary.json` holds; SI."""
+    below, known = below_printed(outcome)
+    return {
+        "format": REPRODUCE_FORMAT,
+        "written_by": written_by,
+        "setting": outcome.setting.as_dict(),
+        "force_scale": outcome.gain,
+        "validations_below_printed": below,
+        "validations_printed": known,
+        "tables": {table.key: table.as_dict() for table in all_tables(outcome)},
+    }
+
+
+def writer(
+    outcome: StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder; recordings and models come there from `work`."""
+
+    def write(folder: Path) -> None:
+        (folder / "report.html").write_text(page(outcome, pictures.drawn, version=version), encoding="utf-8")
+        for name in ("tables", "figures"):
+            (folder / name).mkdir()
+        for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
+            write_table(folder / "tables" / f"{table.key}.csv", table)
+        pictures.write(folder / "figures")
+        for name in (RECORDINGS, OBSERVED, LEARNED):
+            if (work / name).exists():
+                link_tree(work / name, folder / name)
+        write_summary(folder, summary)
+
+    return write

@@ -1,0 +1,165 @@
+"""Neighbouring frames of a push, averaged into as many as tell something new.
+
+What a frame adds is where the beam stands: how far it is bent, which way it is pushed, and when, for materials that
+remember. Frames that differ in none of these by more than a little show the same, and their mean shows it as well as
+they do together. So a film's frames are taken together in windows: each spans at most STEP of the largest
+displacement, TURN of the force's direction, and SECONDS. None crosses a place where the load begins, reverses or ends,
+nor one where frames are left out.
+
+The mean of poses is not quite the pose under the mean force: both bend in time, by half their second derivative times
+the variance of the window's instants. Without that part both are values at the mean instant, which belong together.
+
+The noise of the tags is in part white and in part slow: the white part averages down, and the slow one stays. Third
+differences of a film tell the white part; motion and slow noise hardly enter them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.learning.allowances import second_derivative, tag_accelerations
+from onebend.learning.frames import learnable_frames, push_places, usable_frames
+from onebend.recording.force import TURN as REVERSAL, displacement, turning_points
+from onebend.recording.signals import bridged, runs
+from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations
+
+STEP = 0.02  # of the largest displacement
+TURN = 0.05  # rad, of the force
+SECONDS = 0.2
+_FEW = 60  # frames: so many cost little as they are
+_FIRM = 0.2  # of the largest force: the direction of a smaller one is noise
+_THIRD = 20.0  # variance of the third difference of white noise of variance one
+_COARSER = 1.1  # times the steps, until there are few enough windows
+
+
+def condensed(o: Observations, most: int) -> Observations:
+    """The film with the frames that can be learned from averaged into at most `most`, where kinks allow; frames without
+    load stay as they are, and so does what is no film of a push."""
+    if o.static or o.known_loads is not None or (o.held is not None and np.any(o.held)):
+        return o
+    learnable = learnable_frames(o)
+    if np.sum(learnable) <= min(_FEW, most):
+        return o
+    windows = windows_of(o, learnable, most)
+    bent = usable_frames(o) & ~learnable  # they tell when the load ends, and nothing of their force
+    return averaged(replace(o, force=np.where(bent[:, None], np.nan, o.force)), windows)
+
+
+def windows_of(o: Observations, learnable: BoolArray, most: int) -> list[IntArray]:
+    """The frames of each window, in order; `learnable` (T,)."""
+    parts = [_Way(o, frames) for frames in _parts(o, learnable)]
+    coarser = 1.0
+    while True:
+        cut = [part.windows(coarser) for part in parts]
+        if sum(map(len, cut)) <= max(most, len(parts)):
+            return [window for one in cut for window in one]
+        coarser *= _COARSER
+
+
+def _parts(o: Observations, learnable: BoolArray) -> list[IntArray]:
+    """Runs of learnable frames without a kink, a gap, or another place of the push or direction of gravity."""
+    place, size = push_places(o), displacement(o.time, o.xy, o.rest_xy)
+    cuts = np.zeros(len(o.time), dtype=bool)  # before this frame
+    cuts[1:] |= (np.diff(place) != 0.0) | np.any(np.diff(o.gravity, axis=0) != 0.0, axis=1) | np.diff(o.loaded)
+    largest = float(np.max(size[learnable], initial=0.0))
+    out = []
+    for first, last in runs(learnable):
+        for turn in turning_points(size[first:last], REVERSAL * largest):
+            cuts[first + turn] = True
+        here = np.arange(first, last)
+        out += [part for part in np.split(here, np.flatnonzero(cuts[first + 1 : last]) + 1) if len(part)]
+    return out
+
+
+class _Way:
+    """A run of frames without a kink, and how far each is along it in units of what a window may span."""
+
+    def __init__(self, o: Observations, frames: IntArray) -> None:
+        size, largest = _bend_and_largest(o)
+        force = np.linalg.norm(o.force, axis=1)
+        firm = force[frames] > _FIRM * float(np.nanmax(force, initial=0.0))
+        direction = np.unwrap(np.arctan2(o.force[frames, 1], o.force[frames, 0])[firm])
+        turned = np.zeros(len(frames))
+        if np.any(firm):
+            turned[firm] = np.abs(direction - direction[0])
+        terms = np.abs(size[frames] - size[frames[0]]) / (STEP * largest), turned / TURN
+        time = (o.time[frames] - o.time[frames[0]]) / SECONDS
+        self.frames, self.along = frames, time + sum(np.maximum.accumulate(term) for term in terms)
+
+    def windows(self, coarser: float) -> list[IntArray]:
+        """Of about equal span, larger by a factor."""
+        count = max(int(np.ceil(self.along[-1] / coarser)), 1)
+        number = np.minimum((count * self.along / max(self.along[-1], 1e-300)).astype(int), count - 1)
+        return np.split(self.frames, np.flatnonzero(np.diff(number)) + 1)
+
+
+def _bend_and_largest(o: Observations) -> tuple[Array, float]:
+    size = displacement(o.time, o.xy, o.rest_xy)
+    return size, max(float(np.max(size, initial=0.0)), 1e-300)
+
+
+def averaged(o: Observations, windows: list[IntArray]) -> Observations:
+    """The observations with the mean of each window's frames, which are neighbours; all others as they are."""
+    first = np.ones(len(o.time), dtype=bool)
+    for window in windows:
+        first[window[1:]] = False
+    starts = np.flatnonzero(first)
+    count = np.diff(np.append(starts, len(first)))
+
+    def total(values: Array) -> Array:
+        return np.asarray(np.add.reduceat(values, starts, axis=0))
+
+    def mean(values: Array) -> Array:
+        return total(values) / count.reshape(-1, *[1] * (values.ndim - 1))
+
+    poses, time = np.concatenate([o.xy, o.angle[..., None]], axis=-1), mean(o.time)
+    variance = mean((o.time - np.repeat(time, count)) ** 2)  # s^2, of the instants in each window
+
+    def at_mean_instant(values: Array) -> Array:
+        second = second_derivative(o.time, values)
+        bent = 0.0 if second is None else mean(second) * variance.reshape(-1, *[1] * (values.ndim - 1))
+        return mean(values) - 0.5 * bent
+
+    filled = bridged(o.time, poses.reshape(len(poses), -1)).reshape(poses.shape)
+    seen = mean(np.isfinite(poses).astype(float))
+    pose = np.where(seen > 0.0, at_mean_instant(filled), np.nan)
+    known = np.all(np.isfinite(o.covariance), axis=(-1, -2))
+    frames = total(known.astype(float))[..., None, None]  # in which each tag was seen
+    of_all = total(np.where(known[..., None, None], o.covariance, 0.0))
+    usual = np.divide(of_all, frames, out=np.full_like(of_all, np.nan), where=frames > 0.0)
+    middle = starts + count // 2
+    acceleration = tag_accelerations(o)
+    return replace(
+        o,
+        time=time,
+        frame=o.frame[middle],
+        xy=pose[..., :2],
+        angle=pose[..., 2],
+        covariance=usual * mean_variance(white_share(o, poses)[:, None, None], frames),
+        force=at_mean_instant(o.force),
+        push_s=o.push_s[middle],
+        loaded=o.loaded[middle],
+        gravity=mean(o.gravity),
+        held=None if o.held is None else o.held[middle],
+        by_camera=None if o.by_camera is None else mean(o.by_camera),
+        means=FrameMeans(count, None if acceleration is None else mean(acceleration)),
+    )
+
+
+def mean_variance(white: Array, frames: Array) -> Array:
+    """Of the mean of some `frames` (...), over that of one: of its noise a share `white` (...) is white."""
+    return np.asarray(1.0 - white + white / np.maximum(frames, 1.0))
+
+
+def white_share(o: Observations, poses: Array) -> Array:
+    """(m,) of each tag's stated variance, how much third differences of its poses (T, m, 3) say is white, at most all
+    of it."""
+    third = np.diff(poses, n=3, axis=0)
+    stated = np.diagonal(o.covariance, axis1=2, axis2=3)[: len(third)]
+    usable = np.isfinite(third) & np.isfinite(stated) & (stated > 0.0)
+    ratio = np.where(usable, np.abs(third) / np.sqrt(np.where(usable, stated, 1.0) * _THIRD), np.nan)
+    flat = np.moveaxis(ratio, 1, 0).reshape(ratio.shape[1], -1)
+    size = np.array([np.median(one[np.isfinite(one)]) / 0.6745 if np.isfinite(one).any() else 1.0 for one in flat])
+    return np.asarray(np.minimum(size**2, 1.0))

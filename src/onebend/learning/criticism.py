@@ -1,0 +1,616 @@
+"""Does the fit's own model hold? Score tests against alternatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from onebend.beam.grid import apply
+from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.learning.fit_data import REST_MODES, FitData
+from onebend.learning.frames import unwhitened, whitened
+from onebend.learning.hyperparameters import correlation_time
+from onebend.learning.linear import (
+    FitProblem,
+    ResidualRows,
+    Solved,
+    data_information,
+    force_shrinkage,
+    prior,
+    residual_rows,
+    solved,
+    split_off_force,
+)
+from onebend.learning.normal import JointCovariance
+from onebend.learning.optimizer import Optimum
+from onebend.learning.parameters import Layout
+from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment, tag_places, tag_ride
+from onebend.progress import each
+from onebend.records import Array, IntArray
+
+# What else beam, clamp, sensors and tags might do: alternatives to the fit's model, each a pattern in the tags'
+# poses.
+#
+# An alternative is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D
+# follows from the equilibrium's derivatives (implicit function theorem) at the optimum. A parameter that the model
+# has under a prior is no pattern of its own: freeing it asks whether the prior is wrong (`score_tests.pulls`).
+
+Kind = Literal["prior", "mechanics", "change", "trend"]
+
+UNITS = {  # of what the beam and the push may do otherwise
+    "stretch": "1/N",
+    "shear": "1/N",
+    "length": "1",
+    "push place": "1",
+    "push beside": "m",
+    "force direction": "rad",
+    "axis scale": "1",
+    "weight": "N",
+    "viscous": "N m s",
+    "clamp gives": "rad/(N m)",
+    "rest shape": "rad",
+    "stiffness along": "1",
+}
+_ALLOWED = {  # what the fit may allow for, and what need not be tested then
+    "section": ("stretch", "shear"),
+    "length": ("length",),
+    "relaxation": ("viscous",),
+    "clamp gives": ("clamp gives",),
+}
+AXES = ("x", "y", "angle")
+_ALONG = 3  # Legendre polynomials, from the slope on, that log k may have beside a shape that is stated
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """What may be otherwise than the model takes it to be."""
+
+    kind: Kind
+    name: str
+    tag: int = -1  # its id; -1: no tag's own
+    recording: str = ""  # empty: of the beam, alike in all recordings
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """n numbers that the model takes to be zero, and what they do to one film's tags."""
+
+    suspect: Suspect
+    pattern: Array  # (F, m, 3, n) m, m, rad per unit
+    log_k: Array | None = None  # (p, n) what they are of log k's coefficients; None: nothing
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a film runs, F frames each; the frame at rest comes last where there is one."""
+
+    bend: Array  # (F,) 0 to 1, share of the largest bending
+    after: Array  # (F,) 1 after the largest bending
+    past: Array  # (F,) 0 to 1, share of the bending so far, summed over time
+    resting: Array  # (F,) 1 for the frame at rest
+
+
+def course(recording: FitData, now: Prediction) -> Course:
+    """From the fitted shapes and the frames' times."""
+    time = recording.observations.time[recording.frames]
+    frames, count = len(time), len(now.pose)
+    q = now.solved.q - now.solved.problem.q0
+    bend = np.sqrt(np.mean(q**2, axis=1))
+    bend = bend / max(float(np.max(bend)), 1e-300)
+    step = np.gradient(time) if frames > 1 else np.ones(frames)
+    past, after, resting = np.zeros(count), np.zeros(count), np.zeros(count)
+    total = np.cumsum(bend[:frames] * step)
+    past[:frames] = total / max(float(total[-1]), 1e-300)
+    after[:frames] = np.arange(frames) > int(np.argmax(bend[:frames]))
+    resting[frames:] = 1.0
+    return Course(bend, after, past, resting)
+
+
+def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
+    """All that are tested on one film."""
+    run, patterns = course(recording, now), mechanics(recording, layout, x, now)
+    pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
+    wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
+    if layout.index["curvature", -1].start >= 0 or layout.index["rest change", recording.number].start >= 0:
+        del wanted["rest shape"]
+    along, stated = Suspect("mechanics", "stiffness along"), []
+    otherwise = wanted.pop(along.name)
+    if layout.known is not None:
+        stated.append(Alternative(along, otherwise, layout.spline.nearest(_along)))
+    for allowed, names in _ALLOWED.items():
+        if any(a.name == allowed for a in recording.allowances):
+            for name in names:
+                wanted.pop(name, None)
+    if recording.observations.static:  # poses have no order in time
+        wanted.pop("viscous", None)
+        return [*stated, *(Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items())]
+    stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
+    return [*stated, *stiff, *_changes(recording, run, patterns), *_trends(recording, run)]
+
+
+def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+    """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
+    carried, ride = _carried(recording, layout, x, now), tag_ride(recording, layout, x, now.solved)
+    patterns = {}
+    for name, part in place_responses(
+        now.solved, _entering(recording, now), tag_places(recording, layout, x, now.solved)[0]
+    ).items():
+        if name in carried:
+            part[:, :, :2] += carried[name][..., None]
+        patterns[name] = ride.carry(part)
+    return patterns
+
+
+def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
+    """How the alternatives enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
+
+    A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
+    """
+    solved, problem = now.solved, now.solved.problem
+    u, n = _tangents(solved)
+    force = problem.dead_force
+    product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
+    pushed = recording.beyond[..., None] * now.force[:, None, :]
+    turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
+    along, across = along_and_across(now.force, solved.angle(recording.push_s[:, None])[:, 0])
+    loaded = (np.arange(len(force)) < int(np.sum(recording.frames))).astype(float)
+    sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
+    return {
+        "stretch": _force(product),
+        "shear": _force(-product),
+        "length": _force(force),
+        "push place": push_moment(problem, recording.push_s, float(problem.length) * across),
+        "push beside": push_moment(problem, recording.push_s, -along),
+        "force direction": _force(turned),
+        "axis scale": _force(pushed * np.array([1.0, -1.0])),
+        "weight": Perturbation(sag, None, None, np.zeros(2)),
+        "viscous": Perturbation(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
+        "clamp": of_clamp_angle(problem),
+        "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
+        "stiffness along": of_stiffness(solved, problem.k[..., None] * _along(problem.grid.nodes)),
+    }
+
+
+def _along(s: Array) -> Array:
+    """(..., n) Legendre polynomials of s, the constant left out."""
+    return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, _ALONG)[..., 1:])
+
+
+def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+    """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
+    solved, s = now.solved, tag_places(recording, layout, x, now.solved)[0]
+    u, n = _tangents(solved)
+    force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
+    length = float(solved.problem.length)
+
+    def path(slope: Array) -> Array:
+        return np.stack([apply(rows, slope[..., c]) for c in range(2)], axis=-1)
+
+    return {
+        "stretch": length * path(np.sum(force * u, axis=-1)[..., None] * u),
+        "shear": length * path(np.sum(force * n, axis=-1)[..., None] * n),
+        "length": solved.xy(s),
+    }
+
+
+def _clamp_moment(solved: Equilibrium) -> Array:
+    """(F,) N m that the loads bend the clamp with."""
+    problem, (_, n) = solved.problem, _tangents(solved)
+    return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
+
+
+def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
+    """What may change in the course of one recording: by the bending so far, and after the largest one."""
+    name = recording.observations.source.name
+    frames, tags = patterns["clamp"].shape[:2]
+    place = np.zeros((frames, tags, 3, 2))
+    place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
+    slip = np.concatenate([patterns["clamp"], place], axis=-1)
+    out = [
+        Alternative(Suspect("change", "creep", recording=name), _in_time(patterns["rest shape"], run)),
+        Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
+    ]
+    for i, tag in enumerate(recording.observations.tag_id.tolist()):
+        own = np.zeros((frames, tags, 3, 3))
+        own[:, i] = np.eye(3)
+        out.append(Alternative(Suspect("change", "loose", tag, name), _in_time(own, run)))
+    return out
+
+
+def _trends(recording: FitData, run: Course) -> list[Alternative]:
+    """Every coordinate of every tag: smooth in the bending, apart on the way out and back, and in time."""
+    side, tags = run.after - 0.5, recording.observations.tag_id.tolist()
+    smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
+    functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
+    out = []
+    for i, tag in enumerate(tags):
+        for c, axis in enumerate(AXES):
+            pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
+            pattern[:, i, c] = functions
+            out.append(Alternative(Suspect("trend", axis, tag, recording.observations.source.name), pattern))
+    return out
+
+
+def _in_time(pattern: Array, run: Course) -> Array:
+    """Each column twice: times the bending so far, and after the largest one."""
+    return np.concatenate([f[:, None, None, None] * pattern for f in (run.past, run.after)], axis=-1)
+
+
+def _tangents(solved: Equilibrium) -> tuple[Array, Array]:
+    """(F, Q, 2) along and across the beam at the nodes."""
+    cos, sin = np.cos(solved.alpha), np.sin(solved.alpha)
+    return np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)
+
+
+def _force(force: Array) -> Perturbation:
+    """One parameter that adds the internal force (F, Q, 2)."""
+    return Perturbation(force[..., None], None, None, np.zeros(1))
+
+
+def _rate(recording: FitData, solved: Equilibrium) -> Array:
+    """(F, Q) rad/s of the curvature; zero at rest."""
+    time = recording.observations.time[recording.frames]
+    out = np.zeros_like(solved.q)
+    if len(time) > 1:
+        out[: len(time)] = np.gradient(solved.q[: len(time)], time, axis=0)
+    return out
+
+
+# Score tests: would a few more free numbers lower the misfit by more than chance does?
+#
+# The linearised model at the optimum is `r = J x + D b + noise` with the priors on x, at the hyperparameters of the
+# fit. With x integrated out, b has the information `C^-1 = H_bb - H_bx (H_xx + P)^-1 H_xb`, the estimate `C g` from
+# the score g, and `g' C g` is chi-squared with as many degrees of freedom as b has numbers, if the model is right
+# (Rao 1948).
+#
+# A lasting misfit has raised the noise that the fit found. So the noise is estimated anew with b free, its
+# correlation in time included, and the F distribution takes the place of chi-squared, with as many degrees of freedom
+# as independent numbers remain.
+#
+# For a parameter that the model has under a prior, freeing it is the same as asking whether the prior is wrong:
+# `x' (prior - posterior covariance)^-1 x` is chi-squared.
+
+_BLIND = 1e-8  # share of the information on b: less remains only where the model's own parameters do the same
+_LEAST_REMOVED = 0.05  # share of the prior variance: a pull is judged where the data have removed more than this
+_NEW_NOISE = -2.0  # log10 of chi-squared's p: the noise is estimated anew below it
+
+
+@dataclass(frozen=True)
+class Score:
+    """One test."""
+
+    suspect: Suspect
+    value: Array  # (n,) the numbers, freed; NaN where the model's own parameters can do the same
+    sd: Array  # (n,) of it; before the data where the model has it under a prior
+    gain: float  # decrease of -2 log p when it is freed, under the noise that is then left
+    log10_p: float  # log10 of the probability of as large a gain, the model being right
+    size: float  # m, RMS over the frames of what the tag that it moves most moves by, all else refitted
+    shift: Array  # (p,) by which the coefficients of log k change
+    noise: float = 1.0  # variance that the fit took for noise over what is left of it, not below 1
+
+    @property
+    def able(self) -> bool:
+        """Whether the data tell anything of it, beside the model's own parameters."""
+        return bool(np.all(np.isfinite(self.value)))
+
+
+@dataclass(frozen=True)
+class LinearisedFit:
+    """The linearised model at the optimum."""
+
+    problem: FitProblem
+    optimum: Optimum
+    rows: tuple[ResidualRows, ...]  # of each recording
+    known: tuple[IntArray, ...]  # indices of the parameters that each recording depends on
+    solved: Solved  # the posterior at the optimum's hyperparameters
+    covariance: JointCovariance  # the same
+    step: Array  # (P,) to where the slope is zero
+
+
+def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
+    """The linearised model at an optimum."""
+    layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
+    rows = each(residual_rows, optimum.predictions, noise)
+    before = prior(problem, optimum.hyperparameters)
+    posterior = solved(data_information(problem, rows, x, optimum.hyperparameters), before)
+    known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
+    return LinearisedFit(problem, optimum, rows, known, posterior, posterior.covariance, posterior.mean - x)
+
+
+def pulls(fit: LinearisedFit) -> list[Score]:
+    """How far the nuisances came out from their priors: tags one by one, the parts of other blocks together.
+
+    Directions without information from the data are left out. Place and direction of the push are among the
+    alternatives.
+    """
+    untested = {"stiffness", "force", "place", "direction", "end", "end turn", "zero"}
+    untested |= {a.name for recording in fit.problem.recordings for a in recording.allowances}
+    out = []
+    for block in fit.problem.layout.blocks:
+        if block.start < 0 or block.name in untested:
+            continue
+        whose = "" if block.recording < 0 else fit.problem.recordings[block.recording].observations.source.name
+        tags = (
+            fit.problem.recordings[0].observations.tag_id.tolist()
+            if block.name in ("along", "across", "turn")
+            else [-1]
+        )
+        for i, tag in enumerate(tags):
+            own = np.array([i]) if tag >= 0 else np.arange(len(block.labels))
+            suspect = Suspect("prior", block.name, tag, whose)
+            out.append(_pull(fit, suspect, block.start + own, block.prior_sd[own], block.unit))
+    return out
+
+
+def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, unit: str) -> Score:
+    x = fit.optimum.x[index]
+    where = slice(int(index[0]), int(index[-1]) + 1)
+    after = fit.covariance.among(where)
+    removed = np.eye(len(index)) - after / np.outer(before, before)
+    values, vectors = np.linalg.eigh(0.5 * (removed + removed.T))
+    judged = values > _LEAST_REMOVED
+    freed = vectors[:, judged] @ ((vectors[:, judged].T @ (x / before)) / values[judged])  # in prior sds
+    gain, count = float(freed @ (x / before)), int(np.sum(judged))
+    log10_p = _log10(chdtrc(count, gain)) if count else 0.0
+    shift = fit.covariance.shared_with(where)[: fit.problem.layout.spline.count] @ (freed / before)
+    size = float(np.linalg.norm(x)) if unit == "m" else 0.0
+    return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
+
+
+@dataclass(frozen=True)
+class _Freed:
+    """The numbers b of one suspect, freed: what they do to the recordings that show it."""
+
+    suspect: Suspect
+    log_k: Array | None  # (p, n) what they are of log k's coefficients; None: nothing
+    numbers: tuple[int, ...]  # of these recordings
+    d: tuple[Array, ...]  # (F, R, n) of each, whitened
+    information: Array  # (n,) of each number alone
+    marginal: Array  # (n, n) information, with the parameters integrated out
+    score: Array  # (n,)
+    response: tuple[Array, ...]  # of each recording, (C, n): its parameters follow b by minus this
+
+
+def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
+    """The tests of the alternatives of each recording. Those of one suspect belong together; what only one recording
+    shows is judged by that one."""
+    places: dict[Suspect, list[tuple[int, Alternative]]] = {}
+    for number, alternatives in enumerate(patterns):
+        for one in alternatives:
+            places.setdefault(one.suspect, []).append((number, one))
+    return list(each(lambda suspect, shown: _score(fit, _freed(fit, suspect, shown)), places, places.values()))
+
+
+def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> _Freed:
+    every = [(number, *_mixed(fit, number, one.pattern)) for number, one in shown]
+    steps = [fit.step[fit.known[number]] for number, *_ in every]
+    bb = np.sum([one for *_, one, _, _ in every], axis=0)
+    g = np.sum([told - bx @ step for (*_, bx, told), step in zip(every, steps, strict=True)], axis=0)
+    if len(every) == 1:
+        (number, _, _, bx, _) = every[0]
+        response = [fit.covariance.pairs[number] @ bx.T]
+        marginal = bb - bx @ response[0]
+    else:
+        wide = np.zeros((fit.problem.layout.size, len(bb)))
+        for number, *_, bx, _ in every:
+            wide[fit.known[number]] += bx.T
+        whole = fit.solved.times_covariance(wide)
+        response = [whole[fit.known[number]] for number, *_ in every]
+        marginal = bb - wide.T @ whole
+    numbers, d = tuple(one[0] for one in every), tuple(one[1] for one in every)
+    return _Freed(suspect, shown[0][1].log_k, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
+
+
+def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Array, Array, Array]:
+    """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), the information on its numbers (n, n) and with the
+    recording's parameters (n, C), and the score (n,) at the optimum."""
+    recording, rows, noise = fit.problem.recordings[number], fit.rows[number], fit.optimum.hyperparameters.noise[number]
+    d = rows.root_weight[..., None] * whitened(recording.whiten, pattern)
+    unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
+    weighted = unexplained.reshape(-1, d.shape[-1]) / noise.marker**2
+    bb = weighted.T @ d.reshape(-1, d.shape[-1])
+    return d, bb, rows.onto_parameters(weighted.reshape(d.shape)), weighted.T @ rows.r.ravel()
+
+
+def _score(fit: LinearisedFit, freed: _Freed) -> Score:
+    suspect, p = freed.suspect, fit.problem.layout.spline.count
+    size = np.sqrt(np.maximum(freed.information, 1e-300))
+    scaled = freed.marginal / np.outer(size, size)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    visible = values > _BLIND
+    count = int(np.sum(visible))
+    if count == 0:
+        unknown = np.full(len(size), np.nan)
+        return Score(suspect, unknown, unknown, 0.0, 0.0, 0.0, np.zeros(p))
+    inverse = (vectors[:, visible] / values[visible]) @ vectors[:, visible].T / np.outer(size, size)
+    b = inverse @ freed.score
+    chi2 = float(freed.score @ b)
+    log10_p = _log10(chdtrc(count, chi2))
+    steps = [-response @ b for response in freed.response]
+    every = zip(freed.numbers, freed.d, steps, strict=True)
+    changes = {number: d @ b + fit.rows[number].moved_by(step) for number, d, step in every}
+    ratio = 1.0
+    if log10_p < _NEW_NOISE:
+        ratio, numbers = _noise_left(fit, changes)
+        chi2 *= ratio
+        freedom = max(numbers - len(b), 5.0)
+        log10_p = _log10(fdtrc(count, freedom, chi2 / count))
+    moved = max(_moved(fit.problem.recordings[number], fit.rows[number], c) for number, c in changes.items())
+    sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    shift = steps[0][:p] if freed.log_k is None else steps[0][:p] + freed.log_k @ b
+    return Score(suspect, b, sd, chi2, log10_p, moved, shift, max(ratio, 1.0))
+
+
+def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float, float]:
+    """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals of
+    some recordings, correlation in time included; and how many independent numbers are left.
+
+    Afterwards the coordinate with the longest correlation counts: otherwise an alternative that is smooth in time would
+    pass for signal where the noise of one tag is slow and that of the others is not.
+    """
+    before, after, numbers = 0.0, 0.0, 0.0
+    for number, change in changes.items():
+        rows, noise = fit.rows[number], fit.optimum.hyperparameters.noise[number]
+        plain = rows.r - rows.moved_by(fit.step[fit.known[number]])
+        old, new = (split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
+        time = max(correlation_time(column[:, None]) for column in new.T)
+        before += float(np.sum(old**2)) * correlation_time(old)
+        after += float(np.sum(new**2)) * time
+        numbers += float(np.sum(rows.known)) / time
+    return before / max(after, 1e-300), numbers
+
+
+def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
+    """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
+    weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
+    away = unwhitened(recording.whiten, change / weight)[..., :2]
+    known = np.any(rows.known.reshape(len(away), -1, 3), axis=-1)  # a pose may lack its angle, or a coordinate
+    squares = np.sum(away**2, axis=-1)
+    return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))
+
+
+def _log10(chance: float) -> float:
+    """Its logarithm; minus infinity where it is too small for a number."""
+    return float(np.log10(chance)) if chance > 0.0 else -np.inf
+
+
+# Does the fit's own model hold? Score tests of what may be otherwise, and what they make of the band.
+#
+# The band of k(s) is right only if the model is. `criticise` tests the model against a list of alternatives
+# (`alternatives.py`) and against every prior, each by a score test (`score_tests.py`). Where a test is more striking
+# than any in clean recordings, the band is not to be trusted, and the suspects that explain the misfit best are
+# named. The band is not widened: a wrong model moves k(s) by an unknown amount, and `Criticism.widening` covers only
+# the part that the named cause accounts for.
+
+# log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
+ALARM = -5.0
+# The same of what a person writes down of the push, its sensor and the section: it is wrong more often than beams are
+# odd, and hardly shows.
+ALARM_WRITTEN = -2.5
+WRITTEN = ("push place", "force direction", "axis scale", "stiffness along")
+_AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
+_SHARE = 0.8  # of the best cause's gain: the same, where the misfit is large
+_MOST_NAMED = 3  # causes and symptoms that are named
+_MATTERS = 0.5  # sd of log k: a smaller shift lowers the coverage of a 95 % band to 92 % at most, and gets a note only
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One test, with what it means for k(s)."""
+
+    score: Score
+    shift: float  # largest change of log k over the identified places if it is freed
+    sds: float  # the same in sds of log k
+
+    @property
+    def matters(self) -> bool:
+        """Whether the change is no small part of the band, as that would be without the misfit's share of its noise."""
+        return bool(self.sds * np.sqrt(self.score.noise) > _MATTERS)
+
+
+@dataclass(frozen=True)
+class Criticism:
+    """All tests, the most striking first."""
+
+    findings: tuple[Finding, ...]
+    alarm: float = ALARM  # log10 p beyond which a test counts
+
+    @property
+    def able(self) -> tuple[Finding, ...]:
+        """Those of which the data tell anything."""
+        return tuple(f for f in self.findings if f.score.able)
+
+    @property
+    def striking(self) -> tuple[Finding, ...]:
+        """Those that clean recordings do not show."""
+        return tuple(f for f in self.findings if f.score.log10_p < self.level(f))
+
+    def level(self, finding: Finding) -> float:
+        """log10 p beyond which one test counts."""
+        return max(self.alarm, ALARM_WRITTEN) if finding.score.suspect.name in WRITTEN else self.alarm
+
+    @property
+    def alarms(self) -> tuple[Finding, ...]:
+        """Those of them that put k(s) in doubt."""
+        return tuple(f for f in self.striking if f.matters)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the band may be relied on, as far as the recording itself can tell."""
+        return not self.alarms
+
+    @property
+    def causes(self) -> tuple[Finding, ...]:
+        """What would explain the misfit, freed by itself: the best first, and those that are about as good."""
+        able = sorted((f for f in self.alarms if f.score.suspect.kind != "trend"), key=lambda f: -f.score.gain)
+        if not able:
+            return ()
+        most = able[0].score.gain
+        least = min(most - _AS_LIKELY, _SHARE * most)
+        return tuple(f for f in able if f.score.gain >= least)[:_MOST_NAMED]
+
+    @property
+    def symptoms(self) -> tuple[Finding, ...]:
+        """Tags and coordinates whose residuals are no noise, the largest first."""
+        trends = [f for f in self.alarms if f.score.suspect.kind == "trend"]
+        return tuple(sorted(trends, key=lambda f: -f.score.size))[:_MOST_NAMED]
+
+    @property
+    def widening(self) -> float:
+        """Factor on the band that would make it hold k(s) as it comes out with the best cause freed; 1 where trusted,
+        NaN where no cause is known."""
+        if self.trusted:
+            return 1.0
+        return float(np.hypot(1.0, self.causes[0].sds)) if self.causes else np.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: the verdict, and every test."""
+        return {
+            "trusted": self.trusted,
+            "alarm_log10_p": self.alarm,
+            "widening": self.widening,
+            "causes": [_as_dict(f) for f in self.causes],
+            "symptoms": [_as_dict(f) for f in self.symptoms],
+            "tests": [_as_dict(f) for f in self.findings],
+        }
+
+
+def criticise(problem: FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
+    """Test the model of a fit that has ended."""
+    fit, layout = linearised(problem, optimum), problem.layout
+    patterns = each(lambda now: alternatives(now.recording, layout, optimum.x, now), optimum.predictions)
+    tests = [*scores(fit, patterns), *pulls(fit)]
+    s = np.linspace(0.0, 1.0, 101)
+    identified = stiffness.band(s).identified
+    s = s[identified] if np.any(identified) else s
+    sd, basis = stiffness.log_at(s)[1], layout.spline.basis(s)
+    findings = [_finding(score, basis @ score.shift, sd) for score in tests]
+    return Criticism(tuple(sorted(findings, key=lambda f: f.score.log10_p)))
+
+
+def _finding(score: Score, shift: Array, sd: Array) -> Finding:
+    return Finding(score, float(np.max(np.abs(shift))), float(np.max(np.abs(shift) / sd)))
+
+
+def _as_dict(finding: Finding) -> dict[str, Any]:
+    score, suspect = finding.score, finding.score.suspect
+    return {
+        "kind": suspect.kind,
+        "name": suspect.name,
+        "tag": suspect.tag if suspect.tag >= 0 else None,
+        "recording": suspect.recording or None,
+        "value": score.value,
+        "sd": score.sd,
+        "gain": score.gain,
+        "log10_p": score.log10_p,
+        "size_m": score.size,
+        "shift_log_k": finding.shift,
+        "shift_sds": finding.sds,
+        "matters": finding.matters,
+    }

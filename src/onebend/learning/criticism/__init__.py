@@ -1,1 +1,0 @@
-"""Does the fit's own model hold? Score tests against alternatives."""

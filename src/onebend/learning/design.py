@@ -1,0 +1,754 @@
+"""Which push to make next: Fisher information, candidates, and what each would leave of the band."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from onebend.beam.continuation import follow
+from onebend.beam.grid import apply
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.sensitivity import of_mass
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, UncertainStiffness, half_width, half_width_words
+from onebend.errors import LearningError, MechanicsError
+from onebend.learning.fit_data import MASS_MODES, REST_MODES
+from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
+from onebend.learning.prediction import (
+    BentBeam,
+    TagMotion,
+    TagRide,
+    along_and_across,
+    balance_changes,
+    place_responses,
+    push_blocks,
+    push_moment,
+    tag_blocks,
+)
+from onebend.progress import Progress, Silent, one_blas_thread, track
+from onebend.records import Array, BoolArray, IntArray
+
+# What one push would tell about k(s): Fisher information, through the exact equilibrium and its exact derivatives.
+#
+# Tags see the beam while the force grows evenly from nothing. With J the derivatives of the tags' poses and A those
+# with each frame's force, the poses' covariance is `D + A E A'`: D the tags' noise, E the force's doubt over the
+# frames, as the log's rests leave it. So the parameters' information is `J' (D + A E A')^-1 J`. What is this push's
+# alone (clamp, origin, camera scale, place, the log's axes, a new tag's place) is taken out by a Schur complement
+# with its prior.
+
+STEPS = 24  # frames that stand for all of a push
+RESOLUTION = Resolution(order=12, widest=0.5)
+_INSTANTS = 4  # of a step, over which the force's error is averaged
+_MOST_RESTS = 80  # instants of a rest that count: what is farther from the push tells nothing new
+_REST_SHARE = 0.1  # of the coloured doubt: how well the log in a rest shows the error there
+
+
+@dataclass(frozen=True)
+class TagDerivatives:
+    """Derivatives of tags' poses along one push: F frames, the last being the beam at rest; M places of tags."""
+
+    tags: Array  # (M,)
+    blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by the names of `balance_changes` and `push_blocks`
+    motion: TagMotion  # with what holds the tags
+
+    @property
+    def push(self) -> Array:
+        """(F, M, 3, 2) per N, with each frame's force; zero at rest."""
+        return self.blocks["push"]
+
+
+def loads_of(bench: Instruments, at_s: float, forces: Array) -> Loads:
+    """Forces (F, 2) N at one place, under the bench's gravity."""
+    acting = push(forces, at_s)
+    return acting + weight(np.asarray(bench.gravity)) if any(bench.gravity) else acting
+
+
+def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equilibrium:
+    """The push in `STEPS` steps, each in the middle of its share of the push, and the beam at rest.
+
+    Raises:
+        MechanicsError: the beam snaps through or buckles on the way.
+    """
+    solved = follow(make_problem(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
+    if not np.all(solved.stable & np.isnan(solved.buckled_at)):
+        raise MechanicsError(
+            f"pushed at s = {candidate.at_s:.2f} to {candidate.largest:.3g} N the beam buckles or snaps through; "
+            "a smaller force or another direction is needed"
+        )
+    return solved
+
+
+def _forces(candidate: PlannedPush) -> Array:
+    """(F, 2) N in the steps of a push, and none at rest."""
+    steps = (np.arange(STEPS) + 0.5) / STEPS
+    unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
+    return np.vstack([candidate.largest * steps[:, None] * unit, np.zeros(2)])
+
+
+def tag_derivatives(
+    solved: Equilibrium, bench: Instruments, candidate: PlannedPush, mass: float, on_nodes: Array, tags: Array
+) -> TagDerivatives:
+    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C), and with
+    all else. `mass` [kg] is the beam's."""
+    problem, nodes = solved.problem, solved.problem.grid.nodes
+    per_length = mass / bench.length * MASS_MODES.curvature(nodes)
+    pushed, push_s = _forces(candidate), np.asarray(candidate.at_s)
+    _, across = along_and_across(pushed, solved.angle(push_s[None])[:, 0])
+    beam = BentBeam(
+        solved,
+        on_nodes,
+        REST_MODES.curvature(nodes),
+        pushed,
+        np.any(pushed != 0.0, axis=1)[:, None] * np.asarray(nodes < push_s, dtype=float),
+        np.zeros_like(nodes),
+        of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
+    )
+    changes = balance_changes(beam) | {"place": push_moment(problem, push_s, across)}  # between nodes, too
+    blocks = place_responses(solved, changes, tags)
+    blocks |= push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
+    pose = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
+    bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
+    nothing = np.zeros(len(tags))
+    motion = TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
+    return TagDerivatives(tags, blocks, motion)
+
+
+def mass_of(beam: Beam) -> float:
+    """kg."""
+    x, w = np.polynomial.legendre.leggauss(32)
+    return float(0.5 * beam.length * w @ np.asarray(beam.mass_per_length(0.5 * (x + 1.0))))
+
+
+def joint_information(seen: TagDerivatives, bench: Instruments, candidate: PlannedPush, chosen: IntArray) -> Array:
+    """(C + N, C + N) of coefficients and the bench's shared nuisances; `chosen` rows of `seen.tags` are watched.
+
+    The first of them are the bench's own tags, in order; any further ones are put on for this push.
+    """
+    jacobian, own_sd = _columns(seen, bench, chosen)
+    frames, rows, columns = len(jacobian), 3 * len(chosen), jacobian.shape[-1]
+    extra = len(chosen) - len(bench.tags)
+    sd = np.vstack([bench.tag_sd, np.repeat(bench.tag_sd[-1:], extra, axis=0)]).ravel()
+    counts = np.append(np.full(frames - 1, bench.frames / (frames - 1)), 1.0)
+    root = np.sqrt(counts)[:, None] / sd  # (F, R)
+    j = root[..., None] * jacobian.reshape(frames, rows, columns)
+    a = root[:-1, :, None] * seen.push[:-1, chosen].reshape(frames - 1, rows, 2)
+    flat = j.reshape(-1, columns)
+    aj = (np.swapaxes(a, 1, 2) @ j[:-1]).reshape(-1, columns)  # (2 (F - 1), columns)
+    information = flat.T @ flat - aj.T @ _doubt_left(a, force_covariance(bench, candidate)) @ aj
+    return eliminate(information, len(own_sd), 1.0 / own_sd**2)
+
+
+@one_blas_thread
+def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array:
+    """(p, p) Fisher information of one push on the coefficients of log k, every nuisance marginalised.
+
+    Taken by itself, as on a bench without earlier pushes: tags and rest shape are known by their tolerances alone.
+
+    Raises:
+        LearningError: the beam's stiffness is no log-spline.
+        MechanicsError: the push has no stable equilibrium.
+    """
+    stiffness = beam.stiffness
+    if not isinstance(stiffness, LogSpline):
+        raise LearningError("information is on the coefficients of a log-spline; give the beam such a stiffness")
+    solved = solve_push(beam, bench, candidate)
+    knots = np.asarray(stiffness.knots)
+    on_nodes = BSpline.design_matrix(solved.problem.grid.nodes, knots, stiffness.degree).toarray()
+    return _of_coefficients(solved, beam, bench, candidate, on_nodes)
+
+
+@one_blas_thread
+def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) -> tuple[Array, Array]:
+    """Places s (Q,) along the beam and the Fisher information (Q,) about log k there, per unit of s squared.
+
+    A bump of log k of height h over a short stretch w at s changes the data's log likelihood by h^2 w^2 / 2 times this.
+
+    Raises:
+        MechanicsError: the push has no stable equilibrium.
+    """
+    solved = solve_push(beam, bench, candidate)
+    weights = solved.problem.weights
+    told = _of_coefficients(solved, beam, bench, candidate, np.diag(1.0 / weights))
+    return solved.problem.grid.nodes, np.diag(told)
+
+
+def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
+    """(2 STEPS, 2 STEPS) N^2: the force's doubt in the steps of a push, x and y in turn, after the rests' say.
+
+    The clock's doubt acts as a force along the push.
+    """
+    one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
+    one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
+    unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
+    rate = np.tile(candidate.largest / bench.seconds * unit, STEPS)
+    return np.asarray(np.kron(one, np.eye(2)) + bench.clock_sd**2 * np.outer(rate, rate))
+
+
+@lru_cache(maxsize=8)
+def _doubt_of_axis(doubt: ForceDoubt, seconds: float, before: float, after: float) -> Array:
+    """(STEPS, STEPS) N^2 of the mean error in each step of a push.
+
+    A constant level, the coloured part and a random walk; where the log runs before and after the push it shows its
+    own error, but for what comes with the load: a constant while that grows.
+    """
+    apart = seconds / (STEPS * _INSTANTS)
+    inside = apart * (np.arange(STEPS * _INSTANTS) + 0.5)
+    earlier, later = (apart * np.arange(1, rest / apart)[:_MOST_RESTS] for rest in (before, after))
+    rests = np.concatenate([-earlier, seconds + later])
+    every = np.concatenate([inside, rests])
+    since = every - every.min()
+    full = doubt.covariance(every[:, None] - every) + doubt.walk**2 * np.minimum(since[:, None], since)
+    full += doubt.level**2
+    count = len(inside)
+    left = full[:count, :count]
+    if len(rests):
+        seen = full[count:, count:] + _REST_SHARE**2 * doubt.covariance(np.zeros(1)) * np.eye(len(rests))
+        left = left - full[:count, count:] @ np.linalg.solve(seen, full[count:, :count])
+    left = left + doubt.load**2
+    mean = np.kron(np.eye(STEPS), np.full((1, _INSTANTS), 1.0 / _INSTANTS))
+    return np.asarray(mean @ left @ mean.T)
+
+
+def eliminate(information: Array, last: int, prior: Array | float = 0.0) -> Array:
+    """Information on all but the `last` parameters, these being unknown but for their prior precisions (last,)."""
+    if last == 0:
+        return information
+    kept = len(information) - last
+    across = information[:kept, kept:]
+    out = information[:kept, :kept] - across @ np.linalg.solve(
+        information[kept:, kept:] + np.diag(np.broadcast_to(prior, last)), across.T
+    )
+    return np.asarray(0.5 * (out + out.T))
+
+
+def alone(bench: Instruments) -> Array:
+    """(N,) prior precisions of the shared nuisances before any push."""
+    m = len(bench.tags)
+    sd = {
+        "curvature": [bench.curvature_sd] * 3,
+        "mass": [bench.mass_sd] + [bench.mass_spread_sd] * 3,
+        "along": [bench.placement_sd] * m,
+        "across": [bench.placement_sd] * m,
+        "turn": [bench.turn_sd] * m,
+    }
+    return np.array([one for name in bench.shared for one in sd[name]]) ** -2.0
+
+
+def with_better_sensor(bench: Instruments, times: float) -> Instruments:
+    """The bench with a force sensor whose every error is `times` smaller."""
+    return replace(bench, force=bench.force.times(1.0 / times), gain_sd=bench.gain_sd / times)
+
+
+def _of_coefficients(
+    solved: Equilibrium, beam: Beam, bench: Instruments, candidate: PlannedPush, on_nodes: Array
+) -> Array:
+    tags = np.asarray(bench.tags)
+    seen = tag_derivatives(solved, bench, candidate, mass_of(beam), on_nodes, tags)
+    joint = joint_information(seen, bench, candidate, np.arange(len(tags), dtype=np.int64))
+    return eliminate(joint, bench.shared_size, alone(bench))
+
+
+def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tuple[Array, Array]:
+    """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
+    own, motion = len(bench.tags), seen.motion
+    watched = TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
+    blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | tag_blocks(watched)
+    by_tag = ("along", "across", "turn")
+    shared = [blocks[name][..., :own] if name in by_tag else blocks[name] for name in bench.shared]
+    wanted = [(blocks[name][..., own:], bench.placement_sd) for name in ("along", "across")]
+    wanted += [(blocks["turn"][..., own:], bench.turn_sd), (blocks["clamp"], bench.clamp_sd)]
+    wanted += [(blocks["origin"], bench.origin_sd), (blocks["scale"], bench.scale_sd)]
+    wanted += [(blocks["place"], bench.place_sd), (blocks["direction"], bench.direction_sd)]
+    free = [(part, np.full(part.shape[-1], sd)) for part, sd in wanted if sd > 0.0]
+    sds = np.concatenate([np.zeros(0), *(sd for _, sd in free)])
+    return np.concatenate([blocks["stiffness"], *shared, *(part for part, _ in free)], axis=-1), sds
+
+
+def _doubt_left(a: Array, covariance: Array) -> Array:
+    """`(E^-1 + G)^-1` with G the frames' `A' A`, block-diagonal; no inverse of E."""
+    steps = len(a)
+    gram = np.zeros((steps, 2, steps, 2))
+    gram[np.arange(steps), :, np.arange(steps), :] = np.swapaxes(a, 1, 2) @ a
+    left = np.linalg.solve(np.eye(2 * steps) + covariance @ gram.reshape(2 * steps, -1), covariance)
+    return np.asarray(0.5 * (left + left.T))
+
+
+# How hard the beam may be pushed: from nothing up to the first limit, at every place and in every direction.
+
+_COARSE = np.geomspace(0.02, 40.0, 40)  # forces, in units of what turns a linear beam's loaded place by one radian
+_FINE = 12
+BUCKLES = "the beam buckles or snaps through"
+_MARGIN = 1.15  # of the force: so far beyond the largest the beam must still stand
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the experimenter allows. Angles in radians."""
+
+    force: float | None = None  # N; None: twice the largest so far, no limit before the first push
+    tip_turn: float | None = None  # the tip's turn from rest; None: 90 deg, and the curvature limit counts too
+    curvature: float = 1.25  # times the largest curvature reached so far
+    slant: float = np.deg2rad(75.0)  # between the force and the beam's normal: beyond, the tool slips off
+
+
+@dataclass(frozen=True)
+class LargestPush:
+    """The largest force at a place in a direction, or why there is none."""
+
+    at_s: float
+    direction: float  # rad
+    largest: float  # N
+    why_not: str = ""
+
+
+def same_push(one: PlannedPush, other: PlannedPush) -> bool:
+    """Whether two pushes are the same to within what a hand can tell."""
+    turn = np.angle(np.exp(1j * (one.direction - other.direction)))
+    force = abs(one.largest - other.largest) / max(one.largest, other.largest)
+    return bool(abs(one.at_s - other.at_s) < 0.03 and abs(turn) < np.deg2rad(10.0) and force < 0.1)
+
+
+def largest_pushes(
+    beam: Beam, bench: Instruments, at_s: tuple[float, ...], directions: Array, limits: Limits
+) -> list[LargestPush]:
+    """Every place and direction [rad]."""
+    return [reach for s in at_s for reach in _reach_at(beam, bench, s, directions, limits)]
+
+
+def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, limits: Limits) -> list[LargestPush]:
+    """All directions at one place: a coarse ramp to find the limit, a finer one below it."""
+    unit = _softness(beam, at_s)
+    rough = [_first_break(beam, bench, at_s, d, unit * _COARSE, limits) for d in directions]
+    out = []
+    for direction, (safe, over, why) in zip(directions.tolist(), rough, strict=True):
+        if why == BUCKLES or safe == 0.0:
+            out.append(LargestPush(at_s, direction, 0.0, why))
+            continue
+        fine, _, _ = _first_break(beam, bench, at_s, direction, np.linspace(safe, over, _FINE), limits)
+        largest = min(max(safe, fine), _most_force(bench, limits))
+        if not _stands(beam, bench, at_s, direction, _MARGIN * largest):
+            out.append(LargestPush(at_s, direction, 0.0, BUCKLES))
+            continue
+        out.append(LargestPush(at_s, direction, largest))
+    return out
+
+
+def _first_break(
+    beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
+) -> tuple[float, float, str]:
+    """Largest force within the limits, the next one, and what that one breaks ("" if none does)."""
+    unit = np.array([np.cos(direction), np.sin(direction)])
+    forces = np.vstack([sizes[:, None] * unit, np.zeros(2)])
+    solved = follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))
+    broken = _broken(solved, bench, at_s, direction, limits)
+    first = {why: int(np.argmax(rows[:-1])) for why, rows in broken.items() if np.any(rows[:-1])}
+    if not first:
+        return float(sizes[-1]), float(sizes[-1]), ""
+    why = min(first, key=lambda one: first[one])
+    at = first[why]
+    return (float(sizes[at - 1]) if at else 0.0), float(sizes[at]), why
+
+
+def _broken(
+    solved: Equilibrium, bench: Instruments, at_s: float, direction: float, limits: Limits
+) -> dict[str, BoolArray]:
+    """Which frames break which limit; the last is the beam at rest."""
+    here, tip = solved.angle(np.array([at_s, 1.0])).T
+    turn = np.abs(tip - tip[-1])
+    side = 1.0 if np.sin(direction - here[-1]) >= 0.0 else -1.0
+    slant = np.abs(np.angle(np.exp(1j * (direction - here - side * 0.5 * np.pi))))
+    bent = np.max(np.abs(solved.q - solved.problem.q0), axis=1)
+    most_turn = 0.5 * np.pi if limits.tip_turn is None else limits.tip_turn
+    curved = bent > limits.curvature * bench.curvature if limits.tip_turn is None else np.zeros(len(bent), dtype=bool)
+    return {
+        BUCKLES: ~solved.stable | ~np.isnan(solved.buckled_at),
+        "the force does not press the beam there, the tool slips off": slant > limits.slant,
+        "the smallest push bends the beam beyond the limits": (turn > most_turn) | curved,
+    }
+
+
+def _most_force(bench: Instruments, limits: Limits) -> float:
+    if limits.force is not None:
+        return limits.force
+    return 2.0 * max((p.largest for p in bench.pushes), default=np.inf)
+
+
+def _stands(beam: Beam, bench: Instruments, at_s: float, direction: float, force: float) -> bool:
+    unit = np.array([[np.cos(direction), np.sin(direction)]])
+    solved = follow(make_problem(beam, loads_of(bench, at_s, force * unit), RESOLUTION))
+    return bool(solved.stable[0] and np.isnan(solved.buckled_at[0]))
+
+
+def _softness(beam: Beam, at_s: float) -> float:
+    """N that would turn the loaded place of a linear beam by one radian."""
+    s = at_s * (np.arange(200) + 0.5) / 200
+    return float(1.0 / (beam.length * np.mean((at_s - s) / beam.stiffness(s)) * at_s))
+
+
+# What a plan says: pushes, what each would leave of the band, and the words for it.
+
+PLACES = np.linspace(0.0, 1.0, 101)  # where the band is looked at
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well k(s) is known. Widths are of the 95 % band of log k."""
+
+    mean_width: float
+    worst_width: float
+    worst_s: float
+    identified: float  # share of the beam
+    identified_to: float  # k is identified from the clamp to here
+
+    @property
+    def mean_words(self) -> str:
+        """How well k is known, on average over the whole beam."""
+        return half_width_words(0.5 * self.mean_width)
+
+    @property
+    def worst_words(self) -> str:
+        """How well k is known where it is known least."""
+        return half_width_words(0.5 * self.worst_width)
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One push, what it needs, and what it would leave of the band."""
+
+    push: PlannedPush
+    added_tag: float | None  # place of one more tag
+    better_sensor: float | None  # times smaller errors than today's; None: today's sensor
+    repeats: bool  # a push made before, once more
+    tip_moves: float  # m
+    tip_turns: float  # rad
+    before: Quality
+    after: Quality
+    sd: Array  # (101,) of log k at `PLACES` after it
+
+    @property
+    def needs(self) -> str:
+        """What is not on the bench yet."""
+        if self.added_tag is not None:
+            return f"a tag at s = {self.added_tag:.2f}"
+        return "" if self.better_sensor is None else f"a force sensor {self.better_sensor:g} times as good"
+
+    @property
+    def text(self) -> str:
+        """In one plain line."""
+        again = "once more: " if self.repeats else ""
+        with_what = f", with {self.needs}" if self.needs else ""
+        return (
+            f"{again}push at s = {self.push.at_s:.2f}, {direction_words(self.push.direction)}, to "
+            f"{self.push.largest:.2g} N (tip moves {1e3 * self.tip_moves:.0f} mm){with_what}: k(s) "
+            f"{self.before.mean_words} -> {self.after.mean_words} on average; "
+            f"{identified_words(self.after)}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, in SI."""
+        return {
+            "text": self.text,
+            "at_s": self.push.at_s,
+            "direction_rad": self.push.direction,
+            "largest_N": self.push.largest,
+            "added_tag_s": self.added_tag,
+            "better_sensor": self.better_sensor,
+            "repeats": self.repeats,
+            "tip_moves_m": self.tip_moves,
+            "tip_turns_rad": self.tip_turns,
+            "after": vars(self.after),
+            "sd_log_k": self.sd.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Proposals, what costs nothing first; the best two pushes on today's bench; and what was left out."""
+
+    before: Quality
+    sd: Array  # (101,) of log k at `PLACES` now
+    proposals: tuple[Proposal, ...]
+    pair: tuple[Proposal, ...]  # the second given the first
+    left_out: tuple[str, ...]  # sentences
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, in SI."""
+        return {
+            "before": vars(self.before),
+            "s": PLACES.tolist(),
+            "sd_log_k": self.sd.tolist(),
+            "proposals": [one.as_dict() for one in self.proposals],
+            "pair": [one.as_dict() for one in self.pair],
+            "left_out": list(self.left_out),
+        }
+
+
+def direction_words(direction: float) -> str:
+    """The force's direction in the beam's frame: up is to the beam's left, out to its tip."""
+    degrees = float(np.rad2deg(np.angle(np.exp(1j * direction))))
+    side, off = ("up", 90.0 - degrees) if degrees >= 0.0 else ("down", 90.0 + degrees)
+    if abs(off) < 0.5:
+        return side
+    return f"{side} and {abs(off):.0f} deg {'out' if off > 0.0 else 'back'}"
+
+
+def identified_words(quality: Quality) -> str:
+    """Where k is known to within half of itself."""
+    if quality.identified >= 1.0:
+        return "identified all along"
+    if quality.identified <= 0.0:
+        return "identified nowhere"
+    if quality.identified_to > quality.identified - 0.02:
+        return f"identified to s = {quality.identified_to:.2f}"
+    return f"identified on {100.0 * quality.identified:.0f} % of the beam"
+
+
+# Which push to make next: candidates ranked by the band on k(s) that would be left after them.
+#
+# A candidate's information is added to what is known of coefficients and shared nuisances together, so a tag whose
+# place earlier pushes have shown stays known. The roughness of log k and the sizes of all noise are as the fit found
+# them.
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Which pushes are thought of, and how many are told."""
+
+    at_s: tuple[float, ...] = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+    directions_deg: tuple[float, ...] = (60.0, 90.0, 120.0, 150.0, -60.0, -90.0, -120.0, -150.0)
+    sizes: tuple[float, ...] = (1.0, 0.6)  # as shares of the largest force that the limits allow
+    limits: Limits = field(default_factory=Limits)
+    better_sensor: float = 5.0  # times smaller errors of the force sensor thought of
+    count: int = 8  # proposals
+    apart: float = 0.15  # in s: nearer pushes with the same needs count as one
+
+
+@dataclass(frozen=True)
+class _Thought:
+    """A candidate that has been solved."""
+
+    push: PlannedPush
+    seen: TagDerivatives
+    tip_moves: float
+    tip_turns: float
+    repeats: bool
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of coefficients and shared nuisances, and how the band is read from it."""
+
+    covariance: Array  # (p + N, p + N), the common gain apart
+    gain_sd: float
+    basis: Array  # (101, p)
+
+    def sd(self) -> Array:
+        """(101,) of log k, the gain included."""
+        return np.asarray(np.hypot(self._own_sd(), self.gain_sd))
+
+    def quality(self) -> Quality:
+        width, known = 2.0 * half_width(self.sd()), self._own_sd() < IDENTIFIED_SD
+        worst = int(np.argmax(width))
+        to = 1.0 if np.all(known) else round(float(PLACES[max(int(np.argmin(known)) - 1, 0)]), 2)
+        share = float(np.mean(known))
+        return Quality(float(np.mean(width)), float(width[worst]), float(PLACES[worst]), share, to if known[0] else 0.0)
+
+    def after(self, told: Array) -> _Known:
+        """With the information of a push made with the same sensor."""
+        return replace(self, covariance=_updated(self.covariance, told))
+
+    def after_other_sensor(self, told: Array, gain_sd: float) -> _Known:
+        """With the information of a push made with a sensor of another gain: it tells of today's sensor's gain too."""
+        scale = np.append(np.ones(self.basis.shape[1]), np.zeros(len(told) - self.basis.shape[1]))
+        if gain_sd > 0.0:
+            row = told @ scale
+            told = told - np.outer(row, row) / (gain_sd**-2 + scale @ row)
+        whole = self.covariance + self.gain_sd**2 * np.outer(scale, scale)
+        return _Known(_updated(whole, told), 0.0, self.basis)
+
+    def _own_sd(self) -> Array:
+        p = self.basis.shape[1]
+        variance = np.einsum("si,ij,sj->s", self.basis, self.covariance[:p, :p], self.basis)
+        return np.asarray(np.sqrt(variance))
+
+
+@one_blas_thread
+def plan(
+    uncertain: UncertainStiffness,
+    beam: Beam,
+    bench: Instruments,
+    settings: PlanSettings = PlanSettings(),
+    *,
+    progress: Progress = Silent(),
+) -> Plan:
+    """Next pushes on a beam whose k(s) is known as `uncertain`: what costs nothing first, then by the mean width of the
+    band that they would leave.
+
+    `beam` gives length, rest shape and mass; its stiffness is taken from `uncertain`.
+
+    Raises:
+        LearningError: bench and stiffness are not of one fit, or no push is possible within the limits.
+    """
+    if bench.shared_slope.shape[1] != len(uncertain.mean) or beam.length != bench.length:
+        raise LearningError("the bench does not belong to this stiffness: learn the beam again, and plan from that")
+    beam = replace(beam, stiffness=uncertain.profile)
+    now = _Known(bench.joint(uncertain.covariance), uncertain.gain_sd, uncertain.basis(PLACES))
+    found = largest_pushes(beam, bench, settings.at_s, np.deg2rad(settings.directions_deg), settings.limits)
+    left_out = _left_out(found)
+    thoughts = list(_thoughts(uncertain, beam, bench, found, settings, progress))
+    if not thoughts:
+        raise LearningError(f"no push is possible within the limits. {' '.join(left_out)}")
+    plain = [_propose(t, now, bench) for t in thoughts]
+    other = [p for t in thoughts for p in _with_more(t, now, bench, settings)]
+    first = min(plain, key=_left)
+    after = now.after(_told(thoughts[plain.index(first)], bench))
+    second = min((_propose(t, after, bench) for t in thoughts), key=_left)
+    ranked = _distinct(sorted([*plain, *other], key=_cost_and_left), settings)
+    return Plan(now.quality(), now.sd(), ranked, (first, second), left_out)
+
+
+def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Instruments, push: PlannedPush) -> UncertainStiffness:
+    """What would be known of k(s) after one push with today's sensor; its mean stays where it is.
+
+    Raises:
+        MechanicsError: the push has no stable equilibrium.
+    """
+    beam = replace(beam, stiffness=uncertain.profile)
+    solved = solve_push(beam, bench, push)
+    tags = np.asarray(bench.tags)
+    seen = tag_derivatives(solved, bench, push, mass_of(beam), uncertain.basis(solved.problem.grid.nodes), tags)
+    told = joint_information(seen, bench, push, np.arange(len(tags)))
+    p = len(uncertain.mean)
+    return replace(uncertain, covariance=_updated(bench.joint(uncertain.covariance), told)[:p, :p])
+
+
+def _thoughts(
+    uncertain: UncertainStiffness,
+    beam: Beam,
+    bench: Instruments,
+    found: list[LargestPush],
+    settings: PlanSettings,
+    progress: Progress,
+) -> Iterator[_Thought]:
+    """Every candidate within the limits, solved; and the pushes made before, once more."""
+    new = [
+        PlannedPush(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes
+    ]
+    again = [p for i, p in enumerate(bench.pushes) if p.largest > 0.0 and p not in bench.pushes[:i]]
+    tags, mass = np.concatenate([bench.tags, _gaps(bench)]), mass_of(beam)
+    candidates = [(p, True) for p in again] + [(p, False) for p in new if not any(same_push(p, a) for a in again)]
+    for candidate, repeats in track(progress, "trying pushes", candidates, len(candidates)):
+        try:
+            solved = solve_push(beam, bench, candidate)
+        except MechanicsError:
+            continue  # a push that was made once stands on its way there, but perhaps not when it grows straight
+        seen = tag_derivatives(solved, bench, candidate, mass, uncertain.basis(solved.problem.grid.nodes), tags)
+        ends = solved.xy(np.ones(1))[[-2, -1], 0]
+        turns = solved.angle(np.ones(1))[[-2, -1], 0]
+        yield _Thought(candidate, seen, float(np.hypot(*(ends[0] - ends[1]))), float(turns[0] - turns[1]), repeats)
+
+
+def _gaps(bench: Instruments) -> Array:
+    """Where one more tag could go: the middle of each gap from the clamp to the last tag, and the tip if it is bare."""
+    edges = np.concatenate([[0.0], np.sort(bench.tags)])
+    middles = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 0.1]
+    return np.append(middles, 1.0) if edges[-1] < 0.9 else middles
+
+
+def _told(thought: _Thought, bench: Instruments, more: int | None = None) -> Array:
+    own = len(bench.tags)
+    chosen = np.arange(own) if more is None else np.append(np.arange(own), more)
+    return joint_information(thought.seen, bench, thought.push, chosen)
+
+
+def _propose(thought: _Thought, now: _Known, bench: Instruments) -> Proposal:
+    return _proposal(thought, now, now.after(_told(thought, bench)))
+
+
+def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
+    """The same push with one more tag, and with a better force sensor."""
+    for i in range(len(bench.tags), len(thought.seen.tags)):
+        after = now.after(_told(thought, bench, i))
+        yield _proposal(thought, now, after, added_tag=float(thought.seen.tags[i]))
+    better = with_better_sensor(bench, settings.better_sensor)
+    after = now.after_other_sensor(_told(thought, better), better.gain_sd)
+    yield _proposal(thought, now, after, better_sensor=settings.better_sensor)
+
+
+def _proposal(
+    thought: _Thought,
+    now: _Known,
+    after: _Known,
+    *,
+    added_tag: float | None = None,
+    better_sensor: float | None = None,
+) -> Proposal:
+    return Proposal(
+        push=thought.push,
+        added_tag=added_tag,
+        better_sensor=better_sensor,
+        repeats=thought.repeats,
+        tip_moves=thought.tip_moves,
+        tip_turns=thought.tip_turns,
+        before=now.quality(),
+        after=after.quality(),
+        sd=after.sd(),
+    )
+
+
+def _left(proposal: Proposal) -> float:
+    return proposal.after.mean_width
+
+
+def _cost_and_left(proposal: Proposal) -> tuple[int, float]:
+    """What costs nothing first, another force sensor last; within that, by the band that would be left."""
+    cost = 2 if proposal.better_sensor is not None else 1 if proposal.added_tag is not None else 0
+    return cost, _left(proposal)
+
+
+def _distinct(ranked: list[Proposal], settings: PlanSettings) -> tuple[Proposal, ...]:
+    """The first ones, near-duplicates merged; the best of every kind is among them."""
+    kept: list[Proposal] = []
+    for one in ranked:
+        alike = [k for k in kept if _kind(k) == _kind(one)]
+        if all(abs(k.push.at_s - one.push.at_s) >= settings.apart for k in alike):
+            kept.append(one)
+    best = {_kind(one): i for i, one in reversed(list(enumerate(kept)))}
+    others = [i for i in range(len(kept)) if i not in best.values()]
+    told = [*sorted(best.values()), *others][: settings.count]
+    return tuple(kept[i] for i in sorted(told))
+
+
+def _kind(one: Proposal) -> str:
+    """Pushes that ask the same of the experimenter."""
+    if one.added_tag is not None:
+        return "tag"
+    if one.better_sensor is not None:
+        return "sensor"
+    return "again" if one.repeats else "new"
+
+
+def _updated(covariance: Array, told: Array) -> Array:
+    """`(C^-1 + H)^-1` without an inverse of C."""
+    out = np.linalg.solve(np.eye(len(covariance)) + covariance @ told, covariance)
+    return np.asarray(0.5 * (out + out.T))
+
+
+def _left_out(found: list[LargestPush]) -> tuple[str, ...]:
+    """One sentence for each reason why pushes were left out."""
+    out = []
+    for why in dict.fromkeys(r.why_not for r in found if r.why_not):
+        these = [r for r in found if r.why_not == why]
+        where = sorted({r.at_s for r in these})
+        turned = sorted({round(float(np.rad2deg(r.direction))) for r in these})
+        span = f"{where[0]:.2g}" if len(where) == 1 else f"{where[0]:.2g} to {where[-1]:.2g}"
+        count = f"{len(these)} pushes" if len(these) > 1 else "1 push"
+        out.append(f"{count} at s = {span} in directions {turned} deg left out: {why}.")
+    return tuple(out)

@@ -1,0 +1,363 @@
+"""Which frames of a recording can be learned from, and what acts on the beam in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.beam.loads import Loads, push, weight
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Polyline, Profile, Table, Uniform
+from onebend.errors import LearningError
+from onebend.recording.signals import low_pass
+from onebend.records import Array, BoolArray, FrameMeans, IntArray, KnownLoads, Observations
+
+_BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
+_SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
+_MEMORY = 0.5  # of a period of the cut-off: so far a change reaches through the filter
+_STILL = 4.0  # times a tag's noise from its place: farther than this, or than the next, it moves
+_NO_PUSH = 3e-3  # of the length
+_LEAST_LEFT = 0.5  # of the usable frames: where fewer would be left, all are used
+_FEWEST = 5  # frames of a recording
+
+
+def usable_frames(observations: Observations) -> BoolArray:
+    """(T,) frames under load whose force is known and that show at least one tag."""
+    seen = np.any(np.isfinite(observations.xy), axis=(1, 2))
+    forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(push_places(observations))
+    weighed = np.any(observations.gravity != 0.0, axis=1)
+    return np.asarray(seen & forced & (observations.loaded | weighed))
+
+
+def nothing_moves(observations: Observations) -> str:
+    """What is wrong with a film of a beam at rest; empty where a tag leaves its place by more than noise.
+
+    The place is that at rest, or, where no rest was seen, that on a straight beam.
+    """
+    o = observations
+    if o.static or o.held is not None or np.any(o.gravity != 0.0):
+        return ""
+    straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+    away = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight))
+    seen = np.any(np.isfinite(away), axis=0)
+    if not seen.any():
+        return ""
+    usual = np.sqrt(np.trace(typical(o.covariance[:, seen, :2, :2]), axis1=1, axis2=2))
+    farthest = np.nanpercentile(away[:, seen], 95.0, axis=0)
+    if np.any(farthest > _STILL * usual) or np.any(farthest > _NO_PUSH * o.length):
+        return ""
+    return f"nothing moves in the film: the tags stay within {1e3 * float(np.max(farthest)):.2g} mm of where they rest"
+
+
+def learnable_frames(observations: Observations) -> BoolArray:
+    """(T,) usable frames whose force the low-pass has not bent: a sudden release is smeared over what it remembers.
+
+    The tags are not filtered. Frames beside a change that is faster than the filter would make every force look too
+    large or too small there. What the filter takes off a second time tells where that is.
+    """
+    usable, clean = usable_frames(observations), observations.source.clean_force
+    if clean is None or not np.isfinite(clean.cutoff) or not usable.any():
+        return usable
+    known = np.all(np.isfinite(clean.force), axis=1)
+    time, force = clean.time[known], clean.force[known]
+    bent = distances(low_pass(time, force, clean.cutoff, longest_gap=np.inf) - force)
+    used = observations.time[usable]
+    inside = (time >= used[0]) & (time <= used[-1])
+    usual = float(np.median(bent[inside])) if inside.any() else 0.0
+    largest = float(np.max(distances(observations.force[usable])))
+    wrong = time[bent > max(_BENT * usual, _SLIGHT * largest)]
+    reach = _MEMORY / clean.cutoff
+    after = np.searchsorted(wrong, observations.time)
+    padded = np.concatenate([[-np.inf], wrong, [np.inf]])
+    near = np.minimum(observations.time - padded[after], padded[after + 1] - observations.time) < reach
+    kept = usable & ~near
+    return np.asarray(kept if kept.sum() >= _LEAST_LEFT * usable.sum() else usable)
+
+
+def chosen_frames(o: Observations, most: int) -> BoolArray:
+    """(T,) at most `most` learnable frames, evenly spread.
+
+    Raises:
+        LearningError: fewer than can be learned from.
+    """
+    usable = np.flatnonzero(learnable_frames(o)).astype(np.int64)
+    least = 1 if o.static else _FEWEST
+    if len(usable) < least:
+        raise LearningError(
+            f"{o.source.name}: {len(usable)} frames show a load, with a force and a tag; at least {least} are needed. "
+            "Push for longer (a second or more), keep the tags in view, and let the force log cover the whole film"
+        )
+    return evenly_spread(usable, most, len(o.time))
+
+
+def evenly_spread(rows: IntArray, most: int, count: int) -> BoolArray:
+    """(count,) at most `most` of the `rows`, evenly spread among them."""
+    out = np.zeros(count, dtype=bool)
+    out[rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int)]] = True
+    return out
+
+
+def check_same_beam(recordings: Sequence[Observations]) -> None:
+    """Raises `LearningError` where the recordings are not of one beam, or there is none."""
+    if not recordings:
+        raise LearningError("no recording was given")
+    first = recordings[0]
+    for o in recordings[1:]:
+        if o.length != first.length or not np.array_equal(o.tag_id, first.tag_id):
+            raise LearningError(
+                f"{o.source.name} is not of the beam of {first.source.name}: length {o.length} m against "
+                f"{first.length} m, tags {o.tag_id.tolist()} against {first.tag_id.tolist()}"
+            )
+
+
+def with_seen_tags(recordings: Sequence[Observations]) -> list[Observations]:
+    """The recordings of one beam without the tags that none of them ever shows: they tell nothing, and cost time."""
+    if len({one.tag_id.tobytes() for one in recordings}) != 1:
+        return list(recordings)
+    seen = np.any([np.isfinite(one.xy).any(axis=(0, 2)) for one in recordings], axis=0)
+    return list(recordings) if seen.all() else [_of_tags(one, seen) for one in recordings]
+
+
+def _of_tags(one: Observations, kept: BoolArray) -> Observations:
+    """The observations of the tags `kept` (m,) alone."""
+    return replace(
+        one,
+        tag_id=one.tag_id[kept],
+        marker_s=one.marker_s[kept],
+        xy=one.xy[:, kept],
+        angle=one.angle[:, kept],
+        covariance=one.covariance[:, kept],
+        rest_xy=one.rest_xy[kept],
+        rest_angle=one.rest_angle[kept],
+        rest_covariance=one.rest_covariance[kept],
+        by_camera=None if one.by_camera is None else one.by_camera[:, kept],
+        means=None if one.means is None else _kept(one.means, tags=kept),
+    )
+
+
+def _kept(
+    means: FrameMeans, *, frames: BoolArray | slice = slice(None), tags: BoolArray | slice = slice(None)
+) -> FrameMeans:
+    """Of these frames and tags alone."""
+    motion = means.acceleration
+    return FrameMeans(means.count[frames], None if motion is None else motion[frames][:, tags])
+
+
+def at_frames(one: Observations, kept: BoolArray) -> Observations:
+    """The observations of a film in the frames `kept` (T,) alone; what was seen at rest stays."""
+    assert not one.static, "the readings of static poses name one of them by its number"
+    known = one.known_loads
+    if known is not None:
+        known = KnownLoads(known.force[kept], known.force_s[kept], known.moment[kept], known.moment_s[kept])
+    return replace(
+        one,
+        time=one.time[kept],
+        frame=one.frame[kept],
+        xy=one.xy[kept],
+        angle=one.angle[kept],
+        covariance=one.covariance[kept],
+        force=one.force[kept],
+        push_s=one.push_s[kept],
+        loaded=one.loaded[kept],
+        gravity=one.gravity[kept],
+        held=None if one.held is None else one.held[kept],
+        known_loads=known,
+        by_camera=None if one.by_camera is None else one.by_camera[kept],
+        means=None if one.means is None else _kept(one.means, frames=kept),
+    )
+
+
+def push_places(observations: Observations) -> Array:
+    """(T,) where the force acts; the tip in frames without any force, where the place does not matter."""
+    forceless = np.all(observations.force == 0.0, axis=1)
+    return np.where(forceless & np.isnan(observations.push_s), 1.0, observations.push_s)
+
+
+def loads_of(observations: Observations, frames: BoolArray) -> Loads:
+    """The measured loads in those frames, weight included."""
+    gravity = observations.gravity[frames]
+    loads = push(observations.force[frames], push_places(observations)[frames]) + known_loads(observations, frames)
+    return loads + weight(gravity) if np.any(gravity != 0.0) else loads
+
+
+def known_loads(observations: Observations, frames: BoolArray) -> Loads:
+    """What acts in those frames besides the logged force and the weight."""
+    known = observations.known_loads
+    if known is None:
+        return Loads()
+    return Loads(known.force[frames], known.force_s[frames], known.moment[frames], known.moment_s[frames])
+
+
+def mass_profile(observations: Observations) -> Profile:
+    """kg/m along the beam, as written down; zero where no mass is known."""
+    line, mass = observations.stated.mass_line, observations.stated.mass
+    if line is not None and observations.stated.mass_along == "section":
+        return Polyline(tuple(line.s.tolist()), tuple(line.value.tolist()))
+    if line is not None:
+        return Table(tuple(line.s.tolist()), tuple(line.value.tolist()))
+    return Uniform(mass / observations.length if np.isfinite(mass) else 0.0)
+
+
+def whitening(measured: Array, covariance: Array) -> Array:
+    """(..., 3, 3) inverse Cholesky factors of the covariances (..., 3, 3) of poses; zero where a number is missing.
+
+    A pose may lack its angle, or one coordinate: the rest of it counts by its own part of the covariance.
+    """
+    whole = np.all(np.isfinite(covariance), axis=(-1, -2))
+    there = np.isfinite(measured) & whole[..., None]
+    both = there[..., :, None] & there[..., None, :]
+    factors = np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(3))))
+    return np.asarray(np.where(both, factors, 0.0))
+
+
+def distances(difference: Array) -> Array:
+    """(...) m, lengths of differences (..., 2) over the coordinates that are there; NaN where none is."""
+    there = np.isfinite(difference)
+    length = np.sqrt(np.sum(np.where(there, difference, 0.0) ** 2, axis=-1))
+    return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
+
+
+def moved_by(o: Observations) -> Array:
+    """(T,) m, root mean square over the tags of how far each is from where it rests, or, where no rest was seen, from
+    its place on a straight beam; NaN where none was seen."""
+    straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+    squared = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight)) ** 2
+    seen = np.isfinite(squared)
+    count, total = np.sum(seen, axis=1), np.sum(np.where(seen, squared, 0.0), axis=1)
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+
+
+def marker_rms(difference: Array) -> Array:
+    """(m,) m, root mean square length of differences (T, m, 2) over the frames in which a tag was seen; NaN where in
+    none."""
+    squared = distances(difference) ** 2
+    seen = np.isfinite(squared)
+    count, total = np.sum(seen, axis=0), np.sum(np.where(seen, squared, 0.0), axis=0)
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+
+
+def typical(values: Array) -> Array:
+    """Median over the first axis of what is known there; NaN where nothing is."""
+    known = np.any(np.isfinite(values), axis=0)
+    return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)
+
+
+# How poses were read: errors that neighbouring points have in common, rulers that stand still, zeroed gauges.
+#
+# As a rule a point is read by itself, from the clamp, and goes with its mark on the beam. Static poses know three
+# other ways. What a hand traces is off by much the same over some way along the curve. A ruler or a dial gauge stands
+# at a fixed x, and the beam slides along beneath it. And gauges are zeroed in one pose, from which their readings
+# count.
+
+STEEPEST = 0.05  # cosine of the beam's angle under a ruler, at least
+_LOOKED_AT = np.linspace(0.0, 1.0, 201)
+_HALF = 1.678346990016661  # where `(1 + a) exp(-a)` is a half
+_SETTLE = 4  # steps of Newton's method from there
+
+
+def pose_whitening(o: Observations, measured: Array, covariance: Array) -> Array:
+    """What makes the errors of poses (F, m, 3) with covariances (F, m, 3, 3) independent, of sd one: (F, m, 3, 3), each
+    point by itself; (F, 3 m, 3 m) where errors are alike over some way along the beam. Zero where a number is missing.
+
+    There the errors of x and y are a process along the beam of once differentiable functions (Matern 3/2): a traced
+    line has a direction everywhere. `error_length` l is the way over which their correlation falls to a half:
+    `(1 + a) exp(-a)` at a distance d, with `a = 1.68 d / l`. Errors of angles are each its own.
+    """
+    if o.readings.error_length == 0.0:
+        return whitening(measured, covariance)
+    frames, m = measured.shape[:2]
+    apart = o.length * np.abs(o.marker_s[:, None] - o.marker_s)
+    share = _HALF * apart / o.readings.error_length
+    alike = np.ones((m, m, 3)) * ((1.0 + share) * np.exp(-share))[..., None]
+    alike[..., 2] = np.eye(m)
+    there = np.isfinite(measured) & np.all(np.isfinite(covariance), axis=(-1, -2))[..., None]
+    both = there[..., :, None] & there[..., None, :]
+    values, vectors = np.linalg.eigh(np.where(both, covariance, np.eye(3)))
+    root = (vectors * np.sqrt(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    whole = np.einsum("fiab,ijb,fjcb->fiajc", root, alike, root).reshape(frames, 3 * m, 3 * m)
+    known = there.reshape(frames, 3 * m)
+    pairs = known[:, :, None] & known[:, None, :]
+    factors = np.linalg.inv(np.linalg.cholesky(np.where(pairs, whole, np.eye(3 * m))))
+    return np.asarray(np.where(pairs, factors, 0.0))
+
+
+def whitened(whiten: Array, poses: Array) -> Array:
+    """(F, 3 m, n) of columns of poses (F, m, 3, n), by `pose_whitening`."""
+    flat = poses.reshape(len(poses), -1, poses.shape[-1])
+    if whiten.ndim == 3:
+        return np.asarray(whiten @ flat)
+    return np.asarray((whiten @ poses).reshape(flat.shape))
+
+
+def unwhitened(whiten: Array, rows: Array) -> Array:
+    """(F, m, 3) of rows (F, 3 m): back from `whitened`, zero where a number is missing."""
+    known = np.any(whiten != 0.0, axis=-1)
+    safe = whiten + ~known[..., None] * np.eye(whiten.shape[-1])
+    away = np.linalg.solve(safe, rows.reshape(*known.shape, 1))[..., 0]
+    return np.asarray(np.where(known, away, 0.0).reshape(len(rows), -1, 3))
+
+
+def ruler_places(solved: Equilibrium, x: Array) -> tuple[Array, Array]:
+    """Where beams pass under rulers at x (F, m) [m]: (F, m) s, the first from the clamp on, and (F, m) m farther out
+    along the tangent where a beam does not reach its ruler."""
+    there = solved.xy(_LOOKED_AT)[..., 0]
+    reached = there[:, None, :] >= x[..., None]  # (F, m, S)
+    after = np.maximum(np.argmax(reached, axis=-1), 1)
+    ahead, behind = (np.take_along_axis(there, i, axis=1) for i in (after, after - 1))
+    share = np.clip((x - behind) / np.where(ahead == behind, 1.0, ahead - behind), 0.0, 1.0)
+    low, high = _LOOKED_AT[after - 1], _LOOKED_AT[after]
+    s = low + share * (high - low)
+    length = np.max(solved.problem.length)
+    for _ in range(_SETTLE):
+        s = np.clip(s + (x - solved.xy(s)[..., 0]) / (length * steepness(solved.angle(s))), low, high)
+    tip = solved.angle(np.ones(1))
+    over = (x - solved.xy(np.ones(1))[..., 0]) / steepness(tip)
+    short = ~np.any(reached, axis=-1)
+    return np.where(short, 1.0, s), np.where(short, over, 0.0)
+
+
+def steepness(angle: Array) -> Array:
+    """(...) cosine of the beam's angle where it passes under a ruler; none is read where the beam stands upright."""
+    return np.maximum(np.cos(angle), STEEPEST)
+
+
+def points_of(o: Observations, frames: BoolArray, solved: Equilibrium) -> Array:
+    """(F, m, 2) m of what is read of shapes `solved` in these frames (T,): their marks, or what passes the rulers."""
+    if o.readings.at == "mark":
+        return solved.xy(o.marker_s)
+    x = o.xy[frames][..., 0]
+    asked = np.where(np.isfinite(x), x, 0.0)
+    s, over = ruler_places(solved, asked)
+    y = solved.xy(s)[..., 1] + over * np.sin(solved.angle(s))
+    return np.stack([x, np.where(np.isfinite(x), y, np.nan)], axis=-1)
+
+
+def from_the_clamp(o: Observations, frames: BoolArray, predicted: Array) -> Array:
+    """(F, m, 2) m, readings of these frames (T,), counted from the clamp: those of zeroed gauges are put where the
+    `predicted` (F, m, 2) pose of their zero was, or, where that is not among the frames, the shapes on the whole are.
+    """
+    read, zeroed = o.xy[frames], o.readings.bare
+    if zeroed < 0:
+        return read
+    away = np.where(np.isfinite(read), predicted - read, np.nan)
+    shift = away[int(np.sum(frames[:zeroed]))] if frames[zeroed] else _mean(away)
+    return read + (shift if o.readings.at == "mark" else shift * np.array([0.0, 1.0]))
+
+
+def _mean(values: Array) -> Array:
+    """Over the first axis, of what is known there."""
+    known = np.isfinite(values)
+    count = np.sum(known, axis=0)
+    total = np.sum(np.where(known, values, 0.0), axis=0)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
+
+
+def zeroed_coordinates(o: Observations) -> tuple[tuple[int, int], ...]:
+    """(point, axis) of every reading that counts from a zero of its own."""
+    if o.readings.bare < 0:
+        return ()
+    axes = (0, 1) if o.readings.at == "mark" else (1,)
+    seen = np.any(np.isfinite(o.xy), axis=0)
+    return tuple((i, c) for i in range(len(o.marker_s)) for c in axes if seen[i, c])

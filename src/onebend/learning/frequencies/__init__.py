@@ -1,1 +1,0 @@
-"""Natural frequencies in the fit: measured ones, what the parameters predict, and where the fit may begin."""

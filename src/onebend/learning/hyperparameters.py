@@ -1,0 +1,372 @@
+"""The sizes that the data choose: noise of the tags, noise of the force, and those in the prior of log k.
+
+A recording's noise comes from its residuals by expectation-maximisation. The sizes of the force error are chosen by the
+evidence of the linearised model under broad log-normal priors; the covariance of the parameters is averaged over the
+values that stay probable (a cubature of degree three around the maximum). The sizes in the prior of log k are drawn
+from their posterior (`stiffness_prior.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+from scipy.optimize import minimize
+
+from onebend.learning.allowances import Sizes
+from onebend.learning.fit_data import FitData
+from onebend.learning.force_error import ForceError
+from onebend.learning.linear import (
+    FitProblem,
+    Hyperparameters,
+    JointInformation,
+    RecordingNoise,
+    ResidualRows,
+    Solved,
+    coupled,
+    force_shrinkage,
+    marginal,
+    prior,
+    solved,
+    split_off_force,
+)
+from onebend.learning.normal import (
+    BlockRoot,
+    Draws,
+    InformationForm,
+    JointCovariance,
+    StiffnessMixture,
+    beside,
+    in_z,
+    mean_part_variances,
+    normal_mixture,
+    stiffness_mixture,
+    unit_root,
+)
+from onebend.learning.parameters import Block
+from onebend.progress import each, in_own_pages
+from onebend.records import Array, IntArray
+
+CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
+# One sd of their logs. The coloured noise behind the filter is known to a factor of two in size and two and a half in
+# correlation time (the clock search takes part of the force for it); the walk, of which one push is one draw, to a
+# factor of three; what comes with the load to a factor of three.
+SPREAD = np.array([0.7, 0.9, 1.1, 1.2])
+_TELL_SIZES = 10  # recordings, evenly chosen: so many tell the sizes of the force error about as well as all
+_NOTHING: IntArray = np.zeros(0, dtype=np.int64)
+_FARTHEST = 4.0  # sd of their logs from what is expected
+_GUESS_COUNTS = 3.0  # numbers that the guessed noise of readings counts for
+_CENTRE_SHARE = 0.25  # weight of the central node of the cubature
+_CURVATURE_STEP = 0.3  # sd of their logs, of the differences that give the evidence's curvature
+_LONGEST_LAG = 8  # a correlation time takes lags up to this part (1 / 8) of the frames
+_UNCORRELATED = 0.05  # correlation from which on a correlation time is cut off
+_ON_THE_WAY = Draws(chains=12, burn=15, kept=25)
+_AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the nodes of the cubature
+# Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
+# below this the solver's own error (1e-8 L) would have to be fitted.
+_LEAST_NOISE = 0.02
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The marginal likelihood of the linearised model as a function of the hyperparameters."""
+
+    problem: FitProblem
+    data: JointInformation  # of tags and rests
+
+    def posterior(self, hyperparameters: Hyperparameters) -> Solved:
+        """Of all parameters, at these hyperparameters."""
+        return solved(self.data, prior(self.problem, hyperparameters))
+
+    def stiffness_form(self, posterior: Solved, weight: float = 1.0) -> InformationForm:
+        """What is known of log k beside its prior, all else integrated out at the hyperparameters of a posterior."""
+        layout, before = self.problem.layout, posterior.before
+        mean, p = before.mean[before.parts[0]], np.arange(layout.spline.count)
+        return replace(marginal(posterior.left, mean, before.roots[0], p), weight=weight)
+
+    def hyperparameters_at(self, start: Hyperparameters, z: Array) -> Hyperparameters:
+        """Sizes of the force error z (4,) sd from what was expected, all else as at `start`."""
+        logs = np.log(_chosen(self.problem.expected)) + SPREAD * np.clip(z, -_FARTHEST, _FARTHEST)
+        return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
+
+    def cost(self, start: Hyperparameters) -> Callable[[Array], float]:
+        """Minus log posterior of z. What is not the force's error is integrated out once, but for what the recordings
+        share; of many recordings some tell the sizes, and the others are taken at `start`.
+        """
+        before, problem = prior(self.problem, start), self.problem
+        asked = set(np.linspace(0, len(problem.recordings) - 1, _TELL_SIZES).astype(int).tolist())
+        own = [self._force_error(number) if number in asked else _NOTHING for number in range(len(problem.recordings))]
+        data, some = coupled(self.data, before, own)
+        errors = [r.error if len(mine) else None for r, mine in zip(problem.recordings, own, strict=True)]
+
+        def of(z: Array) -> float:
+            sizes = self.hyperparameters_at(start, z)
+            roots = each(partial(_error_root, sizes=sizes), errors)
+            try:
+                told = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
+            except np.linalg.LinAlgError:
+                return 1e12
+            return 0.5 * float(z @ z) - told
+
+        return of
+
+    def _force_error(self, number: int) -> IntArray:
+        """(2 K,) where the force's error stands among a recording's own parameters."""
+        layout = self.problem.layout
+        block = layout.index["force", number]
+        count = len(block.prior_sd) if block.start >= 0 else 0
+        start = block.start - layout.parts[1 + number].start
+        return np.arange(start, start + count)
+
+    def place(self, hyperparameters: Hyperparameters) -> Array:
+        """(4,) sd of the force error's sizes from what was expected."""
+        return np.asarray(np.log(_chosen(hyperparameters) / _chosen(self.problem.expected)) / SPREAD)
+
+
+def _error_root(error: ForceError | None, sizes: Hyperparameters) -> BlockRoot:
+    if error is None:
+        return BlockRoot(np.zeros(0))
+    of_axis = error.root(*(getattr(sizes, name) for name in CHOSEN))
+    count = 2 * len(of_axis)
+    return BlockRoot(np.ones(count), tuple((np.arange(axis, count, 2), of_axis) for axis in range(2)))
+
+
+def _chosen(hyperparameters: Hyperparameters) -> Array:
+    return np.array([getattr(hyperparameters, name) for name in CHOSEN])
+
+
+def choose_hyperparameters(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+    """Sizes of the force error of greatest evidence, and the mean prior of log k under them."""
+    bounds = [(-_FARTHEST, _FARTHEST)] * len(CHOSEN)
+    options = {"maxfun": 60, "eps": 1e-3, "ftol": 1e-4, "gtol": 0.15}
+    result = minimize(evidence.cost(start), evidence.place(start), method="L-BFGS-B", bounds=bounds, options=options)
+    return with_stiffness_prior(evidence, evidence.hyperparameters_at(start, result.x))
+
+
+def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -> Hyperparameters:
+    """The hyperparameters with the mean prior of log k under them; where its shape is stated, it stays as it is."""
+    problem = evidence.problem
+    if problem.layout.known is not None:
+        return hyperparameters
+    form = evidence.stiffness_form(evidence.posterior(hyperparameters))
+    variances, chains = mean_part_variances(
+        problem.layout.spline, form, problem.level, _ON_THE_WAY, hyperparameters.chains
+    )
+    return replace(hyperparameters, part_variances=variances, chains=chains)
+
+
+def averaged_posterior(
+    evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
+) -> tuple[StiffnessMixture, JointCovariance]:
+    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open; `sizes`
+    of the allowances are equally probable."""
+    nodes, weights = _cubature(evidence, hyperparameters)
+    layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
+    known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
+    pairs, forms, mean = [in_own_pages(np.zeros((len(i), len(i)))) for i in known], [], np.zeros(len(best))
+
+    def add(pair: Array, number: int, index: IntArray, posterior: Solved, weight: float) -> None:
+        away = (posterior.mean - best)[index]
+        pair += weight * (posterior.pair(number) + np.outer(away, away))
+
+    for (share, node), one_size in product(zip(weights.tolist(), nodes, strict=True), sizes):
+        posterior, weight = evidence.posterior(replace(node, sizes=one_size)), share / len(sizes)
+        if layout.known is None:
+            forms.append(evidence.stiffness_form(posterior, weight))
+        mean += weight * posterior.mean
+        each(partial(add, posterior=posterior, weight=weight), pairs, range(len(known)), known)
+    if layout.known is not None:
+        pairs = [0.5 * (pair + pair.T) for pair in pairs]
+        stiffness = normal_mixture(mean[: layout.spline.count], pairs[0])
+    else:
+        stiffness = stiffness_mixture(layout.spline, forms, evidence.problem.level, _AT_THE_END, hyperparameters.chains)
+        for pair in pairs:  # in its place: all of them take much memory
+            pair[:] = _with_stiffness(pair, stiffness.covariance)
+    return stiffness, JointCovariance(layout.shared, tuple(pairs), layout.parts)
+
+
+def _with_stiffness(covariance: Array, of_log_k: Array) -> Array:
+    """A covariance (n, n) with another one of log k's coefficients (p, p), which come first; all else follows them."""
+    p = len(of_log_k)
+    regression = np.linalg.solve(covariance[:p, :p], covariance[:p]).T  # of all parameters on those of log k
+    out = covariance + regression @ (of_log_k - covariance[:p, :p]) @ regression.T
+    return np.asarray(0.5 * (out + out.T))
+
+
+def _cubature(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[list[Hyperparameters], Array]:
+    """Nodes over the sizes of the force error, and weights as the evidence says: exact to degree three."""
+    middle, cost = evidence.place(hyperparameters), evidence.cost(hyperparameters)
+    lowest = cost(middle)
+    values, vectors = np.linalg.eigh(_hessian(cost, middle, lowest, _CURVATURE_STEP))
+    sd = 1.0 / np.sqrt(np.maximum(values, 0.5))  # the prior alone has curvature one
+    n = len(middle)
+    radius = np.sqrt(n / (1.0 - _CENTRE_SHARE))
+    offsets = radius * np.concatenate([np.zeros((1, n)), (vectors * sd).T, -(vectors * sd).T])
+    points = [middle + offset for offset in offsets]
+    normal = 0.5 * radius**2 * np.concatenate([[0.0], np.ones(2 * n)])
+    shares = np.array([_CENTRE_SHARE, *[(1.0 - _CENTRE_SHARE) / (2 * n)] * (2 * n)])
+    logs = np.log(shares) - np.array([lowest, *(cost(z) for z in points[1:])]) + normal
+    weights = np.exp(logs - np.max(logs))
+    return [evidence.hyperparameters_at(hyperparameters, z) for z in points], weights / np.sum(weights)
+
+
+def _hessian(cost: Callable[[Array], float], middle: Array, there: float, h: float) -> Array:
+    """Second derivatives by central differences; `there` is the cost in the middle."""
+    n, e = len(middle), h * np.eye(len(middle))
+    out = np.zeros((n, n))
+    for i in range(n):
+        out[i, i] = (cost(middle + 2.0 * e[i]) - 2.0 * there + cost(middle - 2.0 * e[i])) / (4.0 * h**2)
+        for j in range(i):
+            pairs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+            terms = [a * b * cost(middle + a * e[i] + b * e[j]) for a, b in pairs]
+            out[i, j] = out[j, i] = sum(terms) / (4.0 * h**2)
+    return out
+
+
+def expected_recording_noise(recording: FitData) -> RecordingNoise:
+    """The noise before any residual is known."""
+    if recording.observations.static:
+        return RecordingNoise(1.0, _load_sd(recording))
+    return RecordingNoise(1.5, 0.5 * recording.error.size)
+
+
+def new_noise(recording: FitData, rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
+    """The noise from the residuals.
+
+    Static poses have no order in time, and the sd of their loads is as stated. Few points tell little of the noise, so
+    a guessed sd counts for a few numbers, and the noise is never taken as smaller than a stated sd.
+    """
+    if not recording.observations.static:
+        return updated_noise(rows, before, spent)
+    unexplained, _ = split_off_force(rows, rows.r, before)
+    numbers = float(np.sum(rows.known))
+    free = max(numbers - spent, 0.3 * numbers)
+    marker = float(np.sqrt((np.sum(rows.r * unexplained) + _GUESS_COUNTS) / (free + _GUESS_COUNTS)))
+    return RecordingNoise(max(marker, 1.0) if recording.observations.sd_known else marker, _load_sd(recording))
+
+
+def _load_sd(recording: FitData) -> float:
+    """N, of a weighed load; next to nothing where it is known exactly."""
+    return max(float(np.max(recording.observations.force_sd)), 1e-9)
+
+
+def updated_noise(rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
+    """Noise of a recording from its residuals, by expectation-maximisation over the frames' own force errors.
+
+    `spent`: how many parameters the recording's tags settled (trace of their information times the covariance).
+    """
+    numbers = float(np.sum(rows.known))
+    share = max(1.0 - spent / max(numbers, 1.0), 0.3)
+    noise, by_force, squares = before, rows.by_force(rows.r), float(np.sum(rows.r**2))
+    for _ in range(30):
+        shrinkage = force_shrinkage(rows, noise)
+        force = np.einsum("fde,fe->fd", shrinkage, by_force)
+        moments = noise.marker**2 * shrinkage + force[:, :, None] * force[:, None]  # (F, 2, 2) of each frame's force
+        rest = squares - 2.0 * float(np.sum(force * by_force)) + float(np.sum(moments * rows.gram))
+        own = np.mean(np.trace(moments, axis1=1, axis2=2)) / 2.0
+        noise = RecordingNoise(float(np.sqrt(max(rest / (numbers * share), _LEAST_NOISE**2))), float(np.sqrt(own)))
+    unexplained, force = split_off_force(rows, rows.r, noise)
+    marker = noise.marker * np.sqrt(correlation_time(unexplained))
+    return RecordingNoise(float(marker), noise.force * float(np.sqrt(correlation_time(force))))
+
+
+def correlation_time(r: Array) -> float:
+    """`1 + 2 sum rho` of residuals (F, channels) over the lags where the correlation is positive, pooled."""
+    z = r - np.mean(r, axis=0)
+    spread = np.median(np.abs(z), axis=0) / 0.6745
+    z = np.clip(np.divide(z, spread, out=np.zeros_like(z), where=spread > 0.0), -3.0, 3.0)
+    power = float(np.sum(z**2))
+    total = 1.0
+    for lag in range(1, max(len(z) // _LONGEST_LAG, 2)):
+        rho = float(np.sum(z[:-lag] * z[lag:])) / max(power, 1e-12)
+        if rho < _UNCORRELATED:
+            break
+        total += 2.0 * rho
+    return total
+
+
+# How large an allowance is whose size nobody knows: the evidence chooses it (automatic relevance determination).
+
+FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
+
+
+def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
+    """The factor of greatest evidence for every allowance that is `sized`, one after the other, under a half-Cauchy
+    prior of scale one."""
+    sizes = dict(start.sizes)
+    names = {a.name for recording in evidence.problem.recordings for a in recording.allowances if a.sized}
+    for name in sorted(names):
+        log_density = size_density(evidence, replace(start, sizes=sizes), name)
+        sizes[name] = float(FACTORS[int(np.argmax(log_density))])
+    return sizes
+
+
+def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array:
+    """(FACTORS,) log of the posterior density of the log of one allowance's factor, but for a constant, all else at
+    `start`."""
+    layout, before = evidence.problem.layout, prior(evidence.problem, start)
+    where = [_stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)]
+    sd = [before.roots[i].sd[index] / start.sizes.get(name, 1.0) for i, index in enumerate(where)]
+    if len(where[0]):
+        told = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
+        return log_density_of([_scaled(told, 0, sd[0])], 0)
+    data, some = coupled(evidence.data, before, where[1:])
+    couple, root = some.parts[0].stop, some.roots[0]
+    forms = []
+    for form, s in zip(data.forms, sd[1:], strict=True):
+        mean = np.concatenate([some.mean[:couple], np.zeros(len(s))])
+        forms.append(_scaled(in_z(form, mean, beside(root, unit_root(len(s)))), couple, s))
+    return log_density_of(forms, couple)
+
+
+def likely_sizes(evidence: Evidence, start: Hyperparameters, name: str, count: int) -> Array:
+    """(count,) factors on one allowance that are about equally probable: middles of parts of its posterior."""
+    log_density = size_density(evidence, start, name)
+    share = np.exp(log_density - np.max(log_density))
+    below = (np.cumsum(share) - 0.5 * share) / np.sum(share)
+    return np.asarray(np.exp(np.interp((np.arange(count) + 0.5) / count, below, np.log(FACTORS))))
+
+
+def _stands(blocks: Sequence[Block], name: str, start: int) -> IntArray:
+    """(n,) where blocks of a name stand in a part of the parameters that begins at `start`."""
+    return np.concatenate(
+        [
+            np.zeros(0, dtype=np.int64),
+            *(np.arange(b.where.start, b.where.stop) - start for b in blocks if b.name == name),
+        ]
+    )
+
+
+def _scaled(form: InformationForm, kept: int, sd: Array) -> InformationForm:
+    """A form in units of sd (n,) of all but its first parameters."""
+    scale = np.concatenate([np.ones(kept), sd])
+    return InformationForm(scale[:, None] * form.matrix * scale, scale * form.vector)
+
+
+def log_density_of(forms: Sequence[InformationForm], couple: int) -> Array:
+    """(FACTORS,) log of the posterior density of the log of a factor f, for coefficients b of prior covariance `f^2 I`.
+
+    Each form is over `couple` shared parameters of covariance one, and over coefficients of its own. With all
+    integrated out, `2 log p = sum (f^2 b' (I + f^2 H)^-1 b - log det(I + f^2 H)) + c' (I + S)^-1 c - log det(I + S)`,
+    H and b of each form's own coefficients, S and c what is left of the shared ones.
+    """
+    variance = FACTORS[:, None] ** 2
+    log_density = np.log(FACTORS) - np.log1p(FACTORS**2)  # half-Cauchy, of the log of the factor
+    left, right = np.tile(np.eye(couple), (len(FACTORS), 1, 1)), np.zeros((len(FACTORS), couple))
+    for form in forms:
+        values, vectors = np.linalg.eigh(form.matrix[couple:, couple:])
+        values = np.maximum(values, 0.0)
+        across, b = vectors.T @ form.matrix[couple:, :couple], vectors.T @ form.vector[couple:]
+        weights = variance / (1.0 + variance * values)  # (factors, n)
+        log_density += 0.5 * (weights @ b**2 - np.sum(np.log1p(variance * values), axis=1))
+        if couple:
+            left += form.matrix[:couple, :couple] - across.T @ (weights[..., None] * across)
+            right += form.vector[:couple] - (weights * b) @ across
+    if couple:
+        root = np.linalg.cholesky(left)
+        white = np.linalg.solve(root, right[..., None])[..., 0]
+        log_density += 0.5 * np.sum(white**2, axis=1) - np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
+    return np.asarray(log_density)

@@ -1,1 +1,0 @@
-"""How the parameters are inferred: linear algebra, optimizer, hyperparameters, and the prior of k(s)."""

@@ -1,0 +1,606 @@
+"""The linearised model of the marker-space fit: what tags and force logs say about the parameters.
+
+At a point x every recording gives whitened residuals r, derivatives J with the parameters and A with each frame's
+force. The covariance S of a frame is that of its tags plus the effect of the fast part of its force error:
+`s^2 (I + (f/s)^2 A A^T)`. The log likelihood is then quadratic, with information `H = J^T S^-1 J` and
+`b = J^T S^-1 (r + J x)`. Priors are Gaussian, so at fixed hyperparameters the maximum and the evidence (marginal
+likelihood) of the linearised model have closed forms (`hyperparameters.py`).
+
+All derivatives are taken at the force less each frame's own fast error f, and `r` is the residual there plus `A f`. At
+the force as logged they would be correlated with its noise, and noise in a regressor biases the stiffness upwards
+(errors in variables, attenuation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import overload
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from onebend.learning.allowances import Sizes, patch_functions
+from onebend.learning.fit_data import FitData
+from onebend.learning.force_error import ForceError
+from onebend.learning.frames import whitened
+from onebend.learning.frequencies import FrequencyData, PredictedFrequencies, predicted_frequencies
+from onebend.learning.normal import BlockRoot, InformationForm, JointCovariance, beside, in_z, total, unit_root
+from onebend.learning.parameters import Block, Layout
+from onebend.learning.prediction import Prediction, Slopes
+from onebend.progress import each, in_own_pages
+from onebend.records import Array, IntArray
+
+# What is fitted: the recordings' data, where each parameter stands, and what is expected before the data.
+
+
+@dataclass(frozen=True)
+class RecordingNoise:
+    """Noise of one recording's frames, correlation in time included."""
+
+    marker: float  # over what the tags' covariances say
+    force: float  # N, the force error that is faster than its knots
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Sizes of priors and noise, which the data choose."""
+
+    part_variances: Array  # (n,) variances of the parts of log k, see `Layout.stiffness_parts`
+    coloured: float  # sd of the force error's coloured part, over what was expected
+    memory: float  # its correlation time, likewise
+    walk: float  # the random walk of the force error, likewise
+    load: float  # sd of the force error that comes with the load, likewise
+    noise: tuple[RecordingNoise, ...]
+    sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
+    chains: Array | None = None  # where the sampler's chains stand, see `stiffness_prior.mean_part_variances`
+
+
+@dataclass(frozen=True)
+class FitProblem:
+    """One or several recordings of one beam, and the prior of the parameters."""
+
+    recordings: tuple[FitData, ...]
+    layout: Layout
+    level: float  # prior mean of log k
+    expected: Hyperparameters
+    frequencies: tuple[FrequencyData, ...] = ()  # of those recordings that have measured ones
+
+    def predicted_frequencies(self, x: Array, number: int | None = None) -> tuple[PredictedFrequencies, ...]:
+        """Those of each such recording, or of the one with this number, at parameters x."""
+        wanted = (data for data in self.frequencies if number in (None, data.number))
+        return tuple(predicted_frequencies(data, self.layout, x) for data in wanted)
+
+    def swings(self, x: Array) -> bool:
+        """Whether the beam stands, and so swings, in every posture in which its frequencies were measured."""
+        return all(np.isfinite(one.log).all() for one in self.predicted_frequencies(x))
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The parameters before the data: `x = mean + L z` with z of covariance one.
+
+    The fit is computed in z. There the posterior's precision is the identity plus what the data add, so that every
+    factor of it exists, however exactly a parameter is known beforehand; the prior covariance is never inverted. What
+    the recordings share, and what each has of its own, are independent.
+    """
+
+    mean: Array  # (P,)
+    parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
+    roots: tuple[BlockRoot, ...]  # L of each part
+
+    def times(self, z: Array) -> Array:
+        """(P, ...) `L z`."""
+        return np.concatenate([root.times(z[part]) for part, root in zip(self.parts, self.roots, strict=True)])
+
+    def transposed_times(self, v: Array) -> Array:
+        """(P, ...) `L' v`."""
+        pairs = zip(self.parts, self.roots, strict=True)
+        return np.concatenate([root.transposed_times(v[part]) for part, root in pairs])
+
+    def whiten(self, x: Array) -> Array:
+        """(P,) z of parameters x."""
+        away = x - self.mean
+        return np.concatenate([root.solve(away[part]) for part, root in zip(self.parts, self.roots, strict=True)])
+
+
+def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | None = None) -> Prior:
+    """The prior at given hyperparameters; `log_k` (p,): mean of log k's coefficients, where it is not one level."""
+    layout, h = problem.layout, hyperparameters
+    mean, sd = np.zeros(layout.size), np.ones(layout.size)
+
+    def root_of(part: slice, inside: Sequence[Block]) -> BlockRoot:
+        blocks: list[tuple[IntArray, Array]] = []
+        for block in inside:
+            where, index = block.where, np.arange(block.where.start, block.where.stop) - part.start
+            if block.name == "stiffness":
+                blocks.append((index, layout.stiffness_root(h.part_variances)))
+                mean[where] = problem.level if log_k is None else log_k
+            elif block.name == "force":  # x and y in turn, alike
+                error = problem.recordings[block.recording].error
+                mean[where], of_axis = error.mean.ravel(), error.root(h.coloured, h.memory, h.walk, h.load)
+                blocks += [(index[axis::2], of_axis) for axis in range(2)]
+            else:
+                sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
+        return BlockRoot(sd[part], tuple(blocks))
+
+    return Prior(mean, layout.parts, each(root_of, layout.parts, layout.free_blocks))
+
+
+def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
+    """Indices (n,) of the parameters that log k, less what is known of it, is made of, and (f, n) how the finer
+    spline's coefficients follow from them."""
+    layout = problem.layout
+    where, fine = layout.index["stiffness", -1].where, layout.spline.finer
+    index: list[IntArray] = [np.arange(where.start, where.stop)]
+    onto: list[Array] = [layout.spline.on_finer]
+    under_tags, o = layout.index.get(("patches", -1)), problem.recordings[0].observations
+    if under_tags is not None and under_tags.start >= 0:
+        index.append(np.arange(under_tags.where.start, under_tags.where.stop))
+        onto.append(fine.nearest(lambda s: patch_functions(o.marker_s, o.length, o.stated.tag_size, s)))
+    return np.concatenate(index), np.concatenate(onto, axis=1)
+
+
+# Several recordings of one beam in one linear model: what they share, and what each has of its own.
+#
+# The posterior's precision is bordered block diagonal: the own parameters of two recordings have no common data. Each
+# recording's own parameters are integrated out by themselves (Schur complement), the shared ones are solved for, and
+# the own ones follow. So work and memory go with the number of recordings. See Golub and Van Loan, Matrix
+# Computations, 4.5.
+
+
+@dataclass(frozen=True)
+class JointInformation:
+    """What tags and force logs of every recording say, to second order."""
+
+    forms: tuple[InformationForm, ...]  # of each recording, over the shared parameters and its own
+    parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
+
+    @cached_property
+    def vector(self) -> Array:
+        """(P,) b."""
+        count = self.parts[0].stop
+        shared = np.sum([f.vector[:count] for f in self.forms], axis=0)
+        return np.concatenate([shared, *(f.vector[count:] for f in self.forms)])
+
+    @property
+    def constant(self) -> float:
+        """c."""
+        return sum(f.constant for f in self.forms)
+
+    @property
+    def log_noise(self) -> float:
+        """Sum of the logs of the noise's sd."""
+        return sum(f.log_noise for f in self.forms)
+
+    def times(self, x: Array) -> Array:
+        """(P, ...) `H x`."""
+        count = self.parts[0].stop
+        each = [f.matrix @ np.concatenate([x[:count], x[p]]) for f, p in zip(self.forms, self.parts[1:], strict=True)]
+        return np.concatenate([np.sum([one[:count] for one in each], axis=0), *(one[count:] for one in each)])
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Parameters y, integrated out under their prior: given the others x, the precision of z of `y = m + L z` is
+    `G G'`."""
+
+    root: BlockRoot  # L
+    factor: Array  # (n, n) G, lower triangular
+    across: Array  # (n, k) `G^-1 L' H_yx`
+    white: Array  # (n,) `G^-1 L' (b - H m)`
+    left: InformationForm  # of x; its noise includes the volume of y
+
+    def given(self, x: Array, white: Array | float) -> Array:
+        """(n, ...) z at others x, for right sides `white` (n, ...)."""
+        return _upper(self.factor, white - self.across @ x)
+
+
+def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, damping: float = 0.0) -> Eliminated:
+    """All parameters of a form but the first `kept` integrated out; `damping` is added to the precision of z."""
+    information, vector = form.matrix[kept:, kept:], form.vector[kept:]
+    inside = root.around(information)
+    inside[np.diag_indices(len(inside))] += 1.0 + damping
+    factor = in_own_pages(np.asarray(np.linalg.cholesky(inside), dtype=float))
+    cross = form.matrix[kept:, :kept]
+    across = _lower(factor, root.transposed_times(cross))
+    white = _lower(factor, root.transposed_times(vector - information @ mean))
+    left = InformationForm(
+        matrix=form.matrix[:kept, :kept] - across.T @ across,
+        vector=form.vector[:kept] - cross.T @ mean - across.T @ white,
+        constant=float(form.constant - 2.0 * vector @ mean + mean @ information @ mean - white @ white),
+        log_noise=form.log_noise + float(np.sum(np.log(np.diag(factor)))),
+    )
+    return Eliminated(root, factor, across, white, left)
+
+
+def marginal(form: InformationForm, mean: Array, root: BlockRoot, kept: IntArray) -> InformationForm:
+    """What is said of the parameters `kept` (k,), all others integrated out under their prior of mean (n,) and root;
+    its noise includes their volume."""
+    others = np.setdiff1d(np.arange(len(mean)), kept)
+    order = np.concatenate([kept, others])
+    sorted_form = replace(form, matrix=form.matrix[np.ix_(order, order)], vector=form.vector[order])
+    return eliminated(sorted_form, mean[others], root.take(others), len(kept)).left
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Data and prior together: with `x = m + L z`, z has the precision `I + L' H L`, plus a damping."""
+
+    before: Prior
+    own: tuple[Eliminated, ...]  # of each recording
+    left: InformationForm  # of the shared parameters, those of each recording integrated out
+    factor: Array  # (n, n) lower triangular: of the precision of the shared z
+    white: Array  # (n,)
+
+    @cached_property
+    def z(self) -> Array:
+        """(P,) mean."""
+        shared = _upper(self.factor, self.white)
+        x = self.before.mean[self.before.parts[0]] + self.before.roots[0].times(shared)
+        return np.concatenate([shared, *(one.given(x, one.white) for one in self.own)])
+
+    @cached_property
+    def mean(self) -> Array:
+        """(P,) of the parameters."""
+        return self.before.mean + self.before.times(self.z)
+
+    @property
+    def log_evidence(self) -> float:
+        """But for a constant; of no meaning with a damping."""
+        return self.log_evidence_of_shared - self.left.log_noise
+
+    @property
+    def log_evidence_of_shared(self) -> float:
+        """The same with the shared parameters integrated out and each recording's own ones at their most probable: less
+        the volumes of noise and own parameters."""
+        mean, left = self.before.mean[self.before.parts[0]], self.left
+        misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
+        return float(-0.5 * misfit - np.sum(np.log(np.diag(self.factor))))
+
+    def solve(self, v: Array) -> Array:
+        """(P, ...) `A^-1 v`, A being the precision of z."""
+        parts, root = self.before.parts, self.before.roots[0]
+        white = [_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
+        told = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
+        shared = _upper(self.factor, _lower(self.factor, v[parts[0]] - root.transposed_times(told)))
+        x = root.times(shared)
+        return np.concatenate([shared, *(one.given(x, w) for one, w in zip(self.own, white, strict=True))])
+
+    def times_covariance(self, v: Array) -> Array:
+        """(P, ...) `C v`, C being the covariance of the parameters."""
+        return self.before.times(self.solve(self.before.transposed_times(v)))
+
+    @cached_property
+    def _of_shared(self) -> Array:
+        """(n, n) covariance of the shared parameters."""
+        half = _lower(self.factor, self.before.roots[0].dense().T)
+        return half.T @ half
+
+    def pair(self, number: int) -> Array:
+        """(n, n) covariance of the shared parameters and one recording's own."""
+        one, shared = self.own[number], self._of_shared
+        onto = -one.root.times(_upper(one.factor, one.across))
+        own = _lower(one.factor, one.root.dense().T)
+        across = onto @ shared
+        return np.block([[shared, across.T], [across, own.T @ own + across @ onto.T]])
+
+    @property
+    def covariance(self) -> JointCovariance:
+        """Of the parameters."""
+        return JointCovariance(len(self._of_shared), _Pairs(self), self.before.parts)
+
+
+class _Pairs(Sequence[Array]):
+    """`Solved.pair` of each recording, worked out where asked for: all of them take much memory. The last one is
+    remembered."""
+
+    def __init__(self, posterior: Solved) -> None:
+        self._posterior = posterior
+        self._last: tuple[int, Array] | None = None
+
+    def __len__(self) -> int:
+        return len(self._posterior.own)
+
+    @overload
+    def __getitem__(self, number: int) -> Array: ...
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[Array]: ...
+    def __getitem__(self, number: int | slice) -> Array | Sequence[Array]:
+        if isinstance(number, slice):
+            return [self[i] for i in range(*number.indices(len(self)))]
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        last = self._last
+        if last is None or last[0] != number:
+            last = self._last = number, self._posterior.pair(number)
+        return last[1]
+
+
+def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solved:
+    """The posterior of the linearised model; `damping` is added to the precision of z."""
+    shared, count = before.parts[0], before.parts[0].stop
+    means = [before.mean[part] for part in before.parts[1:]]
+    own = each(partial(eliminated, kept=count, damping=damping), data.forms, means, before.roots[1:])
+    left, root, mean = total([one.left for one in own]), before.roots[0], before.mean[shared]
+    inside = root.around(left.matrix)
+    inside[np.diag_indices(count)] += 1.0 + damping
+    factor = np.asarray(np.linalg.cholesky(inside), dtype=float)
+    white = _lower(factor, root.transposed_times(left.vector - left.matrix @ mean))
+    return Solved(before, own, left, factor, white)
+
+
+def own_in_z(form: InformationForm, before: Prior, number: int) -> InformationForm:
+    """What one recording says, with z for its own parameters: what does not change with the damping is then worked out
+    once."""
+    part, shared = before.parts[1 + number], before.parts[0].stop
+    mean = np.concatenate([np.zeros(shared), before.mean[part]])
+    own = in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
+    return replace(own, matrix=in_own_pages(own.matrix))
+
+
+def prior_in_own_z(before: Prior) -> Prior:
+    """The prior, with z for the parameters that each recording has of its own."""
+    shared, first = before.parts[0], before.roots[0]
+    mean = np.concatenate([before.mean[shared], np.zeros(len(before.mean) - shared.stop)])
+    return Prior(mean, before.parts, (first, *(unit_root(part.stop - part.start) for part in before.parts[1:])))
+
+
+def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> tuple[JointInformation, Prior]:
+    """Data and prior of some of each recording's own parameters, and of the shared ones that couple them; all else is
+    integrated out. `own` (m,) of each recording: where they stand in its part. One recording alone has no coupling.
+    """
+    shared = before.parts[0]
+    count = shared.stop if len(own) > 1 else 0
+
+    def told(form: InformationForm, part: slice, root: BlockRoot, mine: IntArray) -> InformationForm:
+        mean = np.concatenate([before.mean[shared], before.mean[part]])
+        return marginal(
+            form, mean, beside(before.roots[0], root), np.concatenate([np.arange(count), shared.stop + mine])
+        )
+
+    forms = each(told, data.forms, before.parts[1:], before.roots[1:], own)
+    means = [before.mean[part][mine] for part, mine in zip(before.parts[1:], own, strict=True)]
+    roots = [root.take(mine) for root, mine in zip(before.roots[1:], own, strict=True)]
+    ends = np.cumsum([count, *(len(mine) for mine in own)]).tolist()
+    every = tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+    all_roots = (before.roots[0].take(np.arange(count)), *roots)
+    return JointInformation(forms, every), Prior(np.concatenate([before.mean[:count], *means]), every, all_roots)
+
+
+def _lower(factor: Array, right: Array) -> Array:
+    return np.asarray(solve_triangular(factor, right, lower=True, check_finite=False))
+
+
+def _upper(factor: Array, right: Array) -> Array:
+    return np.asarray(solve_triangular(factor, right, lower=True, trans="T", check_finite=False))
+
+
+_ROBUST = 6.0  # degrees of freedom of Student's t: weights of tags that fit badly
+_REST_SHARE = 0.1  # of the coloured force noise: what the knots cannot follow in the rests
+
+
+@dataclass(frozen=True)
+class ResidualRows:
+    """One recording at one point: whitened and robustly weighted, R = 3 m numbers a frame."""
+
+    r: Array  # (F, R) residuals, the effect of each frame's own force included
+    whitened: Slopes  # not weighted yet: the derivatives are most of what a fit keeps in memory
+    known: Array  # (F, R) 1 where measured
+    root_weight: Array  # (F, R)
+
+    @property
+    def slopes(self) -> Slopes:
+        """The rows' derivatives, weighted: a copy."""
+        weight, plain = self.root_weight[..., None], self.whitened
+        return replace(plain, j=weight * plain.j, a=self.a, added=None if plain.added is None else weight * plain.added)
+
+    def moved_by(self, step: Array) -> Array:
+        """(F, R): what a step (C,) of the parameters does to the rows."""
+        return np.asarray(self.root_weight * self.whitened.times(step))
+
+    def onto_parameters(self, v: Array) -> Array:
+        """(n, C) `v' J` of rows v (F, R, n)."""
+        return self.whitened.transposed_times(self.root_weight[..., None] * v).T
+
+    @cached_property
+    def a(self) -> Array:
+        """(F, R, 2) with the frame's force."""
+        return np.asarray(self.root_weight[..., None] * self.whitened.a)
+
+    @cached_property
+    def gram(self) -> Array:
+        """(F, 2, 2) `A' A`."""
+        return np.asarray(np.swapaxes(self.a, 1, 2) @ self.a)
+
+    def by_force(self, r: Array) -> Array:
+        """(F, 2) `A' r` of residuals (F, R)."""
+        return np.asarray(np.einsum("frd,fr->fd", self.a, r))
+
+
+def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
+    """Rows of one recording, tags weighted by Student's t on the residuals that their frame's force cannot explain."""
+    return _weighted(unweighted_rows(now), noise)
+
+
+def rows_by_force(now: Prediction, noise: RecordingNoise) -> ResidualRows:
+    """`residual_rows` whose derivatives with the parameters are left out."""
+    return _weighted(_unweighted(now, now.whitened_by_force), noise)
+
+
+def unweighted_rows(now: Prediction) -> ResidualRows:
+    """Rows of one recording, whitened alone."""
+    return _unweighted(now, now.whitened_slopes)
+
+
+def _unweighted(now: Prediction, slopes: Slopes) -> ResidualRows:
+    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
+
+
+def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
+    known, frames = plain.known, len(plain.r)
+    unexplained, _ = split_off_force(plain, plain.r, noise)
+    squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
+    numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
+    root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
+    return ResidualRows(root * plain.r, plain.whitened, known, root)
+
+
+def residuals(now: Prediction) -> Array:
+    """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
+    data = now.recording
+    difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
+    return whitened(data.whiten, difference[..., None])[..., 0]
+
+
+def explained_by(a: Array, own: Array) -> Array:
+    """(F, R) effect of the frames' own forces (F, 2) [N] on the rows, to first order."""
+    return np.asarray(np.einsum("frd,fd->fr", a, own))
+
+
+def split_off_force(rows: ResidualRows, r: Array, noise: RecordingNoise) -> tuple[Array, Array]:
+    """Residuals (F, R) less the effect of the frames' own force errors, and these errors (F, 2) N."""
+    force = np.einsum("fdc,fc->fd", force_shrinkage(rows, noise), rows.by_force(r))
+    return r - explained_by(rows.a, force), force
+
+
+def misfit(rows: ResidualRows, r: Array, noise: RecordingNoise) -> float:
+    """`r' S^-1 r` of weighted residuals (F, R)."""
+    unexplained, _ = split_off_force(rows, r, noise)
+    return float(np.sum(r * unexplained)) / noise.marker**2
+
+
+def tag_information(
+    rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise
+) -> InformationForm:
+    """Log likelihood of one recording's tags at given noise, all but the frames' own forces as parameters.
+
+    The slow error of the log moves a frame's tags as the frame's own force does, so the information on its knots
+    follows from that on the force: `A' S^-1 = ((s/f)^2 + A' A)^-1 A' / f^2`. Where the material remembers, a force that
+    lasts does somewhat more in its frame, and goes on in those after it.
+    """
+    mine, slopes, variance = layout.known_to(number), rows.slopes, noise.marker**2
+    y = rows.r + rows.moved_by(x[mine])
+    shrinkage, ay = force_shrinkage(rows, noise), rows.by_force(y)
+    aj = np.swapaxes(rows.a, 1, 2) @ slopes.j  # (F, 2, D)
+    by_j = shrinkage @ aj
+    j, stacked = slopes.j.reshape(-1, aj.shape[-1]), (-1, aj.shape[-1])
+    dense = (j.T @ j - aj.reshape(stacked).T @ by_j.reshape(stacked)) / variance
+    by_push, of_push = by_j / noise.force**2, shrinkage @ rows.gram / noise.force**2
+    if slopes.added is not None:
+        more = np.swapaxes(slopes.added, 1, 2)
+        both = more @ rows.a
+        shared = both @ shrinkage / noise.force**2
+        by_push += (more @ slopes.j - both @ by_j) / variance
+        of_push += shared + np.swapaxes(shared, 1, 2)
+        of_push += (more @ slopes.added - both @ shrinkage @ np.swapaxes(both, 1, 2)) / variance
+    c = (np.sum(y**2) - np.sum(ay * np.einsum("fde,fe->fd", shrinkage, ay))) / variance
+    spread = np.linalg.slogdet(np.eye(2) + (noise.force / noise.marker) ** 2 * rows.gram)[1]
+    log_noise = float(np.sum(rows.known)) * np.log(noise.marker) + 0.5 * float(np.sum(spread))
+    inside = _with_knots(slopes, dense, by_push, of_push)
+    return InformationForm(inside, tag_score(rows, y, noise), float(c), log_noise)
+
+
+def _with_knots(slopes: Slopes, dense: Array, by_push: Array, of_push: Array) -> Array:
+    """(C, C) information on the parameters, from that on the columns of `slopes.j` (D, D), on these with each frame's
+    lasting push (F, 2, D), and on that push (F, 2, 2)."""
+    count, k, keys = slopes.others, slopes.weights.shape[1], slopes.keys
+    own = slopes.onto_knots(by_push)  # (2 K, D)
+    across = own + slopes.onto_knots(dense[count:].reshape(len(keys), 2, len(dense)), keys)
+    pairs = slopes.weights[:, :, None] * (slopes.axes.T @ of_push @ slopes.axes).reshape(-1, 1, 4)
+    by_axes = (slopes.weights.T @ pairs.reshape(len(pairs), 4 * k)).reshape(k, k, 2, 2)
+    of_knots = by_axes.transpose(0, 2, 1, 3).reshape(2 * k, 2 * k)
+    if len(keys):
+        first, second = (slopes.onto_knots(m[:, count:].T.reshape(len(keys), 2, 2 * k), keys) for m in (across, own))
+        of_knots = of_knots + first.T + second
+    inside = np.empty((count + 2 * k, count + 2 * k))
+    inside[:count, :count], inside[count:, count:] = dense[:count, :count], of_knots
+    inside[count:, :count], inside[:count, count:] = across[:, :count], across[:, :count].T
+    return inside
+
+
+def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
+    """(C,) `J' S^-1 r` of weighted residuals r (F, R) of one recording, over the parameters that it knows."""
+    slopes = rows.whitened
+    unexplained, force = split_off_force(rows, r, noise)
+    weighted = rows.root_weight * unexplained / noise.marker**2
+    dense, by_push = weighted.ravel() @ slopes.j.reshape(-1, slopes.j.shape[-1]), force / noise.force**2
+    if slopes.added is not None:
+        by_push = by_push + np.einsum("frd,fr->fd", slopes.added, weighted)
+    return slopes.with_knots(dense[:, None], by_push[..., None])[:, 0]
+
+
+def rest_information(problem: FitProblem, number: int) -> InformationForm:
+    """Log likelihood of one force log in the rests, where the true force is zero and the log is its own error; over the
+    parameters that its recording knows."""
+    layout, error = problem.layout, problem.recordings[number].error
+    count = len(layout.known_to(number))
+    information, b = np.zeros((count, count)), np.zeros(count)
+    sd, values = _rest_sd(error), error.rest_values
+    where = layout.columns("force", number)
+    if where is None or len(values) == 0:
+        return InformationForm(information, b)
+    for axis in range(2):  # x and y in turn, alike
+        information[where, where][axis::2, axis::2] = error.rest_gram / sd**2
+    b[where] = (error.rest_weights.T @ values).ravel() / sd**2
+    return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
+
+
+def rest_residuals(recording: FitData, layout: Layout, x: Array) -> Array:
+    """(R, 2) of the force log in the rests at parameters x (P,), over its sd there."""
+    error = recording.error
+    expected = error.rest_weights @ layout.get(x, "force", recording.number).reshape(-1, 2)
+    return np.asarray((error.rest_values - expected) / _rest_sd(error))
+
+
+def rest_score(recording: FitData, layout: Layout, x: Array) -> Array:
+    """(C,) minus half the gradient of the square of `rest_residuals`, over the parameters that the recording knows."""
+    out, where = np.zeros(len(layout.known_to(recording.number))), layout.columns("force", recording.number)
+    if where is not None:
+        residuals = rest_residuals(recording, layout, x)
+        out[where] = (recording.error.rest_weights.T @ residuals).ravel() / _rest_sd(recording.error)
+    return out
+
+
+def _rest_sd(error: ForceError) -> float:
+    """N, of the log in the rests about its slow error."""
+    return _REST_SHARE * error.size
+
+
+def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
+    """Log likelihood of what one recording says besides its tags, at parameters x (P,): its rests, and its natural
+    frequencies, which depend on the beam alone."""
+    known, out = problem.layout.known_to(number), [rest_information(problem, number)]
+    for predicted in problem.predicted_frequencies(x, number):
+        j = predicted.slopes[:, known] / predicted.data.sd[:, None]
+        y = predicted.residuals + j @ x[known]
+        log_noise = float(np.sum(np.log(predicted.data.sd)))
+        out.append(InformationForm(j.T @ j, j.T @ y, float(y @ y), log_noise))
+    return out
+
+
+def recording_information(
+    problem: FitProblem, number: int, rows: ResidualRows, x: Array, noise: RecordingNoise
+) -> InformationForm:
+    """Log likelihood of one recording's tags, rests and frequencies."""
+    return total([tag_information(rows, problem.layout, number, x, noise), *own_information(problem, number, x)])
+
+
+def data_information(
+    problem: FitProblem, rows: Sequence[ResidualRows], x: Array, hyperparameters: Hyperparameters
+) -> JointInformation:
+    """Log likelihood of all tags, rests and frequencies."""
+
+    def of(number: int, r: ResidualRows, noise: RecordingNoise) -> InformationForm:
+        form = recording_information(problem, number, r, x, noise)
+        return replace(form, matrix=in_own_pages(form.matrix))
+
+    return JointInformation(each(of, range(len(rows)), rows, hyperparameters.noise), problem.layout.parts)
+
+
+def force_shrinkage(rows: ResidualRows, noise: RecordingNoise) -> Array:
+    """(F, 2, 2) `((s/f)^2 + A'A)^-1`: covariance of each frame's own force over `s^2`."""
+    (xx, xy), (_, yy) = np.moveaxis((noise.marker / noise.force) ** 2 * np.eye(2) + rows.gram, 0, -1)
+    return np.asarray(np.moveaxis(np.array([[yy, -xy], [-xy, xx]]) / (xx * yy - xy**2), -1, 0))

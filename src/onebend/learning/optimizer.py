@@ -1,0 +1,811 @@
+"""The maximum a posteriori: Gauss-Newton at fixed hyperparameters, hyperparameters at fixed shapes, in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from onebend.beam.stiffness import Profile
+from onebend.errors import LearningError
+from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, AllowanceName, Sizes, between_recordings
+from onebend.learning.fit_data import FitData, fit_data
+from onebend.learning.frames import chosen_frames, distances, marker_rms
+from onebend.learning.frequencies import frequency_data
+from onebend.learning.hyperparameters import (
+    Evidence,
+    averaged_posterior,
+    choose_hyperparameters,
+    choose_sizes,
+    expected_recording_noise,
+    likely_sizes,
+    new_noise,
+)
+from onebend.learning.linear import (
+    FitProblem,
+    Hyperparameters,
+    JointInformation,
+    Prior,
+    RecordingNoise,
+    ResidualRows,
+    Solved,
+    data_information,
+    own_in_z,
+    own_information,
+    prior,
+    prior_in_own_z,
+    recording_information,
+    residual_rows,
+    residuals,
+    rest_residuals,
+    rest_score,
+    rows_by_force,
+    solved,
+    split_off_force,
+    tag_score,
+)
+from onebend.learning.normal import InformationForm, JointCovariance
+from onebend.learning.parameters import Layout, Priors, Spline, known_shape, make_layout
+from onebend.learning.prediction import Prediction, predict
+from onebend.learning.static_poses import pose_rms, unexplained
+from onebend.progress import Progress, Silent, each
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
+
+# The way down to the most probable parameters at fixed hyperparameters: Levenberg-Marquardt along curved valleys.
+#
+# Exact data leave narrow valleys in the space of the parameters, and these bend: a straight step along one leaves it
+# sideways, by little for the parameters and by many sd for the data. Damping alone would make the steps short. So a
+# trial is brought back to the valley first, by Newton's method with the derivatives of the step's beginning (chord
+# method); one such correction costs equilibria, but no derivatives. See Transtrum and Sethna (2012) on the geometry.
+
+_FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
+_HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a trial that failed, and after one that did not
+_LONGEST = 1.5  # of log k, in one step
+_CORRECTIONS = 4  # of one trial, at most
+_AS_PROMISED = 0.7  # of the promised gain: a trial that reaches it needs no correction
+_WORTH_GOING_ON = 0.5  # of what is missing: a correction that leaves more of it was the last
+_OWN_PASSES = 2  # in which each frame's own force is settled: the second leaves the square of what the first left
+_ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
+_LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
+_TOGETHER = 10.0  # recordings: of more, nearly all that a step gains is in the parameters of single ones
+_AS_SAID = 0.1  # of what a step moves the tags by: where they went no farther off, its derivatives do for the next one
+
+
+@dataclass(frozen=True)
+class MapEstimate:
+    """The most probable parameters found so far."""
+
+    x: Array  # (P,)
+    hyperparameters: Hyperparameters
+    predictions: tuple[Prediction, ...]  # of each recording at x
+    steps: int = 0
+    converged: bool = False
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """The problem about one estimate: z is the whitened parameters, see `Prior`."""
+
+    problem: FitProblem
+    estimate: MapEstimate
+    before: Prior
+    rows: Sequence[ResidualRows]
+
+    @cached_property
+    def frequency_slopes(self) -> list[Array]:
+        """(N, P) of each recording with frequencies, over their sds."""
+        here = self.problem.predicted_frequencies(self.estimate.x)
+        return [one.slopes / one.data.sd[:, None] for one in here]
+
+    @cached_property
+    def in_own_z(self) -> tuple[JointInformation, Prior]:
+        """What tags, rests and frequencies say, and the prior; the z of each recording's own parameters stand for
+        them."""
+        problem, x, noise = self.problem, self.estimate.x, self.estimate.hyperparameters.noise
+
+        def of(number: int, rows: ResidualRows, noise: RecordingNoise) -> InformationForm:
+            return own_in_z(recording_information(problem, number, rows, x, noise), self.before, number)
+
+        forms = each(of, range(len(self.rows)), self.rows, noise)
+        return JointInformation(forms, problem.layout.parts), prior_in_own_z(self.before)
+
+    def solved(self, damping: float = 0.0) -> Solved:
+        """The posterior of the linearised model in z; `damping` is added to its precision."""
+        return solved(*self.in_own_z, damping)
+
+    @cached_property
+    def slope(self) -> Array:
+        """(P,) minus half the cost's gradient with z."""
+        return self.slope_at(self.estimate.x, [rows.r for rows in self.rows])
+
+    @cached_property
+    def gain(self) -> float:
+        """Of an undamped step, in sd squared."""
+        return float(self.slope @ self.solved().solve(self.slope))
+
+    def bent(self, z: Array) -> float:
+        """`z' A z`, A being the second derivatives of half the cost with z."""
+        data, before = self.in_own_z
+        x = before.times(z)
+        return float(z @ z + x @ data.times(x))
+
+    def slope_at(self, x: Array, r: Sequence[Array]) -> Array:
+        """(P,) as `slope`, at parameters x with residuals r, (F, R) of each recording, by the derivatives from here."""
+        told, layout = np.zeros(len(x)), self.problem.layout
+        every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
+        for recording, rows, residual, noise in every:
+            told[layout.known_to(recording.number)] += tag_score(rows, residual, noise) + rest_score(
+                recording, layout, x
+            )
+        if self.problem.frequencies:
+            for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
+                told += slopes.T @ there.residuals
+        return np.asarray(self.before.transposed_times(told) - self.before.whiten(x))
+
+    def residuals_at(self, tried: MapEstimate) -> list[Array]:
+        """(F, R) of each recording, the effect of each frame's own force included, weighted as here."""
+        pairs = zip(self.rows, tried.predictions, strict=True)
+        return [rows.root_weight * residuals(p) + np.einsum("frd,fd->fr", rows.a, p.own) for rows, p in pairs]
+
+    def cost(self, estimate: MapEstimate) -> float:
+        """Minus twice the log posterior at the weights from here, but for a constant; infinite without equilibrium."""
+        if not all_converged(estimate.predictions):
+            return np.inf
+        x = estimate.x
+        swings = sum(float(np.sum(one.residuals**2)) for one in self.problem.predicted_frequencies(x))
+        if not np.isfinite(swings):
+            return np.inf
+        every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
+        tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
+        z = self.before.whiten(x)
+        layout = self.problem.layout
+        rests = sum(float(np.sum(rest_residuals(one, layout, x) ** 2)) for one in self.problem.recordings)
+        return float(tags + swings + z @ z + rests)
+
+
+def all_converged(predictions: Sequence[Prediction]) -> bool:
+    """Whether every frame of every recording has an equilibrium."""
+    return all(np.all(p.solved.converged) for p in predictions)
+
+
+def release(estimate: MapEstimate) -> None:
+    """Forget the derivatives at an estimate that another has taken the place of."""
+    for prediction in estimate.predictions:
+        prediction.release()
+
+
+def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
+    """Of every recording, its tags weighted by their noise at the estimate."""
+    return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
+
+
+def with_own_forces(estimate: MapEstimate) -> MapEstimate:
+    """The estimate with each frame's own force where it is most probable, all else as it is; unchanged where a beam
+    under these forces would not stand."""
+
+    def settled(p: Prediction, noise: RecordingNoise) -> Prediction:
+        rows = rows_by_force(p, noise)
+        return predict(p.recording, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
+
+    for _ in range(_OWN_PASSES):
+        moved = each(settled, estimate.predictions, estimate.hyperparameters.noise)
+        if not all_converged(moved):
+            break
+        estimate = replace(estimate, predictions=moved)
+    return estimate
+
+
+def descend(
+    problem: FitProblem, estimate: MapEstimate, before: Prior, most_steps: int, tolerance: float
+) -> MapEstimate:
+    """The maximum a posteriori at the estimate's hyperparameters; weights and frames' covariances are renewed at every
+    step.
+
+    Damped in z, in which the prior has covariance one: what the data hardly tell is held back, and what they fix well
+    is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
+    of its length. It ends where an undamped step would gain next to nothing. Of many recordings each keeps its
+    derivatives for as long as its tags go where these say; those of the end are always its own.
+    """
+    many = max(1.0, len(problem.recordings) / _TOGETHER)  # the more there are, the nearer it begins, too
+    damping, enough, little = _FIRST_DAMPING / many**2, many * tolerance**2, many * max(_LITTLE, tolerance**2)
+    for _ in range(most_steps):
+        here = _Linearised(problem, estimate, before, rows_of(estimate))
+        kept = any(p.nearby is not None for p in estimate.predictions)
+        found = None if here.gain < enough else _lowered(here, damping)
+        if found is None and not kept:
+            return replace(estimate, converged=here.gain < max(enough, _ROUNDING))
+        if found is None:
+            del here
+            _release_kept(estimate)
+            continue
+        tried, gained, damping = found
+        settled = here.gain < _ROUNDING and gained < little
+        if many > 1.0 and not settled:
+            tried = _with_slopes_kept(here, tried)
+        del here, found  # with the derivatives of where it began
+        release(estimate)
+        estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
+        if settled and not kept:
+            return replace(estimate, converged=True)
+    _release_kept(estimate)
+    return replace(estimate, converged=False)
+
+
+def _release_kept(estimate: MapEstimate) -> None:
+    """Forget the derivatives of shapes near by, so that those of the recordings' own are worked out."""
+    for prediction in estimate.predictions:
+        if prediction.nearby is not None:
+            prediction.release()
+
+
+def _lowered(here: _Linearised, damping: float) -> tuple[MapEstimate, float, float] | None:
+    """A trial of lower cost, by how much it is lower, and the damping that it took; None where no step lowers the cost
+    any more."""
+    cost = here.cost(here.estimate)
+    while damping <= _LARGEST_DAMPING:
+        tried, reached = _trial(here, damping, cost)
+        if reached <= cost + 1e-6:
+            return tried, cost - reached, damping
+        damping *= _HARDER
+    return None
+
+
+def _with_slopes_kept(here: _Linearised, tried: MapEstimate) -> MapEstimate:
+    """The trial with the derivatives of its beginning in those recordings whose tags went where these had said."""
+    step, layout = tried.x - here.estimate.x, here.problem.layout
+
+    def kept(rows: ResidualRows, now: Prediction, r: Array) -> Prediction:
+        moved = rows.moved_by(step[layout.known_to(now.recording.number)])
+        near = float(np.sum((r - rows.r + moved) ** 2)) <= _AS_SAID**2 * float(np.sum(moved**2))
+        return replace(now, nearby=rows.whitened) if near else now
+
+    return replace(tried, predictions=each(kept, here.rows, tried.predictions, here.residuals_at(tried)))
+
+
+def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate, float]:
+    """A damped step from an estimate of this cost, corrected while that helps, and the cost that it reaches."""
+    before, damped = here.before, here.solved(damping)
+    z = damped.solve(here.slope)
+    of_k = before.times(z)[: here.problem.layout.spline.count]
+    share = min(1.0, _LONGEST / max(float(np.max(np.abs(of_k))), 1e-300))
+    aim, z = share * here.slope, share * z
+    promised = cost - float(2.0 * z @ here.slope - here.bent(z))
+    best = _moved(here, here.estimate, [rows.r for rows in here.rows], before.times(z))
+    lowest = here.cost(best)
+    tried, reached, offset = best, lowest, z
+    for _ in range(_CORRECTIONS):
+        missing = reached - promised
+        if not np.isfinite(reached) or missing <= (1.0 - _AS_PROMISED) * (cost - promised):
+            break
+        r = here.residuals_at(tried)
+        # of the damped cost, whose slope at the beginning is `aim`, where a step was cut short too
+        correction = damped.solve(here.slope_at(tried.x, r) - (here.slope - aim) - damping * offset)
+        tried, offset = _moved(here, tried, r, before.times(correction)), offset + correction
+        reached = here.cost(tried)
+        if reached < lowest:
+            best, lowest = tried, reached
+        if reached - promised > _WORTH_GOING_ON * missing:
+            break
+    return best, lowest
+
+
+def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Array) -> MapEstimate:
+    """A trial a step (P,) on, from one whose residuals are r; each frame's own force is then, to first order, the most
+    probable one."""
+    x, layout = begin.x + step, here.problem.layout
+
+    def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
+        left = residual - rows.moved_by(step[layout.known_to(now.recording.number)])
+        own = split_off_force(rows, left, noise)[1]
+        return predict(now.recording, layout, x, now.solved.q, own)
+
+    predictions = each(moved, here.rows, r, begin.predictions, begin.hyperparameters.noise)
+    return replace(begin, x=x, predictions=predictions)
+
+
+def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
+    """Minus twice the log probability of the tags' residuals (F, R), and of the frames' own forces (F, 2)."""
+    return float(np.sum(residual**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
+
+
+# How far a marker-space fit stays from the tags, and whether that is too far to explain the recording.
+
+MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
+HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
+DOUBTS = {  # by what a remark on the recording is about
+    "tool place": "the film shows the tool elsewhere",
+    "drift": "the force's zero drifted by more than half of the push",
+}
+CONTRADICTED = "the force contradicts the bending"  # what all others say
+_LEAST_MISS = 3.0  # times a tag's own noise: a smaller distance is no miss, however little the tag moves
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A recording that the fit cannot explain."""
+
+    name: str
+    tag: int  # the worst
+    rms: float  # m
+    motion: float  # m, of the tag
+    share: float  # of the motion of all tags together, missed
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether nothing that was fitted means anything."""
+        return self.share > HOPELESS
+
+    @property
+    def words(self) -> str:
+        """What is wrong."""
+        return (
+            f"the fit misses tag {self.tag} by {1000 * self.rms:.3g} mm RMS where it moves by "
+            f"{1000 * self.motion:.3g} mm"
+        )
+
+
+def recording_rms(recording: FitData, fitted: Prediction) -> Array:
+    """(m,) m: distance of the tags from the fit; NaN for a tag that was never seen."""
+    return marker_rms((recording.measured - fitted.pose)[..., :2])
+
+
+def misses(recordings: Sequence[FitData], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:
+    """The recordings that the fit cannot explain, its nuisances applied in `fitted`; empty as a rule."""
+    pairs = zip(recordings, fitted, strict=True)
+    every = [_miss(recording, recording_rms(recording, prediction)) for recording, prediction in pairs]
+    return tuple(miss for miss in every if miss is not None)
+
+
+def _miss(recording: FitData, rms: Array) -> Miss | None:
+    o, xy = recording.observations, recording.measured[..., :2]
+    motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
+    if o.static:  # points near the clamp hardly move, and a ruler reads them no better
+        zeroed = o.readings.bare >= 0
+        straight = np.zeros(2) if zeroed else o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
+        motion = np.full_like(motion, np.nanmax(distances(xy - straight)))
+    variance = np.trace(covariance_with_camera(o)[..., :2, :2], axis1=2, axis2=3)
+    off = rms > _LEAST_MISS * np.sqrt(np.fmin.reduce(variance))
+    missing = np.divide(rms, motion, out=np.zeros_like(rms), where=off & (motion > 0.0))
+    worst = int(np.argmax(missing))
+    if not missing[worst] > MISS:
+        return None
+    share = float(np.sqrt(np.nansum(rms**2) / np.nansum(motion**2)))
+    return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
+
+
+def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
+    """Where every log's error, as fitted, changes by more than the force that it leaves, nothing tells the force: the
+    fit can take all of the log for error, and k(s) for zero. A zero that is off does not count.
+
+    Raises:
+        LearningError: it is so; it says how large both are.
+    """
+    lost = []
+    for recording in problem.recordings:
+        loaded = np.any(recording.force != 0.0, axis=1)
+        if not len(recording.error.knots) or not np.any(loaded):
+            return
+        values = problem.layout.get(estimate.x, "force", recording.number).reshape(-1, 2)
+        error = (recording.error_weights @ values)[loaded]
+        of_error, of_force = _rms_change(error), _rms_change(recording.force[loaded] - error)
+        if of_error <= of_force:
+            return
+        name = recording.observations.source.name
+        lost.append(f"{name}: the error of the force log changes by {of_error:.2g} N, the force by {of_force:.2g} N")
+    if lost:
+        raise LearningError(
+            f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
+            "Push harder, or take a force sensor that is exact to a tenth of the push; zero it just before, and let go "
+            "before the log ends, so that its drift shows"
+        )
+
+
+def _rms_change(force: Array) -> float:
+    """N, root mean square of (T, 2) about its mean."""
+    return float(np.sqrt(np.mean(np.sum((force - np.mean(force, axis=0)) ** 2, axis=1))))
+
+
+def doubts_of(observations: Observations) -> tuple[str, ...]:
+    """What the recording itself says against what is learned from it; empty as a rule."""
+    said = (DOUBTS.get(one.about, CONTRADICTED) for one in observations.source.remarks if one.doubt)
+    return tuple(dict.fromkeys(said))
+
+
+_HELD_SD = 1e-5  # of log k where it is held in its place
+_STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
+_FEW, _LIKELY = 10, 5  # recordings; values of what they leave open of the differences between them
+_STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
+
+
+@dataclass(frozen=True)
+class OptimizerSettings:
+    """When the optimizer stops."""
+
+    most_steps: int = 60
+    coarse_rounds: int = 3  # first rounds, in which the tags' noise is taken as large as their residuals
+    rounds: int = 6  # at most; each but the last ends with new hyperparameters, until the noise is steady
+    on_the_way: float = 0.3  # as `tolerance`, in all rounds but the last
+    tolerance: float = 0.02  # expected gain of the last step, as a share of one sd
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The posterior, and why the optimizer stopped."""
+
+    x: Array  # (P,) log k's mean over its hyperparameters, and all else where it is most probable with that
+    covariance: JointCovariance
+    jumps: Array  # (p - 1,) mean steps of log k from coefficient to coefficient, without the smooth part
+    shape: Array  # (levels, S) of the bands of log k, see `UncertainStiffness`
+    hyperparameters: Hyperparameters
+    sizes: tuple[Sizes, ...]  # of the allowances, equally probable: those that the posterior is averaged over
+    predictions: tuple[Prediction, ...]
+    log_evidence: float
+    steps: int
+    converged: bool
+    stopped: str
+
+
+def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | None = None) -> MapEstimate:
+    """The estimate to begin with, at parameters x; `shapes`: (F, Q) of each recording at x, where they are known.
+
+    Raises:
+        LearningError: the beam has no equilibrium there under the measured forces, or does not stand in a posture
+            in which its frequencies were measured.
+    """
+    warm: Sequence[Array | None] = [None] * len(problem.recordings) if shapes is None else shapes
+    if not problem.swings(x):
+        raise LearningError(
+            "with the mass as written, the beam would buckle under its weight in a posture in which it was seen to "
+            "swing. Check mass_kg, length_m and the base_angle_deg of each [[frequencies]]"
+        )
+    predictions = each(lambda recording, q: predict(recording, problem.layout, x, q), problem.recordings, warm)
+    if not all_converged(predictions):
+        raise LearningError(
+            "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
+        )
+    return MapEstimate(x, problem.expected, predictions)
+
+
+def find_maximum(
+    problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
+) -> MapEstimate:
+    """The maximum a posteriori, from an estimate to begin with.
+
+    Raises:
+        LearningError: force logs with more error than force, so that k(s) goes to zero and the force with it.
+    """
+    steady = False
+    try:
+        for round_number in range(settings.rounds):
+            last = steady or round_number == settings.rounds - 1
+            if round_number < settings.coarse_rounds:
+                estimate = replace(estimate, hyperparameters=_coarse(problem, estimate.predictions))
+            most, tolerance = (
+                (settings.most_steps, settings.tolerance) if last else (_STEPS_ON_THE_WAY, settings.on_the_way)
+            )
+            estimate = descend(problem, estimate, prior(problem, estimate.hyperparameters), most, tolerance)
+            progress.advance()
+            if last:
+                break
+            if round_number >= settings.coarse_rounds - 1:
+                before, after = estimate.hyperparameters, _new_hyperparameters(problem, estimate)
+                estimate = replace(estimate, hyperparameters=after)
+                steady = round_number >= settings.coarse_rounds and _noise_is_steady(before, after)
+    except np.linalg.LinAlgError:
+        refuse_lost_force(problem, estimate)
+        raise
+    refuse_lost_force(problem, estimate)
+    return estimate
+
+
+def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings) -> Optimum:
+    """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
+    hyperparameters = estimate.hyperparameters
+    evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
+    release(estimate)
+    sizes, log_evidence = _likely(evidence, hyperparameters), evidence.posterior(hyperparameters).log_evidence
+    stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
+    del evidence  # with the information of every recording
+    x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
+    return Optimum(
+        x=x,
+        covariance=covariance,
+        jumps=stiffness.steps,
+        shape=stiffness.shape,
+        hyperparameters=hyperparameters,
+        sizes=sizes,
+        predictions=predictions,
+        log_evidence=log_evidence,
+        steps=estimate.steps,
+        converged=estimate.converged,
+        stopped=f"the last step moved the parameters by less than {settings.tolerance:g} sd"
+        if estimate.converged
+        else f"{settings.most_steps} steps were not enough",
+    )
+
+
+def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes, ...]:
+    """Sizes of the allowances that are equally probable: two recordings hardly tell by how much mountings differ, many
+    do."""
+    sizes, few = hyperparameters.sizes, len(evidence.problem.recordings) <= _FEW
+    if BETWEEN not in sizes or not few:
+        return (dict(sizes),)
+    return tuple({**sizes, BETWEEN: float(f)} for f in likely_sizes(evidence, hyperparameters, BETWEEN, _LIKELY))
+
+
+def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:
+    """What is expected, the tags' noise as large as their residuals: far from the maximum the tags' small differences
+    mislead."""
+    sizes = [float(np.sqrt(np.mean(residuals(p) ** 2))) for p in predictions]
+    pairs = zip(problem.expected.noise, sizes, strict=True)
+    return replace(problem.expected, noise=tuple(replace(noise, marker=max(size, 1.5)) for noise, size in pairs))
+
+
+def _at_mean_stiffness(
+    problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: JointCovariance
+) -> tuple[Array, tuple[Prediction, ...]]:
+    """Log k's coefficients at their mean (p,), and all else where it is most probable with them; the estimate itself
+    where that beam would not stand, or where all else does not settle."""
+    p = problem.layout.spline.count
+    follow = covariance.with_shared(slice(p))
+    x = estimate.x + follow @ np.linalg.solve(follow[:p], log_k - estimate.x[:p])
+    moved = each(lambda now: predict(now.recording, problem.layout, x, now.solved.q, now.own), estimate.predictions)
+    if not (all_converged(moved) and problem.swings(x)):
+        return estimate.x, estimate.predictions
+    variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
+    held = replace(estimate.hyperparameters, part_variances=variances)
+    settled = descend(problem, MapEstimate(x, held, moved), prior(problem, held, log_k), 10, 0.1)
+    return (settled.x, settled.predictions) if settled.converged else (estimate.x, estimate.predictions)
+
+
+def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
+    """Whether the tags' noise has settled: what the beam does not follow yet counts as noise."""
+    pairs = zip(before.noise, after.noise, strict=True)
+    return all(abs(np.log(b.marker / a.marker)) < _STEADY_NOISE for b, a in pairs)
+
+
+def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
+    """Noise of every recording from its residuals, then all else by the evidence."""
+    hyperparameters, rows = estimate.hyperparameters, rows_of(estimate)
+    noise = each(new_noise, problem.recordings, rows, hyperparameters.noise, _spent(problem, estimate, rows))
+    hyperparameters = replace(hyperparameters, noise=noise)
+    evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
+    hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
+    return choose_hyperparameters(evidence, hyperparameters)
+
+
+def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRows]) -> tuple[float, ...]:
+    """How many parameters each recording's tags settled: the trace of their information times the covariance."""
+    x, hyperparameters = estimate.x, estimate.hyperparameters
+    data = data_information(problem, rows, x, hyperparameters)
+    posterior = solved(data, prior(problem, hyperparameters))
+
+    def of(number: int, form: InformationForm) -> float:
+        others = own_information(problem, number, x)
+        return float(np.sum(posterior.pair(number) * (form.matrix - sum(one.matrix for one in others))))
+
+    return each(of, range(len(rows)), data.forms)
+
+
+# The fit's two stages: a few frames of some recordings, for the way to near the optimum, and then all.
+
+_FEWEST_FRAMES = 20  # of each of very many recordings
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the marker-space fit runs."""
+
+    functions: int = 45  # of the spline of log k
+    most_frames: int = 500  # of each recording, after neighbours are averaged (`condensed`)
+    most_frames_together: int = 5000  # of all recordings
+    first_frames: int = 24  # of each recording, for the way from the start to near the optimum
+    first_recordings: int = 10  # evenly chosen, for the same
+    priors: Priors = field(default_factory=Priors)
+    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
+    first_rounds: int = 4  # at most, with the first frames
+    last_rounds: int = 6  # at most, with all frames
+    allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
+
+
+def shared_among(settings: FitSettings, recordings: int) -> FitSettings:
+    """The settings for so many recordings: each gives fewer frames, the more there are."""
+    each_one = max(settings.most_frames_together // recordings, _FEWEST_FRAMES)
+    return replace(settings, most_frames=min(settings.most_frames, each_one))
+
+
+def first_recordings(recordings: Sequence[Observations], settings: FitSettings) -> list[int]:
+    """Which recordings the fit begins with."""
+    evenly = np.linspace(0, len(recordings) - 1, settings.first_recordings)
+    return sorted({int(i) for i in evenly.round()})
+
+
+def first_problem(
+    recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
+) -> tuple[FitProblem, Array]:
+    """The problem with a few frames of some recordings, and the parameters (P,) to begin with."""
+    spline = Spline(settings.functions)
+    data = _data(recordings, min(settings.first_frames, settings.most_frames), spline, settings.allowances)
+    layout = _layout(recordings, data, spline, settings)
+    noise = tuple(expected_recording_noise(d) for d in data)
+    x, level = starting(layout, start)
+    expected = Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
+    return FitProblem(data, layout, level, expected, frequency_data(recordings, spline)), x
+
+
+def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+    """The problem with all frames of all recordings."""
+    spline = problem.layout.spline
+    data = _data(recordings, settings.most_frames, spline, settings.allowances)
+    noise = tuple(expected_recording_noise(d) for d in data)
+    layout, expected = _layout(recordings, data, spline, settings), replace(problem.expected, noise=noise)
+    return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
+
+
+def rewritten_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
+    """The problem with the same frames of the same recordings, of which something else is written."""
+    frames = [one.frames for one in problem.recordings]
+    data = _data_of(recordings, frames, problem.layout.spline, settings.allowances)
+    layout = _layout(recordings, data, problem.layout.spline, settings)
+    return replace(problem, recordings=data, layout=layout)
+
+
+def _layout(
+    recordings: Sequence[Observations], data: Sequence[FitData], spline: Spline, settings: FitSettings
+) -> Layout:
+    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
+    return make_layout(spline, list(recordings), knots, settings.priors, allowances)
+
+
+def _data(
+    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
+) -> tuple[FitData, ...]:
+    frames = each(lambda one: chosen_frames(one, most), recordings)
+    return _data_of(recordings, frames, spline, allowances)
+
+
+def _data_of(
+    recordings: Sequence[Observations],
+    frames: Sequence[BoolArray],
+    spline: Spline,
+    allowances: frozenset[AllowanceName],
+) -> tuple[FitData, ...]:
+    known = known_shape(recordings)
+
+    def of(number: int, one: Observations, mask: BoolArray) -> FitData:
+        return fit_data(one, number, mask, spline, allowances, known)
+
+    data = each(of, range(len(recordings)), recordings, frames)
+    if len(data) == 1 or BETWEEN not in allowances:
+        return data
+    return tuple(replace(one, allowances=(*one.allowances, between_recordings(one.problem.grid.nodes))) for one in data)
+
+
+def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
+    """Parameters (P,) and the level of log k to begin with."""
+    s = np.linspace(0.0, 1.0, 8 * layout.spline.count)
+    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
+    if not np.all(k > 0.0):
+        raise LearningError("the start stiffness must be positive everywhere")
+    x, level = np.zeros(layout.size), float(np.mean(np.log(k)))
+    # Where the shape of k is stated, its level alone is taken over.
+    own = np.log(k) if layout.known is None else np.full(len(s), level)
+    x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), own, rcond=None)[0]
+    return x, level
+
+
+def with_mass_found(
+    recordings: Sequence[Observations], problem: FitProblem, near: MapEstimate
+) -> tuple[Sequence[Observations], MapEstimate]:
+    """Recordings and estimate with a guessed mass replaced by what came out: the prior of its unevenness is relative to
+    the mass."""
+    if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
+        return recordings, near
+    mass, even = problem.layout.index["mass", -1].where, np.array([1.0, 0.0, 0.0, 0.0])
+    factor, x = 1.0 + max(float(near.x[mass.start]), -0.9), near.x.copy()
+    x[mass] = (x[mass] + even) / factor - even
+    heavier = [replace(o, stated=replace(o.stated, mass=factor * o.stated.mass)) for o in recordings]
+    return heavier, replace(near, x=x)
+
+
+def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some: list[int]) -> MapEstimate:
+    """An estimate for all frames of all recordings, from that for a few frames of some. What the others have of their
+    own begins where nothing is known of it, their noise in the middle of what was found."""
+    x, found = np.zeros(whole.layout.size), near.hyperparameters
+    for (name, recording), block in whole.layout.index.items():
+        if block.start >= 0 and (recording < 0 or recording in some):
+            x[block.where] = problem.layout.get(near.x, name, recording if recording < 0 else some.index(recording))
+        elif block.start >= 0 and name == "force":
+            x[block.where] = whole.recordings[recording].error.mean.ravel()
+    pairs = list(zip(found.noise, problem.expected.noise, strict=True))
+    marker, force = (
+        float(np.median(one)) for one in zip(*((f.marker, f.force / e.force) for f, e in pairs), strict=True)
+    )
+    noise = tuple(
+        found.noise[some.index(i)] if i in some else RecordingNoise(marker, force * before.force)
+        for i, before in enumerate(whole.expected.noise)
+    )
+    shapes: list[Array | None] = [None] * len(whole.recordings)
+    for i, few, prediction in zip(some, problem.recordings, near.predictions, strict=True):
+        same = np.array_equal(few.frames, whole.recordings[i].frames)
+        if same and np.array_equal(few.problem.grid.nodes, whole.recordings[i].problem.grid.nodes):
+            shapes[i] = prediction.solved.q
+    release(near)
+    begin = estimate_at(whole, x, shapes)
+    return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))
+
+
+# The maximum where static poses may be in one of several equilibria: each in that which its points show.
+#
+# While k(s) is far from what it will be, the equilibrium that a pose is in may not exist yet: no stable one is near
+# its points. Such poses wait; what fits the others brings theirs about. At every maximum all poses choose anew, until
+# none changes. A pose that is then still far from every stable equilibrium is left out of the fit, and named.
+
+_ROUNDS = 6  # of choosing, at most
+_SAME = 1e-3  # of the length: poses whose tags are nearer are in one equilibrium
+
+
+def find_on_branches(
+    problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
+) -> tuple[FitProblem, MapEstimate]:
+    """The maximum a posteriori from an estimate to begin with, and the problem without the poses that were left out."""
+    if all(recording.poses is None for recording in problem.recordings):
+        return problem, find_maximum(problem, estimate, settings, progress)
+    kept = [_explained(one) for one in estimate.predictions]
+    for _ in range(_ROUNDS):
+        begin = tuple(map(_part, estimate.predictions, kept))
+        some = replace(problem, recordings=tuple(one.recording for one in begin))
+        found = find_maximum(some, replace(estimate, predictions=begin, converged=False), settings, progress)
+        again = tuple(map(_chosen_anew, problem.recordings, kept, found.predictions))
+        estimate = replace(found, predictions=again)
+        before, kept = kept, [_explained(one) for one in again]
+        if all(map(_same, before, kept, found.predictions, again)):
+            break
+        progress = Silent()
+    return some, found
+
+
+def _part(every: Prediction, kept: BoolArray) -> Prediction:
+    """Some frames (F,) of a recording of poses."""
+    if np.all(kept):
+        return every
+    o, chosen = every.recording.observations, every.recording.frames.copy()
+    chosen[np.flatnonzero(chosen)[~kept]] = False
+    part = fit_data(o, every.recording.number, chosen, every.layout.spline)
+    return predict(part, every.layout, every.x, None, every.own[kept])
+
+
+def _chosen_anew(recording: FitData, kept: BoolArray, now: Prediction) -> Prediction:
+    """Every pose in the equilibrium that its points show now; a film as it is."""
+    if recording.poses is None:
+        return now
+    own = np.zeros_like(recording.force)
+    own[kept] = now.own
+    return predict(recording, now.layout, now.x, None, own)
+
+
+def _explained(prediction: Prediction) -> BoolArray:
+    """(F,) frames; of a film all."""
+    recording = prediction.recording
+    off = (recording.measured - prediction.pose)[..., :2]
+    if recording.poses is None or len(off) == 1:
+        return np.ones(len(off), dtype=bool)
+    return ~unexplained(np.where(_is_free(recording), pose_rms(off), 0.0), recording.observations.length)
+
+
+def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Prediction) -> bool:
+    """Whether no pose of a recording has changed, nor its equilibrium."""
+    if not np.array_equal(before, now):
+        return False
+    change = np.abs(found.pose - again.pose[before])[_is_free(again.recording)[before], :, :2]
+    return bool(np.max(change, initial=0.0) < _SAME * again.recording.observations.length)
+
+
+def _is_free(recording: FitData) -> BoolArray:
+    """(F,) frames whose end nobody holds."""
+    free = np.ones(len(recording.measured), dtype=bool)
+    if recording.ends is not None:
+        free[recording.ends.frames] = False
+    return free

@@ -1,0 +1,585 @@
+"""The paper's own method: inverse kinematics (22), regression (12)-(18), selection (19)-(20)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from onebend.beam.grid import Modes, Places, angles, apply, jacobians, make_grid, places, positions
+from onebend.beam.model import Beam
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
+from onebend.errors import LearningError, MechanicsError
+from onebend.learning.fit_data import AtRest, at_rest, beam_points
+from onebend.learning.frames import (
+    at_frames,
+    distances,
+    evenly_spread,
+    mass_profile,
+    nothing_moves,
+    push_places,
+    usable_frames,
+    whitening,
+)
+from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.parameters import NEEDS_MASS, weighs
+from onebend.learning.validation import marker_misfit, validate
+from onebend.progress import Progress, Silent, one_blas_thread, track
+from onebend.records import Array, BoolArray, Observations, Remark, covariance_with_camera
+
+# Inverse kinematics (22): modal states of every frame from the tags' positions and angles.
+#
+# Levenberg-Marquardt on all frames at once. Each tag counts by its covariance; a missing tag counts nothing. Where a
+# frame has fewer data than states, the shape of least curvature among those that fit is taken.
+
+_LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data (a prior sd of about 30 rad)
+
+
+@dataclass(frozen=True)
+class States:
+    """Legendre states of every frame; NaN where a frame has no tag."""
+
+    modes: Modes
+    theta: Array  # (T, n) rad
+    covariance: Array  # (T, n, n) rad^2, from the tags' covariances
+    theta0: Array  # (n,) rad, at rest
+    rest: AtRest
+    data: Array  # (T,) measured numbers in the frame (3 a tag, or 2 without angles)
+    converged: BoolArray  # (T,)
+
+
+def solve_states(
+    observations: Observations, n: int, *, with_angles: bool = True, rest: AtRest | None = None, most: int = 40
+) -> States:
+    """States of n Legendre modes for all T frames.
+
+    Raises:
+        LearningError: n is more than the tags can tell (3 a tag, 2 a tag without angles).
+    """
+    tags = len(observations.marker_s)
+    limit = (3 if with_angles else 2) * tags
+    if not 1 <= n <= limit:
+        raise LearningError(f"n = {n} curvature modes, but {tags} tags can tell at most {limit}; choose n <= {limit}")
+    rest = at_rest(observations) if rest is None else rest
+    xy, tangent = beam_points(observations, rest)
+    measured = np.concatenate([xy, tangent[..., None]], axis=-1)  # (T, m, 3)
+    whiten, data = _tag_whitening(measured, covariance_with_camera(observations), with_angles)
+    target = np.where(np.isfinite(measured), measured, 0.0)
+    at = places(observations.length, Modes(n), observations.marker_s)
+    theta, converged = _levenberg(at, target, whiten, _start(at, target, data > 0, whiten), most)
+    jacobian = _whitened(whiten, _jacobian(at, theta))
+    information = np.swapaxes(jacobian, 1, 2) @ jacobian + np.diag(_energy(n))
+    seen = np.any(data > 0, axis=1)
+    theta[~seen] = np.nan
+    return States(
+        modes=Modes(n),
+        theta=theta,
+        covariance=np.asarray(np.linalg.inv(information)),
+        theta0=rest.states(n),
+        rest=rest,
+        data=np.sum(data, axis=1),
+        converged=converged & seen,
+    )
+
+
+def _tag_whitening(measured: Array, covariance: Array, with_angles: bool) -> tuple[Array, Array]:
+    """Inverse Cholesky factors (T, m, 3, 3), zero where a number is missing, and the count of numbers (T, m)."""
+    if not with_angles:
+        measured = measured * np.array([1.0, 1.0, np.nan])
+    whiten = whitening(measured, covariance)
+    return whiten, np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))
+
+
+def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
+    """A first guess from angles: of the tags where used, of the chords between neighbouring tags otherwise.
+
+    theta = 0 is a singular start (no curvature direction is preferred by positions on a straight beam).
+    """
+    if np.any(whiten[..., 2, 2] > 0.0):
+        rows, values = at.to_places, target[..., 2]
+    else:
+        s = np.concatenate([[0.0], at.s])
+        steps = np.diff(target[..., :2], axis=1, prepend=np.zeros((len(target), 1, 2)))
+        values = np.unwrap(np.arctan2(steps[..., 1], steps[..., 0]), axis=1)
+        rows = at.modes.angle(0.5 * (s[1:] + s[:-1]))
+    weight = seen.astype(float)
+    normal = np.einsum("tm,mi,mj->tij", weight, rows, rows) + 1e-3 * np.eye(at.modes.n)
+    return np.asarray(np.linalg.solve(normal, np.einsum("tm,mi,tm->ti", weight, rows, values)[..., None])[..., 0])
+
+
+def _levenberg(at: Places, target: Array, whiten: Array, theta: Array, most: int) -> tuple[Array, BoolArray]:
+    """Batched damped Gauss-Newton; each frame has its own damping."""
+    damping = np.full(len(theta), 1e-3)
+    residual = _residual(at, target, whiten, theta)
+    cost = _cost(residual, theta)
+    converged = np.zeros(len(theta), dtype=bool)
+    for _ in range(most):
+        todo = np.flatnonzero(~converged)
+        if todo.size == 0:
+            break
+        jacobian = _whitened(whiten[todo], _jacobian(at, theta[todo]))
+        step = _damped_step(jacobian, residual[todo], theta[todo], damping[todo])
+        tried = theta[todo] + step
+        new_residual = _residual(at, target[todo], whiten[todo], tried)
+        new_cost = _cost(new_residual, tried)
+        better = new_cost <= cost[todo] * (1.0 + 1e-14)
+        theta[todo[better]] = tried[better]
+        residual[todo[better]] = new_residual[better]
+        cost[todo[better]] = new_cost[better]
+        damping[todo] = np.clip(np.where(better, damping[todo] / 10.0, damping[todo] * 10.0), 1e-12, 1e12)
+        small = np.max(np.abs(step), axis=1) < 1e-10 * (1.0 + np.max(np.abs(theta[todo]), axis=1))
+        converged[todo] = small | (damping[todo] >= 1e12)
+    return theta, converged
+
+
+def _damped_step(jacobian: Array, residual: Array, theta: Array, damping: Array) -> Array:
+    """Step of min |J d - r|^2 + small |theta + d|^2 + damping |D d|^2, by QR of the stacked rows."""
+    count, rows, n = jacobian.shape
+    energy = np.sqrt(_energy(n))
+    scale = np.sqrt(np.sum(jacobian**2, axis=1) + energy**2)  # (T, n)
+    stacked = np.zeros((count, rows + 2 * n, n))
+    stacked[:, :rows] = jacobian
+    diagonal = np.arange(n)
+    stacked[:, rows + diagonal, diagonal] = energy
+    stacked[:, rows + n + diagonal, diagonal] = np.sqrt(damping)[:, None] * scale
+    right = np.concatenate([residual, -energy * theta, np.zeros((count, n))], axis=1)
+    q, r = np.linalg.qr(stacked)
+    return np.asarray(np.linalg.solve(r, np.einsum("tri,tr->ti", q, right)[..., None])[..., 0])
+
+
+def _residual(at: Places, target: Array, whiten: Array, theta: Array) -> Array:
+    """(T, 3 m) whitened measured minus modelled poses."""
+    model = np.concatenate([positions(at, theta), angles(at, theta)[..., None]], axis=-1)
+    return np.asarray(np.einsum("tmab,tmb->tma", whiten, target - model).reshape(len(theta), -1))
+
+
+def _jacobian(at: Places, theta: Array) -> Array:
+    """(T, m, 3, n) of positions and angles."""
+    turn = np.broadcast_to(at.to_places[None, :, None, :], (len(theta), len(at.s), 1, at.modes.n))
+    return np.concatenate([jacobians(at, theta), turn], axis=2)
+
+
+def _whitened(whiten: Array, jacobian: Array) -> Array:
+    """(T, 3 m, n)."""
+    return (whiten @ jacobian).reshape(len(jacobian), -1, jacobian.shape[-1])
+
+
+def _cost(residual: Array, theta: Array) -> Array:
+    return np.asarray(np.sum(residual**2, axis=1) + theta**2 @ _energy(theta.shape[1]))
+
+
+def _energy(n: int) -> Array:
+    """(n,) weights of `int q^2 = sum theta_i^2 / (2 i + 1)` (Legendre states)."""
+    return np.asarray(_LEAST_CURVATURE / (2.0 * np.arange(n) + 1.0))
+
+
+# The paper's regression (12)-(18): `X gamma = Y`, linear in the coefficients gamma of k(s).
+#
+# For frame t and test function phi_j, with the curvature's departure from rest q - q0 (the paper's beams have q0 =
+# 0):
+#
+# sum_w gamma_w int Pi_w (q - q0) phi_j ds = (J(s_a)^T F)_j  (+ the weight's share)
+#
+# Solved by an orthogonal decomposition, never by normal equations. The rows are those of the test functions: the
+# paper's are the powers of s, unweighted, which is part of its method (under noise the answer depends on the basis).
+# As an improvement the rows of a frame can be weighted by what noise does to them: an error in theta moves them by
+# the tangent of the equilibrium, one in F by J^T.
+
+Family = Literal["gaussians", "powers"]
+_GRID = make_grid(order=32)
+_ROUNDING = 1e-9  # of a spectrum that adds up to the number of rows: below lies rounding, not knowledge
+
+
+@dataclass(frozen=True)
+class MomentRows:
+    """Rows of `X gamma = Y` before a family is chosen; Q nodes on the beam, test functions in Legendre form."""
+
+    elastic: Array  # (T, n, Q): weight times (q - q0) phi_j at the nodes; X = elastic @ Pi
+    load: Array  # (T, n): Y
+    load_per_force: Array  # (T, n, 2): J(s_a)
+    geometric: Array  # (T, n, n): the load's part of the equilibrium's tangent
+    states: States
+
+
+def assemble(observations: Observations, states: States) -> MomentRows:
+    """Rows of all T frames (NaN where a frame has no states). Equations (9)-(11)."""
+    grid, modes, length = _GRID, states.modes, observations.length
+    phi, a = modes.curvature(grid.nodes), modes.angle(grid.nodes)  # (Q, n)
+    q = (states.theta - states.theta0) @ phi.T
+    elastic = (grid.weights * q)[:, None, :] * phi.T
+    alpha = states.theta @ a.T
+    u = np.stack([np.cos(alpha), np.sin(alpha)], axis=-1)  # (T, Q, 2)
+    across = np.stack([-u[..., 1], u[..., 0]], axis=-1)
+    to_push = grid.integral_to(push_places(observations)[:, None])[:, 0]  # (T, Q)
+    load_per_force = length * np.einsum("tq,tqc,qi->tic", to_push, across, a, optimize=True)
+    beyond = _weight_beyond(observations)  # (T, Q, 2)
+    load = np.einsum("tic,tc->ti", load_per_force, observations.force)
+    load = load + length * np.einsum("tqc,tqc,qi->ti", grid.weights[:, None] * beyond, across, a, optimize=True)
+    along = to_push * np.einsum("tqc,tc->tq", u, observations.force)
+    along = along + grid.weights * np.einsum("tqc,tqc->tq", u, beyond)
+    geometric = length * np.einsum("tq,qi,qj->tij", along, a, a, optimize=True)
+    return MomentRows(elastic, load, load_per_force, geometric, states)
+
+
+def basis(family: Family, m: int, width: float | None) -> tuple[Array, float]:
+    """Functions Pi_w at the nodes (Q, m), and the Gaussians' width (the distance of their centres if not given)."""
+    if family == "powers":
+        return power_basis(_GRID.nodes, m), np.nan
+    sigma = (1.0 / max(m - 1, 1)) if width is None else width
+    return gaussian_basis(_GRID.nodes, equidistant(m), sigma), sigma
+
+
+def profile(family: Family, coefficients: Array, sigma: float) -> Profile:
+    """k(s) of the coefficients."""
+    gamma = tuple(float(c) for c in coefficients)
+    return Powers(gamma) if family == "powers" else Gaussians(equidistant(len(gamma)), sigma, gamma)
+
+
+def literal(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, float]:
+    """gamma (m,) of (18) with the paper's rows: powers as test functions, no weights; and the condition of X."""
+    return _orthogonal(*literal_rows(rows, use, pi))
+
+
+def literal_rows(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
+    """X (R, m) and Y (R,) as the paper writes them, with powers of s as test functions; n rows a frame."""
+    to_legendre = Modes(rows.states.modes.n, "powers").to_legendre
+    x = np.einsum("lj,tlq,qw->tjw", to_legendre, rows.elastic[use], pi, optimize=True).reshape(-1, pi.shape[1])
+    return x, (rows.load[use] @ to_legendre).ravel()
+
+
+def weighted(
+    rows: MomentRows, use: BoolArray, pi: Array, *, force_sd: Array, tag_noise: float = 1.0, rounds: int = 8
+) -> tuple[Array, float]:
+    """gamma (m,) with each frame's rows weighted by the covariance that noise gives them; and the condition of X.
+
+    The covariance depends on gamma through the tangent, so a few rounds of reweighting are made from a start that
+    uses the load's noise alone. `tag_noise` scales the states' covariance.
+    """
+    elastic, load = rows.elastic[use] @ pi, rows.load[use]
+    jacobian, geometric = rows.load_per_force[use], rows.geometric[use]
+    spread = tag_noise**2 * rows.states.covariance[use]
+    phi = rows.states.modes.curvature(_GRID.nodes)
+    from_force = (jacobian * force_sd**2) @ np.swapaxes(jacobian, 1, 2)
+    gamma, condition = _orthogonal(elastic.reshape(-1, pi.shape[1]), load.ravel())
+    for _ in range(rounds):
+        k = np.maximum(pi @ gamma, 0.05 * np.mean(np.abs(pi @ gamma)))  # weights need a positive stiffness
+        tangent = (phi.T * (_GRID.weights * k)) @ phi + geometric
+        covariance = tangent @ spread @ np.swapaxes(tangent, 1, 2) + from_force
+        sd = np.sqrt(np.einsum("tii->ti", covariance))
+        # Rows are brought to one scale first: their variances differ by ten orders and more.
+        whiten = _residual_whitening(covariance / (sd[:, :, None] * sd[:, None, :])) / sd[:, None, :]
+        x = (whiten @ elastic).reshape(-1, pi.shape[1])
+        y = (whiten @ load[..., None]).ravel()
+        previous = gamma
+        gamma, condition = _orthogonal(x, y)
+        if np.max(np.abs(gamma - previous)) < 1e-9 * np.max(np.abs(gamma)):
+            break
+    return gamma, condition
+
+
+def _residual_whitening(correlation: Array) -> Array:
+    """(T, n, n) W: `W' W` is the inverse of each correlation matrix (T, n, n), whose spectrum begins at `_ROUNDING`.
+
+    A Cholesky factor takes an eighth of the time of a spectrum, and says where that is needed: the sum of the inverse
+    spectrum is the sum of the inverse factor's squares.
+    """
+    try:
+        whiten = np.linalg.inv(np.linalg.cholesky(correlation))
+    except np.linalg.LinAlgError:
+        return _floored(correlation)
+    low = ~(np.einsum("tij,tij->t", whiten, whiten) < 1.0 / _ROUNDING)
+    if low.any():
+        whiten[low] = _floored(correlation[low])
+    return np.asarray(whiten)
+
+
+def _floored(correlation: Array) -> Array:
+    """As `_whitening`, by the spectra."""
+    spectrum, vectors = np.linalg.eigh(correlation)
+    return np.asarray(np.swapaxes(vectors / np.sqrt(np.maximum(spectrum, _ROUNDING))[:, None, :], 1, 2))
+
+
+def _orthogonal(x: Array, y: Array) -> tuple[Array, float]:
+    """Least squares by singular values with scaled columns; the condition number is that of the scaled matrix."""
+    if not np.all(np.linalg.norm(x, axis=0) > 0.0):
+        raise LearningError("a stiffness function meets no curvature at all: the beam did not bend there in any frame")
+    solution, singular = least_squares(x, y)
+    return solution, float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
+
+
+def column_sizes(x: Array) -> Array:
+    """(m,) what each column is divided by before it is solved for; 1 for one of zeros."""
+    sizes = np.linalg.norm(x, axis=0)
+    return np.where(sizes > 0.0, sizes, 1.0)
+
+
+def least_squares(x: Array, y: Array) -> tuple[Array, Array]:
+    """Solution (m,) with columns brought to one size, and the singular values of the matrix so scaled."""
+    scale = column_sizes(x)
+    solution, _, _, singular = np.linalg.lstsq(x / scale, y, rcond=None)
+    return np.asarray(solution / scale), np.asarray(singular)
+
+
+def _weight_beyond(observations: Observations) -> Array:
+    """(T, Q, 2) N: the weight of the beam beyond each node, its mass spread as it is written down."""
+    if not weighs(observations):
+        return np.zeros((len(observations.time), len(_GRID.nodes), 2))
+    if not np.isfinite(observations.stated.mass):
+        raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
+    line = observations.length * np.asarray(mass_profile(observations)(_GRID.nodes))
+    beyond = _GRID.weights @ line - apply(_GRID.integral_to_nodes, line)
+    for one in observations.stated.masses:
+        beyond = beyond + one.mass * (_GRID.nodes < one.s)
+    return np.asarray(beyond[None, :, None] * observations.gravity[:, None, :])
+
+
+# The (n, m) table and the choice by BIC (19), (20).
+
+Method = Literal["regression", "paper"]
+Bic = Literal["textbook", "paper"]
+_SNAPS = "the learned beam snaps through under the measured forces"
+_FINE = np.linspace(0.0, 1.0, 401)
+MOST_FRAMES = 1000  # that a trial is learned from, evenly spread
+_SIMULATED = 50  # frames that it is compared in: the markers' RMS of a push is the same in fifty of it as in all
+
+
+@dataclass(frozen=True)
+class RegressionSettings:
+    """How k(s) is learned from states and forces."""
+
+    method: Method = "regression"  # "paper": the literal rows of (17), tags' positions only
+    family: Family = "gaussians"
+    width: float | None = None  # sigma of the Gaussians in units of s; None: the distance of their centres
+    bic: Bic = "textbook"
+    n: int | None = None  # fix the number of modes
+    m: int | None = None  # fix the number of stiffness functions
+    most_n: int | None = None  # the paper's z; None: all that the tags can tell, at most 8
+
+    @property
+    def with_angles(self) -> bool:
+        """Whether the tags' angles are used; the paper had positions only."""
+        return self.method != "paper"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One trial with what it takes to go on from it."""
+
+    trial: Trial
+    beam: Beam | None
+    solved: Equilibrium | None = None  # where it was simulated
+
+
+def pairs(settings: RegressionSettings, tags: int) -> list[tuple[int, int]]:
+    """All (n, m) to try (20): n in 2..z, m in 2..n. Raises `LearningError` on a fixed n or m that cannot be."""
+    limit = (3 if settings.with_angles else 2) * tags
+    z = min(limit, 8) if settings.most_n is None else settings.most_n
+    if z > limit:
+        raise LearningError(f"most_n = {z}, but {tags} tags can tell at most {limit} modes")
+    if settings.n is not None and not 2 <= settings.n <= limit:
+        raise LearningError(f"n = {settings.n}, but {tags} tags can tell 2 to {limit} modes")
+    found = [
+        (n, m)
+        for n in ([settings.n] if settings.n else range(2, z + 1))
+        for m in ([settings.m] if settings.m else range(2, n + 1))
+        if m <= n
+    ]
+    if not found:
+        raise LearningError(f"m = {settings.m} stiffness functions need at least as many modes; raise n or lower m")
+    return found
+
+
+def information_criterion(rms: Array, observed: int, parameters: int, kind: Bic) -> float:
+    """BIC of a model with markers' `rms` (m,) over `observed` numbers (19).
+
+    textbook: `N ln(RSS / N) + k ln N` with RSS the sum of squares. paper: `ln(sqrt(sum M_i^2)) + 10`, which is what its
+    printed Table II follows to rounding (its complexity term is below what the table can show).
+    """
+    norm = float(np.sqrt(np.sum(rms**2)))
+    if kind == "paper":
+        return float(np.log(norm) + 10.0)
+    mean_square = norm**2 / (2 * len(rms))
+    return float(observed * np.log(mean_square) + parameters * np.log(observed))
+
+
+def table(
+    observations: Observations,
+    rest: AtRest,
+    settings: RegressionSettings,
+    progress: Progress,
+    most_frames: int = MOST_FRAMES,
+) -> list[Candidate]:
+    """Every (n, m): learned from at most `most_frames`, simulated and compared in at most 51 of them.
+
+    Raises:
+        LearningError: the frames are too few for any.
+    """
+    observations = _fewer(observations, most_frames)
+    frames = usable_frames(observations)
+    wanted = pairs(settings, len(observations.marker_s))
+    needed = max(n + m for n, m in wanted)
+    if still := nothing_moves(observations):
+        raise LearningError(f"{observations.source.name}: {still}. Film a push, and let the force log cover it")
+    if np.sum(frames) < needed:
+        raise LearningError(
+            f"{observations.source.name}: {np.sum(frames)} loaded frames, but up to {needed} parameters are to be "
+            "found; film a longer push, or fix smaller n and m"
+        )
+    out: list[Candidate] = []
+    states: States | None = None
+    compared = _compared(observations, frames)
+    near: Equilibrium | None = None
+    for n, m in track(progress, "trying (n, m)", wanted, len(wanted)):
+        if states is None or states.modes.n != n:
+            states = solve_states(observations, n, with_angles=settings.with_angles, rest=rest)
+            rows = assemble(observations, states)
+        use = frames & states.converged & (states.data >= n)
+        out.append(_try(observations, rows, use, compared, near, m, settings))
+        near = out[-1].solved or near
+    return out
+
+
+def _fewer(observations: Observations, most: int) -> Observations:
+    """At most so many of the usable frames of a film."""
+    frames = np.flatnonzero(usable_frames(observations)).astype(np.int64)
+    if observations.static or len(frames) <= most:
+        return observations
+    return at_frames(observations, evenly_spread(frames, most, len(observations.time)))
+
+
+def _compared(observations: Observations, frames: BoolArray) -> BoolArray:
+    """(T,) some fifty of the frames, and that of the largest force: there a beam snaps through first."""
+    if observations.static:
+        return frames
+    rows = np.flatnonzero(frames).astype(np.int64)
+    chosen = evenly_spread(rows, _SIMULATED, len(frames))
+    chosen[rows[np.argmax(distances(observations.force[rows]))]] = True
+    return chosen
+
+
+def choose(candidates: list[Candidate]) -> int:
+    """Index of the lowest BIC. Raises `LearningError` where no trial gave a beam that can stand."""
+    bic = np.array([c.trial.bic for c in candidates])
+    if not np.any(np.isfinite(bic)):
+        worst = "; ".join(f"n={c.trial.n}, m={c.trial.m}: {c.trial.why_out}" for c in candidates[:3])
+        raise LearningError(
+            f"no (n, m) gave a beam that can be simulated ({worst}; ...). The force or the tags contradict the bending "
+            "of a beam: check the force's sign and axes, the clock and the tags' places"
+        )
+    return int(np.argmin(bic))
+
+
+def standing(candidates: list[Candidate], observations: Observations, rest: AtRest) -> tuple[int, Comparison]:
+    """The trial of the lowest BIC that stands in all frames, and its comparison there; those that do not are put out
+    of the running in `candidates`."""
+    while True:
+        chosen = choose(candidates)
+        best = candidates[chosen]
+        assert best.beam is not None
+        training = validate(best.beam, observations, rest=rest)
+        if np.all(np.isfinite(training.predicted)):
+            return chosen, training
+        candidates[chosen] = replace(best, trial=replace(best.trial, bic=np.inf, why_out=_SNAPS))
+
+
+def _try(
+    observations: Observations,
+    rows: MomentRows,
+    use: BoolArray,
+    compared: BoolArray,
+    near: Equilibrium | None,
+    m: int,
+    settings: RegressionSettings,
+) -> Candidate:
+    """Learn one (n, m) from the frames `use` (T,), simulate it in those `compared` (T,), compare; `near` as
+    that of another trial there."""
+    n = rows.states.modes.n
+    pi, sigma = basis(settings.family, m, settings.width)
+    trial = Trial(n, m, np.full(m, np.nan), np.full(len(observations.marker_s), np.nan), np.inf, np.nan, np.inf)
+    if np.sum(use) < n + m:
+        return Candidate(replace(trial, why_out=f"only {np.sum(use)} frames show enough tags"), None)
+    if settings.method == "paper":
+        gamma, condition = literal(rows, use, pi)
+    else:
+        gamma, condition = weighted(rows, use, pi, force_sd=observations.force_sd)
+    stiffness = profile(settings.family, gamma, sigma)
+    lowest = float(np.min(stiffness(_FINE)))
+    trial = replace(trial, coefficients=gamma, lowest_k=lowest, condition=condition)
+    if not lowest > 0.0:
+        where = float(_FINE[np.argmin(stiffness(_FINE))])
+        return Candidate(replace(trial, why_out=f"k is {lowest:.2g} N m at s = {where:.2f}"), None)
+    beam = make_beam(observations, rows.states, stiffness)
+    try:
+        rms, solved = marker_misfit(beam, observations, compared, rows.states.rest, near)
+    except MechanicsError as error:
+        return Candidate(replace(trial, why_out=str(error)), None)
+    seen = np.isfinite(rms)
+    if not seen.any():
+        return Candidate(replace(trial, why_out=_SNAPS), beam)
+    observed = int(np.sum(np.isfinite(observations.xy[usable_frames(observations)])))
+    bic = information_criterion(rms[seen], observed, n + m, settings.bic)
+    return Candidate(replace(trial, rms=rms, bic=bic), beam, solved)
+
+
+def make_beam(observations: Observations, states: States, stiffness: Profile) -> Beam:
+    """The learned beam: stiffness, rest curvature and the mass as it is written down."""
+    theta0 = states.theta0
+    curvature: Profile = Uniform(0.0)
+    if np.any(theta0 != 0.0):
+        powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
+        curvature = Powers(tuple(float(c) for c in powers))
+    return Beam(
+        observations.length,
+        stiffness,
+        rest_curvature=curvature,
+        mass_per_length=mass_profile(observations),
+        masses=observations.stated.masses,
+    )
+
+
+# From observations to a learned beam: states (22), regression (18), selection (20), in the paper's order.
+
+
+@one_blas_thread
+def regress(
+    observations: Observations,
+    settings: RegressionSettings = RegressionSettings(),
+    *,
+    most_frames: int = MOST_FRAMES,
+    progress: Progress = Silent(),
+) -> Learned:
+    """The stiffness distribution of the observed beam, from at most so many frames.
+
+    Raises:
+        LearningError: too few loaded frames, or no (n, m) gives a beam that can be simulated.
+    """
+    rest = at_rest(observations)
+    candidates = table(observations, rest, settings, progress, most_frames)
+    chosen, training = standing(candidates, observations, rest)
+    beam = candidates[chosen].beam
+    assert beam is not None  # its BIC is finite
+    return Learned(
+        beam=beam,
+        method=settings.method,
+        family=settings.family,
+        trials=tuple(c.trial for c in candidates),
+        chosen=chosen,
+        training=training,
+        remarks=_remarks(rest, observations) + training.remarks,
+    )
+
+
+def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
+    """What was assumed about the beam at rest."""
+    if not rest.seen:
+        text = "no frame shows the beam at rest: it is taken as straight, its tags as perfectly placed"
+        return (Remark("warning", text, about="no rest"),)
+    shift = float(np.max(np.linalg.norm(rest.offset, axis=1)))
+    turn = float(np.rad2deg(np.max(np.abs(rest.turn))))
+    text = f"at rest the tags sit up to {1e3 * shift:.2f} mm and {turn:.2f} deg off their places; taken off every frame"
+    if shift > 4.0 * observations.stated.placement_sd:
+        text += ". That is more than the placement tolerance allows: check the tags' s"
+        return (Remark("warning", text, about="tag places"),)
+    return (Remark("note", text),)

@@ -1,0 +1,638 @@
+"""The parameters of a fit in one vector: k(s), what all recordings of the beam share, and what each has of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.linalg import null_space
+
+from onebend.beam.section import moment_errors, relative_moment
+from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
+from onebend.errors import LearningError
+from onebend.learning.allowances import Allowance
+from onebend.learning.frames import zeroed_coordinates
+from onebend.recording.beam_frame import MOUNTING_SD
+from onebend.records import (
+    CLAMP_SD,
+    SCALE_SD,
+    Array,
+    IntArray,
+    MassAlong,
+    Observations,
+    Remark,
+    StatedSection,
+    StiffnessAlong,
+)
+
+# What is stated of how k varies along the beam: then one number is learned of it, and a slow correction where wanted.
+#
+# log k(s) = o(s) + l + e(s) + v(s): o is log I(s) of the stated section less its mean (zero where k is "even"), l one
+# level, e what an error of the section's stated sizes does to log I, v a slow variation of the modulus, a Gaussian
+# process of the stated sd with correlation exp(-d^2 / (2 C^2)) of places d apart, C being half of the beam.
+
+CORRELATION = 0.5  # C, of the length
+_LEAST = 1e-8  # of the largest: smaller parts of the slow variation are left out
+_PLACES = np.linspace(0.0, 1.0, 201)
+
+
+@dataclass(frozen=True)
+class KnownShape:
+    """How k varies along the beam but for a factor, as stated."""
+
+    section: StatedSection | None  # whose second moment k goes with; None: k is one number
+    varies: float  # one sd of the slow variation of log k
+
+    @cached_property
+    def offset(self) -> Polyline | None:
+        """o(s); None where it is zero."""
+        return None if self.section is None else relative_moment(self.section)
+
+    @property
+    def profile(self) -> Profile:
+        """exp o(s): k over its geometric mean."""
+        if self.offset is None:
+            return Uniform(1.0)
+        return LogSpline((0.0, 0.0, 1.0, 1.0), (0.0, 0.0), 1, self.offset)
+
+    def offset_at(self, s: Array) -> Array:
+        """`s.shape`: o."""
+        return np.zeros(np.shape(s)) if self.offset is None else self.offset(s)
+
+    def errors(self, s: Array) -> Array:
+        """(S, n) functions whose coefficients, of sd one each, make e(s)."""
+        return np.zeros((len(s), 0)) if self.section is None else moment_errors(self.section, s)
+
+    def slow(self, s: Array) -> Array:
+        """(S, n) functions whose coefficients, of sd one each, make v(s) (Karhunen and Loeve)."""
+        apart = _PLACES[:, None] - _PLACES
+        values, vectors = np.linalg.eigh(np.exp(-0.5 * (apart / CORRELATION) ** 2))
+        kept = values > _LEAST * values[-1]
+        functions = self.varies * vectors[:, kept] * np.sqrt(values[kept])
+        columns = [np.interp(s, _PLACES, function) for function in functions.T if self.varies > 0.0]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(s), 0))
+
+
+def with_shared_shape(recordings: Sequence[Observations]) -> Sequence[Observations]:
+    """The recordings of a beam, each with what one of them states of its shape.
+
+    Raises:
+        LearningError: as `known_shape`.
+    """
+    known = known_shape(recordings)
+    if known is None:
+        return recordings
+    along: StiffnessAlong = "even" if known.section is None else "section"
+    out = [replace(o.stated, stiffness_along=along, modulus_varies=known.varies) for o in recordings]
+    if known.section is not None:
+        out = [replace(stated, section=known.section) for stated in out]
+    return [replace(o, stated=stated) for o, stated in zip(recordings, out, strict=True)]
+
+
+def known_shape(recordings: Sequence[Observations]) -> KnownShape | None:
+    """What one recording of a beam says holds for all; None where nothing is stated.
+
+    Raises:
+        LearningError: the recordings contradict each other.
+    """
+    said = [o.stated for o in recordings if o.stated.stiffness_along != "unknown"]
+    names = ", ".join(o.source.name for o in recordings)
+    if len({one.stiffness_along for one in said}) > 1 or len({one.modulus_varies for one in said}) > 1:
+        raise LearningError(
+            f"{names}: stiffness_along or modulus_varies differ. It is one beam: write the same in each recording"
+        )
+    if not said:
+        return None
+    section = next((one.section for one in said if one.section is not None), None)
+    if said[0].stiffness_along == "section" and section is None:
+        raise LearningError(f'{names}: stiffness_along = "section" needs the section in one of them')
+    return KnownShape(section if said[0].stiffness_along == "section" else None, said[0].modulus_varies)
+
+
+# log k(s) as a cubic B-spline with a smoothness prior.
+#
+# The prior is a sum of four: a broad one for level and slope; a smooth part whose second derivative is white noise of
+# size `tau` (an integrated Wiener process); steps from each coefficient to the next (glued pieces); and bumps that
+# are three or four coefficients wide (joints, nodes of a stem). Where all steps are taken to be alike they are a
+# random walk of size `rho`, without bumps; where each has a size of its own, see `stiffness_prior.py`. Rough data
+# earn a rough k, and where nothing is seen the band opens as the prior does.
+
+LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
+SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
+TAU, RHO = 8.0, 0.3  # roughness and steps of log k that are expected, where all steps are taken to be alike
+SPREAD = 1.2  # one sd of their logs: a factor of ten either way
+_DEGREE = 3
+_BUMP = 1.5 / 8.0 * np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # a cubic B-spline on intervals twice as long, of height one
+_WITHIN = 20  # places of a step between two coefficients that are averaged over
+
+
+@dataclass(frozen=True)
+class Spline:
+    """`count` B-splines on equal intervals of [0, 1]."""
+
+    count: int
+
+    @cached_property
+    def knots(self) -> Array:
+        """With the ends repeated."""
+        inner = np.linspace(0.0, 1.0, self.count - _DEGREE + 1)
+        return np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
+
+    def basis(self, s: Array) -> Array:
+        """`s.shape + (count,)`."""
+        flat = np.clip(np.ravel(s), 0.0, 1.0)
+        return np.asarray(BSpline.design_matrix(flat, self.knots, _DEGREE).toarray().reshape(*np.shape(s), self.count))
+
+    def nearest(self, function: Callable[[Array], Array]) -> Array:
+        """(count, ...) coefficients of the least squares nearest to a function of places s (S,), (S, ...)."""
+        s = np.linspace(0.0, 1.0, 8 * self.count)
+        return np.asarray(np.linalg.lstsq(self.basis(s), function(s), rcond=None)[0])
+
+    def precision(self, tau: float, rho: float) -> Array:
+        """(count, count) of the coefficients' prior: a smooth part of roughness tau plus steps of size rho."""
+        return self.precision_of(self.variances(tau, rho))
+
+    def precision_of(self, variances: Array) -> Array:
+        """(count, count) of the coefficients' prior, from the variances (n,) of its parts."""
+        return np.asarray(np.linalg.inv((self.parts * variances) @ self.parts.T))
+
+    def variances(self, tau: float | Array, rho: float | Array) -> Array:
+        """`tau.shape + (n,)` of the parts: level, slope, the smooth part's `count - 2`, `count - 1` steps, no bumps."""
+        out = np.zeros((*np.shape(tau), 3 * self.count - 1))
+        out[..., 0], out[..., 1] = LEVEL_SD**2, SLOPE_SD**2
+        out[..., 2 : self.count] = np.square(tau)[..., None]
+        out[..., self.count : 2 * self.count - 1] = np.square(rho)[..., None] * self.gaps
+        return out
+
+    @cached_property
+    def gaps(self) -> Array:
+        """(count - 1,) distances of the places of the coefficients."""
+        return np.diff(self._places)
+
+    @cached_property
+    def parts(self) -> Array:
+        """(count, n) coefficients of the independent parts that log k is the sum of."""
+        s = np.linspace(0.0, 1.0, 101)
+        basis = self.basis(s)
+        level, slope = basis.mean(axis=0), ((s - 0.5) @ basis) / np.sum((s - 0.5) ** 2)
+        both = np.stack([level, slope])
+        line = np.stack([np.ones(self.count), self._places - 0.5], axis=1)
+        bent = null_space(both)
+        values, vectors = np.linalg.eigh(bent.T @ self._bending @ bent)
+        steps = np.tril(np.ones((self.count, self.count)), -1)[:, :-1]
+        wide = len(_BUMP) // 2
+        bumps = sum(height * np.eye(self.count, k=i - wide) for i, height in enumerate(_BUMP))
+        local = np.concatenate([steps, bumps], axis=1)
+        return np.concatenate(
+            [line @ np.linalg.inv(both @ line), bent @ vectors / np.sqrt(values), local - level @ local], axis=1
+        )
+
+    @cached_property
+    def share(self) -> Array:
+        """(2 count - 1,) of the beam that each step and each bump stands for."""
+        return np.concatenate([self.gaps, np.full(self.count, 1.0 / self.count)])
+
+    @cached_property
+    def finer(self) -> Spline:
+        """The splines on intervals half as long."""
+        return Spline(2 * (self.count - _DEGREE) + _DEGREE)
+
+    @cached_property
+    def on_finer(self) -> Array:
+        """(count of the finer, count): the same functions by the finer ones' coefficients."""
+        return self.finer.nearest(self.basis)
+
+    @cached_property
+    def unseen(self) -> Array:
+        """(count - 1, f, f) covariance, by the f finer ones, of what the spline shows as a slope from one coefficient
+        to the next and is a step of size 1 that may be anywhere between them."""
+        at = self.finer._places
+        whole = self.basis(at)
+        out = []
+        for i in range(self.count - 1):
+            where = np.linspace(self._places[i], self._places[i + 1], 2 * _WITHIN + 1)[1::2]
+            away = (at > where[:, None]) - whole[:, i + 1 :].sum(axis=1)
+            out.append(away.T @ away / _WITHIN)
+        return np.stack(out)
+
+    @cached_property
+    def _places(self) -> Array:
+        """(count,) where the coefficients act (Greville)."""
+        return np.array([np.mean(self.knots[i + 1 : i + 1 + _DEGREE]) for i in range(self.count)])
+
+    @cached_property
+    def _bending(self) -> Array:
+        """(count, count) `int b_i'' b_j'' ds`: exact with four Gauss points a piece."""
+        x, w = np.polynomial.legendre.leggauss(4)
+        edges = np.linspace(0.0, 1.0, self.count - _DEGREE + 1)
+        h = edges[1] - edges[0]
+        nodes = (edges[:-1, None] + 0.5 * h * (x + 1.0)).ravel()
+        each = np.stack([BSpline(self.knots, e, _DEGREE).derivative(2)(nodes) for e in np.eye(self.count)], axis=1)
+        return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
+
+
+# What is known of the beam's mass, and a first guess where nothing is: stiffness and mass are then learned together.
+#
+# Weight bends the beam by mu / k, so from weight alone only their ratio can be had. A force of known size, logged or
+# hung on, fixes both.
+
+FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowledge
+TOLD = 0.7  # of the prior's sd: a weighed mass that stays less sure than this was hardly learned
+KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
+NEEDS_MASS = "gravity acts in the plane (or it swings), so the beam's mass must be given: mass_kg in [beam]"
+_SPREAD = {  # what is stated of it
+    "even": "evenly spread",
+    "width": "per metre taken as the third root of k(s), as where only the width varies",
+    "thickness": "per metre taken as k(s), as where only the thickness varies",
+    "both": "per metre taken as the root of k(s), as where width and thickness vary together",
+    "section": "per metre taken as the section's area",
+    "table": "spread as in mass_file",
+}
+
+
+@dataclass(frozen=True)
+class LearnedMass:
+    """The beam's mass after the fit."""
+
+    value: float  # kg
+    sd: float  # kg
+    even: float  # kg, of an evenly heavy beam whose weight has the same moment about the clamp: what the data see
+    even_sd: float  # kg
+    written: float  # kg, as recording.toml says; NaN where it does not
+    identified: bool  # the data said more of it than was known
+    along: MassAlong = "unknown"  # how it is spread, as stated
+
+
+def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
+    """What the fit says of the mass."""
+    if mass is None:
+        return ()
+    size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
+    if mass.along != "unknown":
+        return (_stated(mass, size),)
+    even = f"it pulls on the clamp like {1000 * mass.even:.4g} g (sd {1000 * mass.even_sd:.2g} g) evenly spread"
+    if not np.isfinite(mass.written):
+        if mass.identified:
+            return (Remark("note", f"the mass was not written down; learned with k(s): {size}; {even}"),)
+        text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
+        return (Remark("warning", text, about="mass unknown"),)
+    if mass.identified:
+        return (Remark("note", f"mass {1000 * mass.written:.4g} g as written; the data make it {size}; {even}"),)
+    text = f"mass {1000 * mass.written:.4g} g as written; the data say no more of it: beside it, only k/mu"
+    return (Remark("note", text),)
+
+
+def _stated(mass: LearnedMass, size: str) -> Remark:
+    """Where recording.toml says how it is spread, so that one number was learned."""
+    spread = f'mass {_SPREAD[mass.along]}, as mass_along = "{mass.along}" says'
+    if np.isfinite(mass.written):
+        told = f"the data make it {size}" if mass.identified else "the data say no more of it: beside it, only k/mu"
+        return Remark("note", f"{spread}; {1000 * mass.written:.4g} g as written, {told}")
+    if mass.identified:
+        return Remark("note", f"{spread}; not written down, and learned with k(s): {size}")
+    text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
+    return Remark("warning", f"{text}. {spread.capitalize()}", about="mass unknown")
+
+
+def weighs(observations: Observations) -> bool:
+    """Whether the beam's own weight bends it in the plane."""
+    return bool(np.any(observations.gravity != 0.0))
+
+
+def needs_mass(observations: Observations) -> bool:
+    """Whether its mass counts: it weighs, or was seen to swing."""
+    return weighs(observations) or bool(observations.frequencies)
+
+
+def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
+    """What one recording says of how the mass is spread holds for all."""
+    said = sorted({o.stated.mass_along for o in recordings} - {"unknown"})
+    if len(said) > 1:
+        names = ", ".join(o.source.name for o in recordings)
+        raise LearningError(f"{names}: mass_along is {' and '.join(said)}. It is one beam: write the same in each")
+    return [replace(o, stated=replace(o.stated, mass_along=said[0])) for o in recordings] if said else recordings
+
+
+def mass_is_open(recordings: Sequence[Observations]) -> bool:
+    """Whether the mass counts and no recording of the beam says it."""
+    return any(needs_mass(o) for o in recordings) and not any(np.isfinite(o.stated.mass) for o in recordings)
+
+
+def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
+    """Raises `LearningError` where an unknown weight is all that bends the beam, or it only swings, with nothing of
+    known mass on it."""
+    if not mass_is_open(recordings) or any(forced(o) or _carries(o) for o in recordings):
+        return
+    names = ", ".join(o.source.name for o in recordings)
+    if not any(weighs(o) for o in recordings):
+        raise LearningError(
+            f"{names}: there is nothing but frequencies, and the mass is not written down. They hold only the ratio "
+            "k/mu of stiffness to mass per metre. Give mass_kg in [beam], or measure them once more with a known "
+            "tip_mass_kg, or add poses under a known weight"
+        )
+    raise LearningError(
+        f"{names}: the beam's own weight is all that bends it, and its mass is not written down. Such data hold only "
+        "the ratio k/mu of stiffness to mass per metre. Give mass_kg in [beam], or learn together with a push or a "
+        "hung weight of known size"
+    )
+
+
+def _carries(observations: Observations) -> bool:
+    """Whether it was seen to swing with a known mass at its tip."""
+    return any(one.tip_mass > 0.0 for one in observations.frequencies)
+
+
+def forced(observations: Observations) -> bool:
+    """Whether something other than the beam's own weight acts on it."""
+    hung = observations.known_loads is not None or (weighs(observations) and bool(observations.stated.masses))
+    return bool(np.nanmax(np.abs(observations.force), initial=0.0) > 0.0) or hung
+
+
+def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
+    """The recordings, those without a mass with that of the others; where none says it, with a `guess` [kg]."""
+    recordings = _alike(recordings)
+    known = [o for o in recordings if np.isfinite(o.stated.mass)]
+    if known:
+        first = known[0]
+        given = [
+            o
+            if np.isfinite(o.stated.mass)
+            else replace(o, stated=replace(o.stated, mass=first.stated.mass, mass_line=first.stated.mass_line))
+            for o in recordings
+        ]
+        return tuple(given)
+    if not mass_is_open(recordings) or not np.isfinite(guess):
+        return tuple(recordings)
+    return tuple(replace(o, stated=replace(o.stated, mass=guess, mass_sd=FREE)) for o in recordings)
+
+
+END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
+_REST = ("mean", "slope", "bow")  # of the curvature at rest
+_EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
+_EXACT = 1e-6  # of the mass, where it is said to be exact
+_STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
+_CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
+
+
+@dataclass(frozen=True)
+class Priors:
+    """One sd of each nuisance before the data; 0 freezes it."""
+
+    curvature: float | None = None  # rad, Legendre states of q0; frozen where rest = "straight"; None: as turns
+    mounting: float | None = None  # rad, a tag's turn on the beam; None: as the recording says
+    placement: float | None = None  # m, a tag's place along and across; None: as the recording says
+    clamp: float | None = None  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
+    origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
+    scale: float | None = None  # of lengths in the picture, where the camera is not calibrated; see `scale_sd`
+    mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane
+    mass_spread: float = 0.3  # of the same: Legendre parts of an uneven mass per metre
+    mass_line: float = 0.05  # of the same, where the mass per metre is written down along the beam
+    clock: float | None = None  # s; None: as the clock's own estimate says
+    place: float | None = None  # m, along the beam, from where the push is said to act; None: as the recording says
+    direction: float | None = None  # rad, of the force log's axes; None: as the recording says
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some parameters that belong together."""
+
+    name: str
+    recording: int  # -1: shared
+    unit: str
+    prior_sd: Array
+    labels: tuple[str, ...]
+    start: int
+
+    @property
+    def where(self) -> slice:
+        return slice(self.start, self.start + len(self.prior_sd))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each block stands. The spline's coefficients come first; their prior is not diagonal."""
+
+    spline: Spline
+    blocks: tuple[Block, ...]
+    size: int
+    index: dict[tuple[str, int], Block] = field(default_factory=dict)
+    known: KnownShape | None = None  # how k varies, where somebody states it
+
+    @cached_property
+    def stiffness_parts(self) -> Array:
+        """(p, n) coefficients of the independent parts that log k, less what is known of it, is the sum of before the
+        data: a level, what is left of an even k, the section's errors, the slow variation. `Spline.parts` where nothing
+        is stated."""
+        if self.known is None:
+            return self.spline.parts
+        of_places = [self.spline.nearest(each) for each in (self.known.errors, self.known.slow)]
+        return np.column_stack([np.ones(self.spline.count), np.eye(self.spline.count), *of_places])
+
+    @property
+    def first_variances(self) -> Array:
+        """(n,) of these parts: as expected, or as stated."""
+        if self.known is None:
+            return self.spline.variances(TAU, RHO)
+        out = np.ones(self.stiffness_parts.shape[1])
+        out[0], out[1 : 1 + self.spline.count] = LEVEL_SD**2, _EVEN**2
+        return out
+
+    @cached_property
+    def section_errors(self) -> Array:
+        """(p, p) prior covariance of what the errors of the stated section are among the coefficients."""
+        parts = np.zeros((self.spline.count, 0)) if self.known is None else self.spline.nearest(self.known.errors)
+        return np.asarray(parts @ parts.T)
+
+    def stiffness_root(self, variances: Array) -> Array:
+        """(p, p) lower triangular factor of the coefficients' prior covariance, from the variances (n,) of the
+        parts."""
+        return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.stiffness_parts.T, mode="r")).T
+
+    def get(self, x: Array, name: str, recording: int = -1) -> Array:
+        """Values of a block; zeros (of the right length) where it is frozen."""
+        block = self.index[name, recording]
+        return x[block.where] if block.start >= 0 else np.zeros(len(block.labels))
+
+    def columns(self, name: str, recording: int = -1) -> slice | None:
+        """Where a block's derivatives go among those that its recording knows (`known_to`); None where frozen."""
+        block = self.index[name, recording]
+        if block.start < 0:
+            return None
+        shift = 0 if recording < 0 else self.parts[1 + recording].start - self.shared
+        return slice(block.where.start - shift, block.where.stop - shift)
+
+    @property
+    def shared(self) -> int:
+        """Count of the parameters that all recordings share; they come first."""
+        return int(self.parts[0].stop)
+
+    @cached_property
+    def free_blocks(self) -> tuple[tuple[Block, ...], ...]:
+        """Blocks that are not frozen: those of the shared parameters, and then those of each recording."""
+        count = 2 + max((b.recording for b in self.blocks), default=-1)
+        out: list[list[Block]] = [[] for _ in range(count)]
+        for block in self.blocks:
+            out[1 + block.recording] += [block] if block.start >= 0 else []
+        return tuple(tuple(blocks) for blocks in out)
+
+    @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        """Where the shared parameters stand, and then the own ones of each recording."""
+        counts = [sum(len(b.prior_sd) for b in blocks) for blocks in self.free_blocks]
+        ends = np.cumsum(counts).tolist()
+        return tuple(slice(end - count, end) for count, end in zip(counts, ends, strict=True))
+
+    def known_to(self, recording: int) -> IntArray:
+        """Indices of the parameters that one recording depends on: the shared ones and its own."""
+        own = self.parts[1 + recording]
+        return np.concatenate([np.arange(self.shared), np.arange(own.start, own.stop)])
+
+
+def make_layout(
+    spline: Spline,
+    recordings: list[Observations],
+    knots: list[int],
+    priors: Priors,
+    allowances: Sequence[Sequence[Allowance]] = (),
+) -> Layout:
+    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each, `allowances` are
+    those of each."""
+    shared = {a.name: a for own in allowances for a in own if a.shared}
+    first = recordings[0]
+    tags = [f"tag {i}" for i in first.tag_id]
+    placement = first.stated.placement_sd if priors.placement is None else priors.placement
+    mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
+    curvature = max(curvature_sd(r, priors) for r in recordings)
+    heavy = any(needs_mass(r) for r in recordings)
+    guessed = [r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)]
+    mass = max(guessed, default=_weighed_sd(recordings, priors))
+    wanted: list[tuple[str, int, str, float | Array, tuple[str, ...]]] = [
+        ("stiffness", -1, "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
+        ("curvature", -1, "rad", curvature, tuple(f"q0 {i}" for i in _REST)),
+        ("mass", -1, "1", mass if heavy else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
+        ("along", -1, "m", placement, tuple(f"{t} along" for t in tags)),
+        ("across", -1, "m", placement, tuple(f"{t} across" for t in tags)),
+        ("turn", -1, "rad", mounting, tuple(f"{t} turn" for t in tags)),
+        *((a.name, -1, a.unit, a.prior_sd, a.labels) for a in shared.values()),
+    ]
+    for r, one in enumerate(recordings):
+        name = one.source.name
+        own = [a for a in allowances[r] if not a.shared] if allowances else []
+        origin = one.stated.placement_sd if priors.origin is None else priors.origin
+        wanted += [
+            ("clamp", r, "rad", clamp_sd(one, priors), (f"{name}: clamp angle",)),
+            ("origin", r, "m", origin, (f"{name}: origin x", f"{name}: origin y")),
+            ("scale", r, "1", scale_sd(one, priors), (f"{name}: camera scale",)),
+            ("clock", r, "s", _clock_sd(one, priors), (f"{name}: clock offset",)),
+            ("place", r, "m", _pushed(one, one.stated.place_sd, priors.place), (f"{name}: push place",)),
+            ("direction", r, "rad", _pushed(one, one.stated.direction_sd, priors.direction), (f"{name}: force axes",)),
+            *((a.name, r, a.unit, a.prior_sd, tuple(f"{name}: {label}" for label in a.labels)) for a in own),
+            ("rest change", r, "rad", rest_change_sd(recordings, r), tuple(f"{name}: q0 {i}" for i in _REST)),
+            ("zero", r, "m", one.length, _zeros(one)),
+            ("end", r, "m", END_SD[0] * one.length, _ends(one, "x", "y")),
+            ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
+            ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
+        ]
+    blocks, start = [], 0
+    for name, r, unit, sd, labels in wanted:
+        sds = np.full(len(labels), sd)
+        free = len(labels) > 0 and bool(np.all(sds > 0.0))
+        if name == "mass":
+            sds[1:] = _mass_spread(recordings, priors)
+        blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
+        start += len(labels) if free else 0
+    index = {(b.name, b.recording): b for b in blocks}
+    return Layout(spline, tuple(blocks), start, index, known_shape(recordings))
+
+
+def clamp_sd(one: Observations, priors: Priors) -> float:
+    """rad, of the clamp's direction in the recording's frame before the data.
+
+    The frame's x axis is the line through the tags at rest: it is off by what their places are, and the fit knows those
+    from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
+    no more is known than how well a base tag is put on. Of poses the stated sd is all. 0 freezes it.
+    """
+    stated = one.stated.clamp_sd if priors.clamp is None else priors.clamp
+    if stated == 0.0 or (one.static and np.isfinite(stated)):
+        return stated
+    own = stated if np.isfinite(stated) else CLAMP_SD
+    reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
+    if curvature_sd(one, priors) > 0.0 or not np.any(reach > 0.0):
+        return float(np.hypot(own, MOUNTING_SD))
+    placement = one.stated.placement_sd if priors.placement is None else priors.placement
+    return float(np.hypot(own, 2.0 * placement / np.linalg.norm(reach)))
+
+
+def curvature_sd(one: Observations, priors: Priors) -> float:
+    """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
+    if one.stated.rest == "straight":
+        return 0.0
+    return one.stated.curvature_sd if priors.curvature is None else priors.curvature
+
+
+def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
+    """rad, of the Legendre states of q0 that a recording has of its own; 0 where there is one recording alone, or where
+    nobody says that the beam's rest changed."""
+    return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
+
+
+def rest_curvature(layout: Layout, x: Array, recording: int) -> Array:
+    """(3,) rad, Legendre states of q0 in one recording."""
+    return np.asarray(layout.get(x, "curvature") + layout.get(x, "rest change", recording))
+
+
+def log_axes(layout: Layout, x: Array, recording: int) -> Array:
+    """(2, 2) by which the logged force is turned."""
+    turn = float(layout.get(x, "direction", recording)[0])
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def scale_sd(one: Observations, priors: Priors) -> float:
+    """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
+    if one.source.view is None:
+        return 0.0
+    usual = 0.0 if one.source.view.calibrated else SCALE_SD
+    stated = one.stated.scale_sd if np.isfinite(one.stated.scale_sd) else usual
+    return stated if priors.scale is None or one.source.view.calibrated else priors.scale
+
+
+def _ends(one: Observations, *what: str) -> tuple[str, ...]:
+    """Labels of the ends that an unknown wrench holds, pose by pose."""
+    held = np.zeros(0, dtype=int) if one.held is None else np.flatnonzero(one.held)
+    return tuple(f"{one.source.name}: held end {i + 1} {name}" for i in held.tolist() for name in what)
+
+
+def _zeros(one: Observations) -> tuple[str, ...]:
+    """Labels of the readings that count from a zero of their own."""
+    return tuple(f"{one.source.name}: zero of point {one.tag_id[i]} {'xy'[c]}" for i, c in zeroed_coordinates(one))
+
+
+def _weighed_sd(recordings: list[Observations], priors: Priors) -> float:
+    """Of a mass that is written down, over itself; its parts stay free where it is exact."""
+    stated = [r.stated.weighed_sd for r in recordings if np.isfinite(r.stated.weighed_sd)]
+    return max(min(stated), _EXACT) if stated else priors.mass
+
+
+def _mass_spread(recordings: list[Observations], priors: Priors) -> float:
+    if any(r.stated.mass_along != "unknown" for r in recordings):
+        return _STATED
+    return priors.mass_line if any(r.stated.mass_line is not None for r in recordings) else priors.mass_spread
+
+
+def _clock_sd(one: Observations, priors: Priors) -> float:
+    if priors.clock is not None:
+        return priors.clock
+    if one.source.clock is None:
+        return 0.0
+    return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
+
+
+def _pushed(one: Observations, said: float, wanted: float | None) -> float:
+    """One sd of what a push may be off by; 0 where nothing pushed, or where loads were hung on at marks."""
+    if one.static or not np.any(one.force != 0.0):
+        return 0.0
+    return said if wanted is None else wanted

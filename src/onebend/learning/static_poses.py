@@ -1,0 +1,430 @@
+"""Which equilibrium a static pose of a free end is in: of all that are stable, the one that its points show.
+
+A soft beam on a turned base has several, and which of them it is in depends on how it came there; the points tell.
+Where they do not (too few, or alike in both), it is the one to which the stated history leads, if any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from onebend.beam.branches import lead, stable_equilibria, turn_into, turned_loads
+from onebend.beam.clamped_ends import end_pose, hold_near, with_end_wrench
+from onebend.beam.continuation import follow, let_fall, refine
+from onebend.beam.problem import Problem, Resolution
+from onebend.beam.sensitivity import of_force, of_moment, respond
+from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
+from onebend.beam.stiffness import UncertainStiffness, half_width
+from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
+from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+
+_SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
+_ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too
+_FAR = 0.03  # of the length: equilibria of a pose that are apart are farther apart than this, as a rule
+_FARTHER = 5.0  # times what is usual of the other poses
+_MOST_LEFT_OUT = 0.4  # of the poses
+_TIE = 9.0  # of chi squared over that of a reading: equilibria that differ by less are as good as each other
+
+
+@dataclass(frozen=True)
+class SeenPoses:
+    """What the F static poses of a recording show, and how the beam came into them."""
+
+    s: Array  # (m,)
+    xy: Array  # (F, m, 2) m, NaN where missing
+    angle: Array  # (F, m) rad, NaN where missing
+    sd: Array  # (F, m, 3) m, m, rad
+    clamp: Array  # (F,) rad; this and the next as in `records.BenchPoses`
+    turned_from: Array  # (F,) rad
+    order: Array  # (F,)
+
+    def take(self, chosen: IntArray | BoolArray) -> SeenPoses:
+        """Some of the poses."""
+        parts = (self.xy, self.angle, self.sd, self.clamp, self.turned_from, self.order)
+        return SeenPoses(self.s, *(part[chosen] for part in parts))
+
+
+def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
+    """Those of some frames (T,); None where the recording is a film, where no end is free, or where readings do not
+    say where marks are: rulers and zeroed gauges read small deflections."""
+    plain = o.readings.at == "mark" and o.readings.bare < 0
+    if not o.static or not plain or (o.held is not None and bool(np.all(o.held[frames]))):
+        return None
+    unknown = np.full(len(o.time), np.nan)
+    told = (unknown, unknown, unknown) if o.poses is None else (o.poses.clamp, o.poses.turned_from, o.poses.order)
+    sd = np.sqrt(np.diagonal(o.covariance, axis1=-2, axis2=-1))
+    return SeenPoses(o.marker_s, o.xy, o.angle, sd, *told).take(frames)
+
+
+def nearest(problem: Problem, seen: SeenPoses, *, with_history: bool = True) -> Equilibrium:
+    """Of all stable equilibria (F,) under the loads of each pose, those nearest to the points.
+
+    `with_history`: where several are as near, the one to which the stated history leads.
+    """
+    q, frame = _every(problem, seen)
+    off = _misfit(problem.take(frame), q, seen.take(frame))
+    least = np.full(problem.size, np.inf)
+    np.minimum.at(least, frame, off)
+    at_least = np.flatnonzero(off == least[frame])
+    chosen, found = np.zeros(problem.dead_force.shape[:2]), np.isfinite(least)
+    chosen[frame[at_least]] = q[at_least]
+    if with_history:
+        shapes, there = led(problem, seen)
+        here = np.flatnonzero(there)
+        as_near = _as_near(_misfit(problem.take(here), shapes[here], seen.take(here)), least[here], seen.take(here))
+        chosen[here[as_near]], found[here[as_near]] = shapes[here[as_near]], True
+    return _solved(problem, chosen, found)
+
+
+def stay(problem: Problem, start: Array) -> Equilibrium:
+    """The equilibria near known shapes (F, Q): Newton's method, and where a branch has ended, that to which the beam
+    falls from it."""
+    full = np.ones(problem.size)
+    q, near, _ = correct(problem, start, full, trust=_SAME_BRANCH * full, remaining=1e-13 * full, max_iterations=12)
+    near[near] &= is_stable(problem.take(near), q[near])
+    lost = np.flatnonzero(~near)
+    if lost.size:
+        q[lost], near[lost] = let_fall(problem.take(lost), start[lost])
+    return _solved(problem, q, near)
+
+
+def pose_names(o: Observations, frames: BoolArray) -> tuple[str, ...]:
+    """Those of some frames (T,); numbers where nobody named them."""
+    every = [str(i + 1) for i in range(len(frames))] if o.poses is None else o.poses.name
+    return tuple(name for name, wanted in zip(every, frames.tolist(), strict=True) if wanted)
+
+
+def pose_rms(off: Array) -> Array:
+    """(F,) m RMS over the points of each pose of how far off (F, m, 2) they are; 0 where none was measured."""
+    count = np.sum(np.isfinite(off).any(axis=2), axis=1)
+    return np.asarray(np.sqrt(np.nansum(off**2, axis=(1, 2)) / np.maximum(count, 1)))
+
+
+def unexplained(rms: Array, length: float) -> BoolArray:
+    """(P,) poses that are much farther from their equilibria than the others are, by their RMS (P,) [m].
+
+    None where these are many: then what is wrong is no single pose.
+    """
+    usual = float(np.median(rms)) if len(rms) > 1 else 0.0
+    out = rms > max(_FAR * length, _FARTHER * usual)
+    return np.asarray(out & (np.sum(out) <= max(_MOST_LEFT_OUT * len(rms), 1.0)))
+
+
+def elsewhere(solved: Equilibrium, seen: SeenPoses) -> tuple[Array, BoolArray]:
+    """(F,) m RMS of the points from the equilibria to which the stated histories lead, and True where these are others
+    than `solved`, and farther from the points by more than their noise."""
+    problem = solved.problem
+    shapes, there = led(problem, seen)
+    here = np.flatnonzero(there)
+    part, some = problem.take(here), seen.take(here)
+    least = _misfit(part, solved.q[here], some)
+    out, other = np.full(problem.size, np.nan), np.zeros(problem.size, dtype=bool)
+    out[here] = pose_rms(some.xy - _solved(part, shapes[here], np.ones(len(here), dtype=bool)).xy(some.s))
+    other[here] = ~_as_near(_misfit(part, shapes[here], some), least, some)
+    return out, other
+
+
+def led(problem: Problem, seen: SeenPoses) -> tuple[Array, BoolArray]:
+    """Shapes (F, Q) to which the histories that are stated lead, falls on the way included, and True where one does."""
+    q, there = np.zeros(problem.dead_force.shape[:2]), np.zeros(problem.size, dtype=bool)
+    turned = seen.clamp - seen.turned_from
+    some = np.flatnonzero(np.isfinite(turned))
+    if some.size:
+        part = problem.take(some)
+        begin = follow(turned_loads(part, turned[some]), fall="left")
+        shape, well, _ = turn_into(part, begin.q, turned[some])
+        q[some], there[some] = shape, well & begin.converged & begin.stable
+    chain = np.flatnonzero(np.isfinite(seen.order))
+    before = -1
+    for i in chain[np.argsort(seen.order[chain], kind="stable")].tolist():
+        one = problem.take(np.array([i]))
+        if before < 0 or not there[before]:
+            first = follow(one, fall="left")
+            q[i], there[i] = first.q[0], first.converged[0] & first.stable[0]
+        else:
+            shape, well, _ = _led_on(problem, seen, before, i, q[before])
+            q[i], there[i] = shape[0], well[0]
+        before = i
+    return q, there
+
+
+def shown_curvature(xy: Array, angle: Array, s: Array, nodes: Array) -> Array:
+    """(Q,) rad at the nodes, from the chords between the points (m, 2) of one pose, the clamp (along x) and the angle
+    (m,) of the last of them, if measured."""
+    seen = np.flatnonzero(np.isfinite(xy).all(axis=1))
+    seen = seen[np.argsort(s[seen], kind="stable")]
+    place = np.concatenate([[0.0], s[seen]])
+    points = np.concatenate([np.zeros((1, 2)), xy[seen]])
+    apart = np.append(np.diff(place) > 1e-9, True)
+    place, points = place[apart], points[apart]
+    chords = np.diff(points, axis=0)
+    turned = np.unwrap(np.concatenate([[0.0], np.arctan2(chords[:, 1], chords[:, 0])]))
+    at = np.concatenate([[0.0], 0.5 * (place[1:] + place[:-1])])
+    last = angle[seen[-1]] if seen.size else np.nan
+    if np.isfinite(last):
+        last -= 2.0 * np.pi * np.round((last - turned[-1]) / (2.0 * np.pi))
+        at, turned = np.append(at, place[-1]), np.append(turned, last)
+    if len(at) < 2:
+        return np.zeros(len(nodes))
+    slope = np.diff(turned) / np.diff(at)
+    return np.asarray(slope[np.clip(np.searchsorted(at, nodes) - 1, 0, len(slope) - 1)])
+
+
+def _every(problem: Problem, seen: SeenPoses) -> tuple[Array, IntArray]:
+    """Shapes (E, Q) and frames (E,) of the equilibria to choose from."""
+    grown = follow(problem)
+    one = is_convex(problem) & grown.converged
+    several = np.flatnonzero(~one)
+    q, frame = stable_equilibria(problem.take(several))
+    q, frame = np.concatenate([grown.q[one], q]), np.concatenate([np.flatnonzero(one), several[frame]])
+    pull = np.linalg.norm(problem.dead_force, axis=-1)
+    rope = np.sum(problem.weights * np.sqrt(problem.length * pull / problem.k), axis=-1) > _ROPE
+    long = np.flatnonzero(rope | (np.bincount(frame, minlength=problem.size) == 0))
+    if not long.size:
+        return q, frame
+    part, nodes = problem.take(long), np.broadcast_to(problem.grid.nodes, problem.dead_force.shape[:2])
+    shown = [shown_curvature(seen.xy[i], seen.angle[i], seen.s, nodes[i]) for i in long.tolist()]
+    fallen, landed = let_fall(part, np.stack(shown))
+    well = long[(grown.converged & grown.stable)[long]]
+    return np.concatenate([q, fallen[landed], grown.q[well]]), np.concatenate([frame, long[landed], well])
+
+
+def _led_on(problem: Problem, seen: SeenPoses, a: int, b: int, start: Array) -> tuple[Array, BoolArray, IntArray]:
+    """From the shape (Q,) of pose a to that (1, Q) of pose b, clamp and loads going over evenly."""
+    last, there = problem.take(np.array([a])), problem.take(np.array([b]))
+    nodes, new = np.ravel(last.grid.nodes), np.ravel(there.grid.nodes)
+    if len(nodes) != len(new) or np.any(nodes != new):  # loads at other places: the way need not be exact
+        start = np.interp(new, nodes, start)
+        force = np.stack([np.interp(new, nodes, last.dead_force[0, :, i]) for i in (0, 1)], axis=-1)[None]
+        last = replace(there, dead_force=force, moment=np.interp(new, nodes, last.moment[0])[None])
+    turn = np.nan_to_num(seen.clamp[b] - seen.clamp[a])
+    before = turned_loads(last, np.array([-turn])).dead_force  # those of a, in the frame of b
+
+    def way(_: IntArray, share: Array) -> Problem:
+        f = float(share[0])
+        force = (1.0 - f) * before + f * there.dead_force
+        mixed = replace(there, dead_force=force, moment=(1.0 - f) * last.moment + f * there.moment)
+        return turned_loads(mixed, np.array([(1.0 - f) * turn]))
+
+    return lead(way, start[None])
+
+
+def _misfit(problem: Problem, q: Array, seen: SeenPoses) -> Array:
+    """(F,) chi squared of what was measured; angles count without full turns."""
+    solved = _solved(problem, q, np.ones(len(q), dtype=bool))
+    place = (seen.xy - solved.xy(seen.s)) / seen.sd[..., :2]
+    turn = seen.angle - solved.angle(seen.s)
+    turn = (turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi))) / seen.sd[..., 2]
+    return np.asarray(np.nansum(place**2, axis=(1, 2)) + np.nansum(turn**2, axis=1))
+
+
+def _as_near(off: Array, least: Array, seen: SeenPoses) -> BoolArray:
+    """(F,) whether chi squared is that of the nearest equilibrium but for noise, of the size that this leaves."""
+    count = np.sum(np.isfinite(seen.xy), axis=(1, 2)) + np.sum(np.isfinite(seen.angle), axis=1)
+    noise = np.maximum(least / np.maximum(count, 1), 1.0)
+    return np.asarray(off <= np.where(np.isfinite(least), least + _TIE * noise, np.inf))
+
+
+def _solved(problem: Problem, q: Array, well: BoolArray) -> Equilibrium:
+    """A record of stable equilibria; a frame without any has not converged."""
+    nothing, count = np.full(len(q), np.nan), len(q)
+    factor = np.where(well, 1.0, np.nan)
+    return Equilibrium(problem, q, well, well.copy(), factor, nothing, np.zeros(count, dtype=bool), 0)
+
+
+# Poses whose end s = 1 somebody or something holds with a force and a moment that nobody measured.
+#
+# Where the end was in such a pose counts among the parameters of the fit (three a pose, next to no prior); the wrench
+# follows from it. So an end seen badly, or only its direction not seen, costs what it must, and no wrench is guessed.
+# The wrench sets no scale: from shapes alone, with neither weight nor a force of known size, k(s) is known but for a
+# factor.
+
+RESOLUTION = Resolution(order=6, widest=0.125)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
+HELD_RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
+_REACH = 0.999  # of the length: an end that was read as farther away is put where the way to it ends
+_SETTLE = 3  # steps of the ends towards the points
+_STRIDE = 0.3  # of the length, rad: the longest of them
+_WEAK = 1e-6  # of the derivatives squared: what keeps an end in place that no point tells of
+_PLACES = (0.1, 0.5, 0.9)  # where k is compared if only its shape is known
+
+
+@dataclass(frozen=True)
+class HeldEnds:
+    """The held poses of one film: H of its F frames."""
+
+    frames: IntArray  # (H,)
+    number: IntArray  # (H,) among all held poses of the recording
+    start: Array  # (H, Q) rad, curvature at the nodes as the points show it
+    end: Array  # (H, 3) m, m, rad: where the parameters count from
+
+
+def is_held(o: Observations) -> bool:
+    """Whether in some pose an unknown wrench holds the end."""
+    return o.held is not None and bool(np.any(o.held))
+
+
+def resolution_of(o: Observations) -> Resolution:
+    """What the beam of this recording is solved with."""
+    return HELD_RESOLUTION if is_held(o) else RESOLUTION
+
+
+def sets_no_scale(recordings: Sequence[Observations]) -> bool:
+    """Whether nothing of known size acts: then only the shape of k(s) can be known."""
+    return not any(needs_mass(o) or forced(o) for o in recordings)
+
+
+def held_ends(o: Observations, frames: BoolArray, problem: Problem) -> HeldEnds | None:
+    """The held among some frames (T,) of a recording; None where there are none. `problem`: of those frames."""
+    if not is_held(o):
+        return None
+    assert o.held is not None
+    held = np.flatnonzero(o.held[frames])
+    if held.size == 0:
+        return None
+    rows = np.flatnonzero(frames)[held]
+    nodes = np.broadcast_to(problem.grid.nodes, problem.dead_force.shape[:2])
+    start = np.stack(
+        [shown_curvature(o.xy[row], o.angle[row], o.marker_s, nodes[i]) for row, i in zip(rows, held, strict=True)]
+    )
+    end = end_pose(problem.take(held), start)
+    tip = int(np.argmax(o.marker_s))
+    if o.marker_s[tip] >= 1.0 - 1e-9:
+        seen = np.concatenate([o.xy[rows, tip], o.angle[rows, tip, None]], axis=1)
+        seen[:, 2] -= 2.0 * np.pi * np.round((seen[:, 2] - end[:, 2]) / (2.0 * np.pi))
+        near = np.linalg.norm(np.nan_to_num(seen[:, :2]), axis=1, keepdims=True) < _REACH * o.length
+        end = np.where(np.isfinite(seen) & near, seen, end)
+    number = np.cumsum(o.held)[rows] - 1
+    return HeldEnds(held.astype(np.int64), number, start, end)
+
+
+def moved(ends: HeldEnds, at: Layout, x: Array, recording: int) -> Array:
+    """(H, 3) m, m, rad: of the ends from where the points put them."""
+    places, turns = at.get(x, "end", recording).reshape(-1, 2), at.get(x, "end turn", recording)
+    return np.column_stack([places[ends.number], turns[ends.number]])
+
+
+def put_ends(out: Array, ends: HeldEnds, at: Layout, recording: int, by_end: Array) -> None:
+    """Derivatives (H, m, 3, 3) of the tags with the ends' own poses into those with all parameters (F, m, 3, C)."""
+    places, turns = at.columns("end", recording), at.columns("end turn", recording)
+    assert places is not None
+    assert turns is not None
+    for i, (frame, number) in enumerate(zip(ends.frames.tolist(), ends.number.tolist(), strict=True)):
+        first = places.start + 2 * number
+        out[frame, :, :, first : first + 2] = by_end[i, :, :, :2]
+        out[frame, :, :, turns.start + number] = by_end[i, :, :, 2]
+
+
+def solve(problem: Problem, ends: HeldEnds, away: Array, start: Array | None, seen: SeenPoses | None) -> Equilibrium:
+    """All frames, the held ones with their ends `away` (H, 3) from where they were put; `start` (F, Q) as `free`."""
+    count, q = problem.size, np.zeros(problem.dead_force.shape[:2])
+    wrench, well = np.zeros((count, 3)), np.zeros(count, dtype=bool)
+    others = np.setdiff1d(np.arange(count), ends.frames)
+    if others.size:
+        part = problem.take(others)
+        some = None if seen is None else seen.take(others)
+        one = free_ends(part, some, None if start is None else start[others])
+        q[others], well[others] = one.q, one.converged & one.stable
+    near = ends.start if start is None else start[ends.frames]
+    one, wrench[ends.frames] = hold_near(problem.take(ends.frames), near, ends.end + away, fall=start is None)
+    q[ends.frames], well[ends.frames] = one.q, one.converged
+    nothing, factor = np.full(count, np.nan), np.where(well, 1.0, np.nan)
+    return Equilibrium(
+        with_end_wrench(problem, wrench),
+        q,
+        well,
+        well.copy(),
+        factor,
+        nothing,
+        np.zeros(count, dtype=bool),
+        one.iterations,
+    )
+
+
+def with_ends_held(poses: Array, ends: HeldEnds) -> tuple[Array, Array]:
+    """Derivatives of poses (F, m, 3, P), those of the end s = 1 last among the m and the wrench's last among the P.
+
+    Returns them for the m - 1 others and the P - 3 others, the end staying where it is in the held frames, and there
+    (H, m - 1, 3, 3) with the end's own pose: `dp = R dx + W dw` with `0 = R1 dx + W1 dw`.
+    """
+    others = poses[:, :-1, :, :-3].copy()
+    held = poses[ends.frames]
+    by_end = held[:, :-1, :, -3:] @ np.linalg.inv(held[:, -1, :, -3:])[:, None]
+    others[ends.frames] -= by_end @ held[:, -1:, :, :-3]
+    return others, by_end
+
+
+def free_ends(problem: Problem, seen: SeenPoses | None, start: Array | None) -> Equilibrium:
+    """Equilibria of free ends near shapes `start` (F, Q), else those that grow from rest, or that static poses show."""
+    if seen is None:
+        return follow(problem) if start is None else refine(problem, start)
+    return nearest(problem, seen) if start is None else stay(problem, start)
+
+
+def shapes_of(o: Observations, frames: BoolArray, problem: Problem) -> Equilibrium:
+    """Equilibria of some frames (T,) under a `problem` that is theirs, held ends where the points are met best."""
+    ends, seen = held_ends(o, frames, problem), seen_poses(o, frames)
+    if ends is None:
+        return free_ends(problem, seen, None)
+    away = np.zeros((len(ends.frames), 3))
+    solved = solve(problem, ends, away, None, seen)
+    for _ in range(_SETTLE):
+        step = _closer(o.xy[frames][ends.frames], o.marker_s, solved, ends)
+        there = solve(problem, ends, away + step, solved.q, seen)
+        if not np.all(there.converged):
+            break
+        away, solved = away + step, there
+    return solved
+
+
+def _closer(xy: Array, s: Array, solved: Equilibrium, ends: HeldEnds) -> Array:
+    """(H, 3) m, m, rad: a Gauss-Newton step of the ends towards the points (H, m, 2), at most `_STRIDE`."""
+    wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
+    _, by_end = with_ends_held(respond(solved, wrench).poses(np.append(s, 1.0)), ends)
+    left = xy - solved.xy(s)[ends.frames]
+    rows = np.where(np.isfinite(left)[..., None], by_end[:, :, :2], 0.0).reshape(len(left), -1, 3)
+    rows[..., 2] /= (length := float(np.max(solved.problem.length)))  # all three in metres
+    flat = np.nan_to_num(left).reshape(len(left), -1, 1)
+    across = np.swapaxes(rows, 1, 2)
+    step = np.linalg.solve(across @ rows + _WEAK * np.eye(3), across @ flat)[..., 0] / [1.0, 1.0, length]
+    size = np.max(np.abs(step) * [1.0 / length, 1.0 / length, 1.0], axis=1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, _STRIDE / np.maximum(size, 1e-300)))
+
+
+def stated_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
+    """What was stated of how k varies; and what can be said of it where nothing sets its scale."""
+    known = known_shape(recordings)
+    said = () if known is None else (_of_shape(known),)
+    return said + (_no_scale(stiffness) if sets_no_scale(recordings) else ())
+
+
+def _of_shape(known: KnownShape) -> Remark:
+    text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
+    if known.section is not None:
+        text = 'k is taken as one modulus times the section\'s I(s), as stiffness_along = "section" says'
+        if known.errors(np.zeros(1)).size == 0:
+            sd = "I_sd" if known.section.moment is not None else "section_sd_m"
+            text += f" (exact, as no {sd} is stated)"
+    if known.varies > 0.0:
+        text += f", and as free to vary slowly by {100.0 * known.varies:.2g} % (sd) beside that"
+    return Remark("note", text)
+
+
+def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
+    s = np.array(_PLACES)
+    rows, logs = stiffness.basis(s), stiffness.log_at(s)[0]
+    rows = rows[[0, 2]] - rows[1]
+    sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
+    ratio, wide = np.exp(logs[[0, 2]] - logs[1]), np.exp(half_width(sd))
+    said = ", ".join(
+        f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
+        for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)
+    )
+    text = (
+        "the size of k(s) is not identifiable: neither weight nor a force of known size acts, only holders with "
+        f"unknown ones. Only ratios are known; k over k(0.5), with its 95 % band: {said}. Weigh the beam and let its "
+        "weight act, or hang on or measure one force"
+    )
+    return (Remark("warning", text, about="no scale"),)

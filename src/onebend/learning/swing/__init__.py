@@ -1,1 +1,0 @@
-"""Damping, and k over mass, from a film of the beam swinging freely."""

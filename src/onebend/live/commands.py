@@ -1,0 +1,243 @@
+"""Commands that begin a recording and look at what is there."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from onebend.cli.common import Json, Quiet, clean_errors, percent, print_json, say, stderr_screen, stopped_by_hand
+from onebend.errors import RecordingError
+from onebend.recording.folder import FILE_NAME, folder_of
+
+if TYPE_CHECKING:
+    from onebend.live.guidance import CaptureState
+
+
+# What `onebend check`, `onebend topics` and `onebend record` say.
+
+STAGE_NAMES: dict[str, str] = {
+    "exposure": "picture",
+    "tare": "tare",
+    "first rest": "first rest",
+    "push": "push",
+    "last rest": "last rest",
+    "done": "done",
+}
+
+
+_BAR = 30  # columns
+
+
+class RecordingView:
+    """What `onebend record` shows while it records: on a screen a picture that is renewed, on a pipe a line for each
+    stage and each new advice. A context manager."""
+
+    def __init__(self, console: Console | None) -> None:
+        """`console`: None: nothing is shown."""
+        self._console = console
+        self._live = None
+        if console is not None and console.is_terminal:
+            self._live = Live(console=console, refresh_per_second=8, transient=True)
+        self._said: tuple[str, str] = ("", "")
+
+    def __enter__(self) -> RecordingView:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self, state: CaptureState) -> None:
+        """What is known now."""
+        if self._live is not None:
+            self._live.update(recording_screen(state))
+        elif self._console is not None:
+            said = state.stage, without_numbers(state.advice[0] if state.advice else "")
+            if said != self._said:
+                self._said = said
+                advice = "; ".join(state.advice[:2])
+                self._console.print(f"{state.seconds:6.1f} s  {STAGE_NAMES[state.stage]}: {advice}", markup=False)
+
+
+def without_numbers(text: str) -> str:
+    """The sentence but for the numbers in it, which change all the time."""
+    return "".join(letter for letter in text if not letter.isdigit())
+
+
+def recording_screen(state: CaptureState) -> RenderableType:
+    """One screen: the stages, what to do, and what is known."""
+    order = list(STAGE_NAMES)
+    now = order.index(state.stage)
+    stages = Text("  ").join(
+        Text(f"{'✓' if i < now else '▶' if i == now else '·'} {STAGE_NAMES[name]}", style="bold" if i == now else "dim")
+        for i, name in enumerate(order)
+    )
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for what, known in recording_rows(state):
+        table.add_row(what, known)
+    advice = [Text(f"→ {one}", style="bold" if i == 0 else "") for i, one in enumerate(state.advice)]
+    keys = Text("Ctrl-C ends it" if now else "Enter begins the film as it is, Ctrl-C ends it", style="dim")
+    return Group(stages, Text(""), *advice, Text(""), table, Text(""), keys)
+
+
+def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
+    """What is known, in words."""
+    rows = []
+    if state.tags:
+        sizes = (f"{tag.id}: {tag.side_px:.0f} px" if tag.seen else f"{tag.id}: not seen" for tag in state.tags)
+        rows.append(("tags", ", ".join(sizes)))
+    if not math.isnan(state.displacement):
+        rows.append(("tip", f"{100 * state.displacement:.0f} % of the length; farthest {100 * state.largest:.0f} %"))
+    if np.isfinite(state.force).all():
+        rows.append(
+            (
+                "force",
+                f"{state.force[0]:+.3f}, {state.force[1]:+.3f} N, less {state.tare[0]:.3g}, {state.tare[1]:.3g} N",
+            )
+        )
+    if not math.isnan(state.half_width):
+        wanted = "" if math.isnan(state.until) else f", wanted ± {100 * state.until:.2g} %"
+        bar = "█" * max(1, round(_BAR * min(state.half_width, 1.0)))
+        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}"))
+    elif state.live is not None:
+        rows.append(("k(s)", state.live.verdict.headline))
+    if state.frames:
+        missing = f", {state.drops} missing" if state.drops else ""
+        rows.append(("film", f"{state.seconds:.1f} s, {state.frames} frames{missing}, {state.bytes / 1e6:.1f} MB"))
+    if state.samples:
+        missing = f", {state.lost_samples} missing" if state.lost_samples else ""
+        clock = "" if math.isnan(state.clock_sd) else f"; clocks to {1e3 * state.clock_sd:.1f} ms"
+        rows.append(("log", f"{state.samples} samples{missing}{clock}"))
+    if not math.isnan(state.disk_left):
+        rows.append(("disk", f"{state.disk_left / 1e9:.1f} GB left"))
+    return rows
+
+
+RecordFolder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A folder with recording.toml (`onebend new DIR`, or --like).")
+]
+
+
+CameraSpec = Annotated[
+    str | None, typer.Option("--camera", metavar="SPEC", help="/dev/video0, film:REC (played) ...: docs/record.md.")
+]
+
+
+ForceSpec = Annotated[
+    str | None,
+    typer.Option(
+        "--force",
+        metavar="SPEC",
+        help="ati:ADDRESS, serial:/dev/ttyUSB0, ur:HOST, log:REC (played) ...; none: film alone.",
+    ),
+]
+
+
+Like = Annotated[
+    Path | None,
+    typer.Option("--like", metavar="REC", help="Another push of this recording's beam: begin with its recording.toml."),
+]
+
+
+Play = Annotated[
+    Path | None,
+    typer.Option(
+        "--play", metavar="REC", help="Play film and log of REC as camera and sensor: to try it without them."
+    ),
+]
+
+
+Until = Annotated[
+    str | None,
+    typer.Option("--until", metavar="PERCENT", help="Push until k(s) is known to ± this; else once."),
+]
+
+
+AtOnce = Annotated[bool, typer.Option("--now", help="Film at once, whatever is wrong with the picture.")]
+
+
+FilmAlone = Annotated[bool, typer.Option("--no-learning", help="Learn no k(s) meanwhile: for slow computers.")]
+
+
+Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
+
+
+Longest = Annotated[
+    float, typer.Option("--longest-s", min=1.0, max=1e5, metavar="S", help="The film ends then at the latest.")
+]
+
+
+Crf = Annotated[int, typer.Option("--crf", min=0, max=40, metavar="N", help="Of H.264: less is larger and finer.")]
+
+
+Replace = Annotated[bool, typer.Option("--overwrite", help="Replace film and log of an earlier recording in DIR.")]
+
+
+def record(
+    folder: RecordFolder,
+    *,
+    camera: CameraSpec = None,
+    force: ForceSpec = None,
+    play: Play = None,
+    like: Like = None,
+    until: Until = None,
+    now: AtOnce = False,
+    no_learning: FilmAlone = False,
+    fast: Fast = False,
+    longest: Longest = 600.0,
+    crf: Crf = 18,
+    overwrite: Replace = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
+    from onebend import live  # here: `new` and `topics` need no camera
+
+    with clean_errors():
+        settings = live.CaptureSettings(
+            until=percent(until),
+            begin_at_once=now,
+            follow=not no_learning,
+            longest=longest,
+            crf=crf,
+            overwrite=overwrite,
+        )
+        if play is not None:
+            if not (folder_of(play) / FILE_NAME).is_file():
+                raise RecordingError(
+                    f"--play {play}: this is no recording, it holds no {FILE_NAME}. A film alone is played by --camera "
+                    "film:FILE, a log by --force log:FILE."
+                )
+            camera, force = camera or f"film:{play}", force or f"log:{play}"
+            like = like if (folder / FILE_NAME).exists() else like or play
+        if camera is None:
+            raise RecordingError(
+                "--camera is missing: /dev/video0, or another of docs/record.md; or --play a recording."
+            )
+        sources = live.camera_of(camera), None if force in (None, "none") else live.force_of(force)
+        if like is not None:
+            live.copy_description(like, folder)
+        with stopped_by_hand() as (stop, begin), RecordingView(None if quiet or as_json else stderr_screen()) as view:
+            clock = live.PlayedClock() if fast else None
+            outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
+        if outcome.film is None or outcome.fault:
+            kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
+            if outcome.film is None and not outcome.fault:
+                kept += " To film whatever is wrong with the picture, add --now."
+            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
+    if as_json:
+        print_json(live.outcome_data(outcome))
+        return
+    say(live.outcome_words(outcome))

@@ -1,0 +1,726 @@
+"""What the cells of a line are: forces with their units, a time, a counter; for load cells that send lines, and for
+logs that grow."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import select
+import socket
+import struct
+import urllib.request
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from http.client import HTTPException
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from onebend.errors import RecordingError
+from onebend.extras import package
+from onebend.live.sources import Clock, End, Samples, StampTiming
+from onebend.recording.bag_topics import FIELDS, clock_of, default_field, force_of, timed
+from onebend.recording.bags import Bag, Topic, open_bag, topic_of
+from onebend.recording.entries import ForceEntry
+from onebend.records import Array
+
+POUND, KILOPOND = 4.4482216152605, 9.80665  # N
+UNITS = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "g": 1e-3 * KILOPOND, "kg": KILOPOND, "lbf": POUND}
+MOMENTS = {"Nm": 1.0, "N_m": 1.0, "mNm": 1e-3, "Nmm": 1e-3}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+IGNORED, COUNTER = "_", "number"
+KNOWN = (
+    f"Name forces as fx_N, fy_mN, fz_kg ({', '.join(UNITS)}), moments as tz_Nm, a time as time_s or time_ms, "
+    f"{COUNTER} for a counter, {IGNORED} for what is left out"
+)
+SEPARATORS = re.compile(r"[,;\s]+")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """How a line of numbers is read."""
+
+    columns: tuple[str, ...]  # of the log: fx_N and so on
+    place: tuple[int, ...]  # in the line, of each; -1: it is zero
+    scale: tuple[float, ...]  # to SI
+    time: int = -1  # the cell with the time; -1: there is none
+    time_scale: float = 1.0
+    counter: int = -1
+    count: int = 0  # cells of a line
+
+    def rows(self, lines: Sequence[str]) -> tuple[Array, int]:
+        """(n, 2 + c) of the lines that can be read: time [s] (NaN where none), counter, forces; and how many could
+        not."""
+        read = [row for line in lines if (row := self._row(line)) is not None]
+        return np.array(read).reshape(-1, 2 + len(self.columns)), len(lines) - len(read)
+
+    def _row(self, line: str) -> list[float] | None:
+        cells = [cell for cell in SEPARATORS.split(line.strip()) if cell]
+        if len(cells) != self.count:
+            return None
+        try:
+            forces = [0.0 if i < 0 else float(cells[i]) * k for i, k in zip(self.place, self.scale, strict=True)]
+            time = math.nan if self.time < 0 else float(cells[self.time]) * self.time_scale
+            number = math.nan if self.counter < 0 else float(cells[self.counter])
+        except ValueError:
+            return None
+        named = [time] * (self.time >= 0) + [number] * (self.counter >= 0)
+        return [time, number, *forces] if all(map(math.isfinite, (*named, *forces))) else None
+
+
+def cells_of(names: Sequence[str], zero: Sequence[str] = (), *, where: str) -> Cells:
+    """The cells of lines whose columns have these names, in order.
+
+    `zero`: forces that cannot be (a roller, a thread), which no cell gives.
+
+    Raises:
+        RecordingError: a name without a meaning, no force, one force alone.
+    """
+    columns: list[tuple[str, int, float]] = []
+    time, time_scale, counter = -1, 1.0, -1
+    for i, name in enumerate(names):
+        head, _, unit = name.partition("_")
+        if name == COUNTER:
+            counter = i
+        elif head == "time" and unit in TIMES:
+            time, time_scale = i, TIMES[unit]
+        elif re.fullmatch(r"f[xyz]", head) and unit in UNITS:
+            columns.append((f"{head}_N", i, UNITS[unit]))
+        elif re.fullmatch(r"t[xyz]", head) and unit in MOMENTS:
+            columns.append((f"{head}_Nm", i, MOMENTS[unit]))
+        elif name == "push_s":
+            columns.append((name, i, 1.0))
+        elif name != IGNORED:
+            raise RecordingError(f"{where}: the column {name!r} has no meaning here. {KNOWN}.")
+    columns += [(name, -1, 0.0) for name in zero]
+    given = [name for name, _, _ in columns]
+    if len(set(given)) < len(given):
+        raise RecordingError(f"{where}: a column is named twice in {', '.join(given)}.")
+    if sum(name.endswith("_N") for name in given) < 2:
+        raise RecordingError(
+            f"{where}: two forces are needed, those in the plane of bending. Where one cannot be (a roller, a thread), "
+            "say so: zero=fx_N."
+        )
+    columns.sort(key=lambda one: one[0])
+    return Cells(
+        columns=tuple(name for name, _, _ in columns),
+        place=tuple(i for _, i, _ in columns),
+        scale=tuple(scale for _, _, scale in columns),
+        time=time,
+        time_scale=time_scale,
+        counter=counter,
+        count=len(names),
+    )
+
+
+# ATI's Net F/T and Axia sensors: records over UDP, as the maker's manual of the Net F/T (9620-05-NET FT, section 9)
+# describes its Raw Data Transfer (RDT).
+#
+# A request is 8 bytes, big-endian: 0x1234, a command (0 stop, 2 stream at once), a count (0: without end). A record
+# is 36 bytes: a sequence number, the number of the internal sample, a status, and six counts. Counts per newton,
+# units and the rate stand in the page netftapi2.xml of the box.
+
+PORT, WEB_PORT = 49152, 80
+REQUEST, RECORD = struct.Struct("!HHI"), struct.Struct("!IIIiiiiii")
+HEADER, STOP, STREAM = 0x1234, 0, 2
+SERIOUS = 0x80000000  # of the status: the sensor's own sum of its errors
+WRAPS = 2**32
+SILENT = 1.0  # s without a record: the request is sent again
+LOST = 3.0  # s without one: the cable
+MOST_PAGE = 1_000_000  # bytes
+MOST_TOGETHER = 64  # records
+FORCE_UNITS = {"N": 1.0, "lbf": POUND, "klbf": 1e3 * POUND, "kN": 1e3, "kgf": KILOPOND, "gf": 1e-3 * KILOPOND}
+TORQUE_UNITS = {"N-m": 1.0, "Nm": 1.0, "N-mm": 1e-3, "Nmm": 1e-3, "kN-m": 1e3, "lbf-in": 0.0254 * POUND}
+TORQUE_UNITS |= {"lbf-ft": 0.3048 * POUND, "kgf-cm": 0.01 * KILOPOND}
+
+
+@dataclass(frozen=True)
+class AtiScale:
+    """What the counts are."""
+
+    per_newton: float
+    per_newton_metre: float
+    rate: float = 0.0  # Hz of the records; 0: not known
+
+
+class AtiForce:
+    """A box that is asked to stream."""
+
+    columns: tuple[str, ...] = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+
+    def __init__(
+        self, address: str, *, port: int = PORT, web_port: int = WEB_PORT, scale: AtiScale | None = None
+    ) -> None:
+        """`scale`: None: it is asked of the box."""
+        self.name = f"the ATI sensor at {address}"
+        self.timing = StampTiming(own=False, delay=0.0005, delay_error=0.005)
+        self._place, self._web, self._scale = (address, port), web_port, scale
+        self._socket: socket.socket | None = None
+        self._clock: Clock | None = None
+        self._heard = self._asked = 0.0
+        self._number = -1  # of the newest record, without wraps
+
+    def open(self, clock: Clock) -> None:
+        """Read the scale, and ask for records.
+
+        Raises:
+            RecordingError: the box does not answer, or in units that are not known.
+        """
+        scale = self._scale or read_scale(self._place[0], self._web)
+        self._scale = scale
+        if scale.rate > 0.0:  # records are counted, so that those that are lost leave a gap
+            self.timing = replace(self.timing, own=True, most_drift=0.05)
+        try:
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            self._socket.connect(self._place)
+        except (OSError, ValueError) as wrong:
+            raise RecordingError(
+                f"{self.name} is not reached ({getattr(wrong, 'strerror', None) or wrong}). Check its address."
+            ) from None
+        self._clock, self._heard = clock, clock.now()
+        self._ask(STREAM)
+
+    def read(self, wait: float) -> Samples | End | None:
+        """The records that came."""
+        assert self._socket is not None
+        assert self._clock is not None
+        records: list[tuple[int, ...]] = []
+        try:
+            self._socket.settimeout(max(wait, 1e-3))
+            while len(records) < MOST_TOGETHER:
+                data = self._socket.recv(RECORD.size + 1)
+                self._socket.settimeout(0.0)
+                if len(data) == RECORD.size:
+                    records.append(RECORD.unpack(data))
+        except (TimeoutError, BlockingIOError):
+            pass
+        except ConnectionRefusedError:
+            return self._silence() if not records else self._samples(records)
+        except OSError as wrong:
+            return End(f"{self.name} is not reached any more ({wrong.strerror or wrong})", fault=True)
+        return self._samples(records) if records else self._silence()
+
+    def close(self) -> None:
+        """Ask it to stop."""
+        if self._socket is not None:
+            self._ask(STOP)
+            self._socket.close()
+            self._socket = None
+
+    def _ask(self, command: int) -> None:
+        assert self._socket is not None
+        assert self._clock is not None
+        self._asked = self._clock.now()
+        try:
+            self._socket.send(REQUEST.pack(HEADER, command, 0))
+        except OSError:
+            return  # it is asked again, and its silence told
+
+    def _silence(self) -> End | None:
+        assert self._clock is not None
+        now = self._clock.now()
+        if now - self._heard > LOST:
+            return End(f"{self.name} sends nothing: its cable, its power or its address", fault=True)
+        if now - self._asked > SILENT:
+            self._ask(STREAM)
+        return None
+
+    def _samples(self, records: list[tuple[int, ...]]) -> Samples | End:
+        assert self._clock is not None
+        assert self._scale is not None
+        scale, self._heard = self._scale, self._clock.now()
+        if records[-1][2] & SERIOUS:
+            return End(f"{self.name} reports an error (status {records[-1][2]:#010x}): see its web page", fault=True)
+        lost, numbers = 0, []
+        for record in records:
+            number = self._unwrapped(record[0])
+            lost += max(number - self._number - 1, 0) if self._number >= 0 else 0
+            self._number = max(self._number, number)
+            numbers.append(number)
+        per = np.array([scale.per_newton] * 3 + [scale.per_newton_metre] * 3)
+        counts = np.array([record[3:] for record in records], dtype=float)
+        stamp = np.array(numbers) / scale.rate if scale.rate > 0.0 else np.full(len(records), np.nan)
+        return Samples(stamp, counts / per, self._heard, lost)
+
+    def _unwrapped(self, number: int) -> int:
+        """A number of 32 bits as one that goes on."""
+        if self._number < 0:
+            return number
+        return self._number + (number - self._number + WRAPS // 2) % WRAPS - WRAPS // 2
+
+
+def read_scale(address: str, port: int = WEB_PORT) -> AtiScale:
+    """What the box says of itself.
+
+    Raises:
+        RecordingError: it does not answer, or not so.
+    """
+    page = f"http://{address}:{port}/netftapi2.xml"
+    try:
+        with urllib.request.urlopen(page, timeout=3.0) as answer:
+            found = dict(values_in(answer.read(MOST_PAGE)))
+    except (OSError, ValueError, HTTPException, ElementTree.ParseError) as wrong:
+        raise RecordingError(
+            f"{page} cannot be read ({wrong}). Check the address and the cable, or give counts=1000000 of the sensor's "
+            "certificate (counts per N)."
+        ) from None
+    try:
+        force, torque = FORCE_UNITS[found["scfgfu"]], TORQUE_UNITS[found["scfgtu"]]
+        per, per_torque = float(found["cfgcpf"]), float(found["cfgcpt"])
+        rate = float(found.get("comrdtrate", 0.0))
+    except (KeyError, ValueError) as wrong:
+        raise RecordingError(f"{page} does not say {wrong}. Give counts=1000000 (counts per N).") from None
+    if not (0.0 < per < math.inf and 0.0 < per_torque < math.inf and math.isfinite(rate)):
+        raise RecordingError(f"{page} says {per:g} counts a unit of force. Give counts=1000000 (counts per N).")
+    return AtiScale(per / force, per_torque / torque, max(rate, 0.0))
+
+
+def values_in(page: bytes) -> list[tuple[str, str]]:
+    """Names and texts of a page's elements; it must name no entities."""
+    if b"<!DOCTYPE" in page or b"<!ENTITY" in page:
+        raise ValueError("it is no plain XML")
+    return [(one.tag.lower(), (one.text or "").strip()) for one in ElementTree.fromstring(page).iter()]
+
+
+# Load cells that send a line of numbers a sample over a serial port, and logs that another program is writing.
+
+try:
+    import termios
+except ImportError:  # there are none on Windows
+    termios = None  # type: ignore[assignment]
+
+TIMING = StampTiming(own=False, delay=0.002, delay_error=0.03)
+MOST_LINE = 4096  # bytes
+SILENT_LINE = 3.0  # s without a line
+UNREADABLE = 20  # lines in a row
+POLL = 0.02  # s between looks at a file
+LONG_AGO = 30.0  # s without a row in a file
+
+
+class _Lines:
+    """Bytes to rows."""
+
+    def __init__(self, name: str, cells: Cells) -> None:
+        self.name, self.columns = name, cells.columns
+        self.timing = replace(TIMING, own=cells.time >= 0)
+        self._cells, self._rest, self._number = cells, b"", np.nan
+        self._bad = 0  # lines in a row that could not be read
+        self._last = ""
+
+    def _rows(self, data: bytes, arrival: float) -> Samples | None:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        self._rest = self._rest[-MOST_LINE:]
+        texts = [line.decode("ascii", "replace").strip() for line in lines]
+        texts = [line for line in texts if line]
+        if not texts:
+            return None
+        rows, bad = self._cells.rows(texts)
+        self._bad = 0 if len(rows) else self._bad + bad
+        self._last = texts[-1]
+        if not len(rows):
+            return None
+        return Samples(rows[:, 0], rows[:, 2:], arrival, bad + self._lost(rows[:, 1]))
+
+    def _lost(self, numbers: Array) -> int:
+        known = np.concatenate([[self._number], numbers])
+        self._number = float(numbers[-1])
+        steps = np.diff(known)
+        return int(np.sum(np.where(steps > 1.0, steps - 1.0, 0.0))) if np.isfinite(steps).any() else 0
+
+
+class SerialForce(_Lines):
+    """A serial port, read line by line."""
+
+    def __init__(self, port: Path, cells: Cells, *, baud: int = 115200) -> None:
+        super().__init__(f"the load cell at {port}", cells)
+        self._port, self._baud, self._handle = port, baud, -1
+        self._clock: Clock | None = None
+        self._heard, self._begun = 0.0, False
+
+    def open(self, clock: Clock) -> None:
+        """Open the port.
+
+        Raises:
+            RecordingError: there is no such port, it may not be read, or not at this rate.
+        """
+        if termios is None:
+            raise RecordingError("serial ports are read on Linux and macOS. Let a program write a CSV: csv:PATH.")
+        speed = getattr(termios, f"B{self._baud}", None)
+        if speed is None:
+            raise RecordingError(f"{self._port}: baud={self._baud} is no rate of a serial port. Take 9600 or 115200.")
+        try:
+            self._handle = os.open(self._port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            _plain(self._handle, speed)
+        except FileNotFoundError:
+            raise RecordingError(f"{self._port}: there is no such port. Plug it in: ls /dev/tty*") from None
+        except PermissionError:
+            raise RecordingError(f"{self._port} may not be read: sudo usermod -aG dialout $USER") from None
+        except (OSError, termios.error) as wrong:
+            raise RecordingError(f"{self._port} is no serial port ({wrong}). Name another one.") from None
+        self._clock, self._heard = clock, clock.now()
+
+    def read(self, wait: float) -> Samples | End | None:
+        """The lines that came."""
+        assert self._clock is not None
+        try:
+            ready, _, _ = select.select([self._handle], [], [], wait)
+            data = os.read(self._handle, 65536) if ready else b""
+        except OSError as wrong:
+            return End(f"{self.name} is gone ({wrong.strerror}): its cable was pulled", fault=True)
+        now = self._clock.now()
+        if ready and not data:
+            return End(f"{self.name} is gone: its cable was pulled", fault=True)
+        if data:
+            self._heard = now
+        if not self._begun and b"\n" in data:  # the first line has no beginning
+            data, self._begun = data[data.index(b"\n") + 1 :], True
+        samples = self._rows(data, now) if self._begun else None
+        if self._bad >= UNREADABLE:
+            wanted = f"{self._cells.count} numbers"
+            return End(
+                f"{self.name} sends {self._last[:60]!r}, and {wanted} were expected: correct columns", fault=True
+            )
+        if now - self._heard > SILENT_LINE:
+            return End(f"{self.name} sends nothing: is it switched on, and is baud={self._baud} right?", fault=True)
+        return samples
+
+    def close(self) -> None:
+        """Leave the port."""
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1
+
+
+def _plain(handle: int, speed: int) -> None:
+    """Bytes as they come, 8 bits, no parity, one stop bit."""
+    iflag, oflag, cflag, lflag, _, _, cc = termios.tcgetattr(handle)
+    iflag &= ~(
+        termios.IGNBRK | termios.BRKINT | termios.PARMRK | termios.ISTRIP | termios.INLCR | termios.IGNCR
+        | termios.ICRNL | termios.IXON
+    )  # fmt: skip
+    oflag &= ~termios.OPOST
+    lflag &= ~(termios.ECHO | termios.ECHONL | termios.ICANON | termios.ISIG | termios.IEXTEN)
+    cflag = cflag & ~(termios.CSIZE | termios.PARENB | termios.CSTOPB) | termios.CS8 | termios.CREAD | termios.CLOCAL
+    termios.tcsetattr(handle, termios.TCSANOW, [iflag, oflag, cflag, lflag, speed, speed, cc])
+    termios.tcflush(handle, termios.TCIFLUSH)
+
+
+class GrowingLog(_Lines):
+    """A CSV that another program is writing: what is added to it from now on."""
+
+    def __init__(self, path: Path, names: Sequence[str] = (), zero: Sequence[str] = ()) -> None:
+        """`names` of its columns, in order; none: those of its header.
+
+        Raises:
+            RecordingError: there is no such file, or its columns have no meaning.
+        """
+        self._path, self.files = path, (path,)
+        if path.exists() and not path.is_file():  # a pipe would wait for its other end without end
+            raise RecordingError(f"csv:{path} is no file. Name the CSV that the other program writes.")
+        super().__init__(f"the log {path}", cells_of(names or self._header(), zero, where=f"csv:{path}"))
+        self._stream: Any = None
+        self._clock: Clock | None = None
+        self._heard = 0.0
+
+    def open(self, clock: Clock) -> None:
+        """Go to the end of what is there."""
+        try:
+            self._stream = self._path.open("rb")
+            self._stream.seek(0, os.SEEK_END)
+            at = self._stream.tell()
+            self._stream.seek(max(at - MOST_LINE, 0))
+            self._rest = self._stream.read(at - self._stream.tell()).rpartition(b"\n")[2]
+        except OSError as wrong:
+            raise RecordingError(f"{self._path} cannot be read ({wrong.strerror}).") from None
+        self._clock, self._heard = clock, clock.now()
+
+    def read(self, wait: float) -> Samples | End | None:
+        """The rows that were added."""
+        assert self._clock is not None
+        try:
+            data = self._stream.read(1 << 20)
+            if not data:
+                if os.fstat(self._stream.fileno()).st_size < self._stream.tell():
+                    return End(f"{self.name} was written anew", fault=True)
+                self._clock.wait_until(self._clock.now() + min(wait, POLL))
+                data = self._stream.read(1 << 20)
+        except OSError as wrong:
+            return End(f"{self.name} cannot be read any more ({wrong.strerror})", fault=True)
+        now = self._clock.now()
+        samples = self._rows(data, now)
+        if samples is not None:
+            self._heard = now
+        if self._bad >= UNREADABLE:
+            return End(f"{self.name} has lines such as {self._last[:60]!r}: correct columns", fault=True)
+        return End(f"{self.name} does not grow any more", fault=True) if now - self._heard > LONG_AGO else samples
+
+    def close(self) -> None:
+        """Leave the file."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _header(self) -> list[str]:
+        try:
+            with self._path.open("rb") as stream:
+                line = stream.readline(MOST_LINE).decode("utf-8", "replace")
+        except OSError as wrong:
+            raise RecordingError(f"csv:{self._path} cannot be read ({wrong.strerror}). Begin to log first.") from None
+        if not line.strip():
+            raise RecordingError(f"csv:{self._path} has no header yet. Begin to log first, or name its columns.")
+        return [name for name in SEPARATORS.split(line.strip()) if name]
+
+
+# What their makers' own packages read: Universal Robots, Franka, the Lab Streaming Layer.
+
+WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+TOGETHER = 0.01  # s of rows that are given together
+PATIENCE = 5.0  # s to find a stream
+SILENT_PACKAGE = 3.0  # s without a row
+
+
+class _Robot:
+    """A robot whose state is asked for, again and again."""
+
+    columns: tuple[str, ...] = WRENCH
+
+    def __init__(self, name: str, rate: float) -> None:
+        self.name = name
+        self.timing = StampTiming(delay=0.001, delay_error=0.01)
+        self._rate = rate
+        self._last = -np.inf
+        self._clock: Clock | None = None
+        self._heard = 0.0
+
+    def read(self, wait: float) -> Samples | End | None:
+        """The rows of the next moments."""
+        assert self._clock is not None
+        until = self._clock.now() + min(max(wait, 0.0), TOGETHER)
+        rows: list[tuple[float, list[float]]] = []
+        while True:
+            try:
+                time, force = self._state()
+            except Exception as wrong:  # each package has errors of its own
+                return End(f"{self.name} answers no more ({wrong})", fault=True)
+            if time > self._last:
+                rows.append((time, force))
+                self._last, self._heard = time, self._clock.now()
+            if self._clock.now() >= until:
+                break
+            self._clock.wait_until(min(until, self._clock.now() + 0.25 / self._rate))
+        if rows:
+            stamp, force_rows = zip(*rows, strict=True)
+            return Samples(np.array(stamp), np.array(force_rows, dtype=float), self._heard)
+        silent = self._clock.now() - self._heard > SILENT_PACKAGE
+        return End(f"{self.name} stands still: its time goes on no more", fault=True) if silent else None
+
+    def _state(self) -> tuple[float, list[float]]:
+        raise NotImplementedError
+
+
+class UrForce(_Robot):
+    """The wrench at a Universal Robot's tool, in the axes of its base, through `ur-rtde`."""
+
+    def __init__(self, host: str, *, rate: float = 500.0) -> None:
+        super().__init__(f"the robot {host}", rate)
+        self._host = host
+        self._robot: Any = None
+
+    def open(self, clock: Clock) -> None:
+        """Connect.
+
+        Raises:
+            RecordingError: the package is missing, or the robot does not answer.
+        """
+        made = package("rtde_receive", "ur")
+        try:
+            self._robot = made.RTDEReceiveInterface(self._host, self._rate)
+        except Exception as wrong:
+            raise RecordingError(f"{self.name} does not answer ({wrong}). Is it on, and is RTDE allowed?") from None
+        self._clock, self._heard = clock, clock.now()
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._robot is not None:
+            self._robot.disconnect()
+            self._robot = None
+
+    def _state(self) -> tuple[float, list[float]]:
+        if not self._robot.isConnected():
+            raise ConnectionError("the connection was lost")
+        return float(self._robot.getTimestamp()), list(self._robot.getActualTCPForce())
+
+
+class FrankaForce(_Robot):
+    """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`), in its base's axes, through `pylibfranka`."""
+
+    def __init__(self, host: str) -> None:
+        super().__init__(f"the arm {host}", 1000.0)
+        self._host = host
+        self._robot: Any = None
+
+    def open(self, clock: Clock) -> None:
+        """Connect; nothing is asked to move.
+
+        Raises:
+            RecordingError: the package is missing, or the arm does not answer.
+        """
+        made = package("pylibfranka", "franka")
+        try:
+            self._robot = made.Robot(self._host, made.RealtimeConfig.kIgnore)
+        except Exception as wrong:
+            raise RecordingError(
+                f"{self.name} does not answer ({wrong}). Is FCI active, and nobody else on it?"
+            ) from None
+        self._clock, self._heard = clock, clock.now()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._robot = None
+
+    def _state(self) -> tuple[float, list[float]]:
+        state = self._robot.read_once()
+        return float(state.time.to_sec()), list(state.O_F_ext_hat_K)
+
+
+class LslForce:
+    """A stream of the Lab Streaming Layer, by its name, through `pylsl`."""
+
+    def __init__(self, stream: str, cells: Cells) -> None:
+        """`cells`: its channels, in order."""
+        self.name, self.columns = f"the stream {stream}", cells.columns
+        self.timing = StampTiming(delay=0.0005, delay_error=0.01)
+        self._stream, self._cells = stream, cells
+        self._inlet: Any = None
+        self._clock: Clock | None = None
+        self._heard = 0.0
+
+    def open(self, clock: Clock) -> None:
+        """Find the stream, and listen.
+
+        Raises:
+            RecordingError: the package is missing, there is no such stream, or it has other channels.
+        """
+        made = package("pylsl", "lsl")
+        found = made.resolve_byprop("name", self._stream, 1, PATIENCE)
+        if not found:
+            raise RecordingError(
+                f"lsl:{self._stream}: no such stream is on this network. Start it, or correct its name."
+            )
+        count = int(found[0].channel_count())
+        if count != self._cells.count:
+            raise RecordingError(
+                f"{self.name} has {count} channels, and columns names {self._cells.count}. Name each, in order; _ for "
+                "one that is left out."
+            )
+        self._inlet = made.StreamInlet(found[0], recover=False)
+        self._inlet.open_stream(PATIENCE)
+        self._clock, self._heard = clock, clock.now()
+
+    def read(self, wait: float) -> Samples | End | None:
+        """What came."""
+        assert self._clock is not None
+        try:
+            rows, stamps = self._inlet.pull_chunk(timeout=min(wait, TOGETHER))
+        except Exception as wrong:  # a LostError, of the package
+            return End(f"{self.name} ended ({type(wrong).__name__})", fault=True)
+        now = self._clock.now()
+        if not len(stamps):
+            return End(f"{self.name} sends nothing", fault=True) if now - self._heard > SILENT_PACKAGE else None
+        self._heard = now
+        read = np.asarray(rows, dtype=float)
+        return Samples(np.array(stamps, dtype=float), np.column_stack(list(self._columns(read))), now)
+
+    def close(self) -> None:
+        """Listen no more."""
+        if self._inlet is not None:
+            self._inlet.close_stream()
+            self._inlet = None
+
+    def _columns(self, rows: Any) -> Iterator[Any]:
+        for place, scale in zip(self._cells.place, self._cells.scale, strict=True):
+            yield scale * rows[:, place] if place >= 0 else np.zeros(len(rows))
+
+
+# A ROS bag that a robot is writing: its force topic, read again and again up to where it ends.
+#
+# Each look reads the whole bag, as one that broke off, and takes what is new; so looks are farther apart the longer
+# it grows. A recorder writes in chunks: what it holds back is not seen before it lets go of it.
+
+EVERY, SHARE = 0.5, 4.0  # s between two looks, and times what the last one took
+SILENT_TOPIC = 30.0  # s without a message
+
+
+class GrowingBag:
+    """The force in a bag that grows."""
+
+    columns: tuple[str, ...] = ("fx_N", "fy_N", "fz_N")
+
+    def __init__(self, path: Path, topic: str = "", field: str = "") -> None:
+        """`topic`: empty: the only one whose force is known; `field`: where the force stands in its messages."""
+        self.name, self._path, self.files = f"the bag {path}", path, (path,)
+        self.timing = StampTiming(delay=0.01, delay_error=0.5)  # a recorder holds back what it writes
+        self._entry = ForceEntry(path, topic=topic, field=field, damaged="keep")
+        self._seen, self._due, self._heard = 0, -np.inf, 0.0
+        self._clock: Clock | None = None
+
+    def open(self, clock: Clock) -> None:
+        """Find the topic; what is in the bag already is left out.
+
+        Raises:
+            RecordingError: there is no bag yet, or no such topic in it.
+        """
+        bag = open_bag(self._path, keep=True)
+        topic = self._topic(bag)
+        default = self._entry.field or default_field(topic, self._entry)
+        self._entry = ForceEntry(self._path, topic=topic.channel.topic, field=default, damaged="keep")
+        self._seen = len(self._rows()[0])
+        self._clock, self._heard = clock, clock.now()
+
+    def read(self, wait: float) -> Samples | End | None:
+        """The messages that are new."""
+        assert self._clock is not None
+        begun = self._clock.now()
+        if begun < self._due:
+            self._clock.wait_until(min(self._due, begun + wait))
+            return None
+        try:
+            time, force = self._rows()
+        except (RecordingError, OSError) as wrong:
+            return End(f"{self.name} cannot be read any more ({wrong})", fault=True)
+        now = self._clock.now()
+        self._due = now + max(EVERY, SHARE * (now - begun))
+        if len(time) <= self._seen:
+            return End(f"{self.name} does not grow any more", fault=True) if now - self._heard > SILENT_TOPIC else None
+        new = slice(self._seen, None)
+        self._seen, self._heard = len(time), now
+        return Samples(time[new], force[new], begun)
+
+    def close(self) -> None:
+        """Nothing is held between two looks."""
+
+    def _topic(self, bag: Bag) -> Topic:
+        if self._entry.topic:
+            return topic_of(bag, self._entry.topic, "topic")
+        known = [topic for topic in bag.topics.values() if topic.channel.type in FIELDS]
+        if len(known) != 1:
+            names = ", ".join(topic.channel.topic for topic in known or bag.topics.values()) or "none yet"
+            raise RecordingError(f"bag:{self._path}: say which topic holds the force, topic=/NAME. It has {names}.")
+        return known[0]
+
+    def _rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) s and (N, 3) N of all messages so far, in the order of the bag."""
+        bag = open_bag(self._path, keep=True)
+        topic = topic_of(bag, self._entry.topic, "topic")
+        if not topic.count:
+            return np.empty(0), np.empty((0, 3))
+        clock = clock_of(bag, topic, None)
+        where = f"{self._path}: {topic.channel.topic}"
+        rows = [
+            (time, *force_of(message, self._entry.field, where)[0]) for time, message in timed(bag, topic, clock, None)
+        ]
+        read = np.array(rows).reshape(-1, 4)
+        return read[:, 0], read[:, 1:]

@@ -1,0 +1,441 @@
+"""Settings of the live learner, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
+
+from onebend.errors import LearningError
+from onebend.learning.allowances import AllowanceName
+from onebend.learning.force_error import LOAD
+from onebend.learning.hyperparameters import CHOSEN, SPREAD
+from onebend.learning.normal import (
+    RHO,
+    SPREAD as PRIOR_SPREAD,
+    STEP_DIRECTIONS,
+    TAU,
+    WIDE_SHARE,
+    InformationForm,
+    drawn_sizes,
+    part_variances,
+)
+from onebend.learning.parameters import Priors, Spline
+from onebend.live.key_frames import CAUSAL_ALLOWANCES, ForceProcess
+from onebend.live.model import SmootherSettings
+from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
+from onebend.records import Array
+
+# Hyperparameters of the force error in the live learner: a search for the most probable, and an average around them.
+#
+# The search makes one trial at a time, with the data so far. Every second trial is a climb: one hyperparameter is
+# made larger or smaller, and the change is kept if it is more probable. The others are looks. Pairs of looks near the
+# optimum give the curvature of the log probability; pairs far out along its principal axes are the nodes over which
+# log k is averaged (a cubature of degree three, as in the fit). A round of looks is followed by the next.
+
+_CHOSEN = ("coloured", "memory", "walk", "load", "white")  # log k is averaged over all but the last
+_CENTRE = 0.25  # share of the node in the middle
+_FARTHEST = 4.0  # prior sd from the prior's median
+_SHORTEST, _LONGEST = 0.05, 0.7  # step of a log
+_NEAR = 0.4  # prior sd: distance of the looks that give the curvature
+_CLIMB_EVERY = 2  # trials
+_TRUSTED = 1.0  # a node's log weight is cut off so far above its weight in the cubature
+_LEAST_CURVATURE = 0.5  # the prior alone gives 1
+_SPREAD = dict(zip(CHOSEN, SPREAD.tolist(), strict=True)) | {"white": 0.7}
+MEMORY_DOUBT = _SPREAD["memory"]
+
+
+@dataclass(frozen=True)
+class _CubatureNode:
+    """Mean and covariance of log k at other hyperparameters, in units of the posterior at the optimum. They shrink as
+    it does."""
+
+    log_weight: float  # relative to the middle node
+    away: Array  # (p,) mean, from that at the optimum
+    spread: Array  # (p, p) covariance
+
+
+class HyperparameterSearch:
+    """Proposes the next trial, and keeps the results of those before."""
+
+    def __init__(self, expected: LiveHyperparameters, memory_doubt: float) -> None:
+        """`expected`: medians of the priors; `memory_doubt`: sd of the log of the memory's prior."""
+        self._chosen = chosen = _CHOSEN
+        self._expected = np.log([getattr(expected, name) for name in chosen])
+        self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
+        self._steps = np.array([0.7 if name == "load" else 0.3 for name in chosen])  # it may be ten times as large
+        self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
+        self._nodes: dict[int, _CubatureNode] = {}
+        self._trials, self._climbs, self._look = 0, 0, 0
+        self._begin()
+
+    @property
+    def climbs(self) -> bool:
+        """Whether the next trial is a climb."""
+        return self._trials % _CLIMB_EVERY == 0
+
+    @property
+    def round(self) -> int:
+        """So many trials hold at least one whole round of looks."""
+        return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
+
+    def proposal(self, now: LiveHyperparameters) -> LiveHyperparameters:
+        """The next trial."""
+        logs = np.log([getattr(now, name) for name in self._chosen])
+        if self.climbs:
+            i = self._climbs % len(self._chosen)
+            logs[i] += self._steps[i]
+        else:
+            logs += self._spread * self._away()
+        room = _FARTHEST * self._spread
+        values = np.exp(np.clip(logs, self._expected - room, self._expected + room))
+        return replace(now, **dict(zip(self._chosen, values.tolist(), strict=True)))
+
+    def cost(self, hyperparameters: LiveHyperparameters) -> float:
+        """-2 log prior."""
+        z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
+        return float(z @ z)
+
+    def trial(
+        self,
+        now: LiveHyperparameters,
+        here: KeyFramePosterior,
+        solved: Callable[[LiveHyperparameters], KeyFramePosterior],
+    ) -> tuple[LiveHyperparameters, KeyFramePosterior]:
+        """One trial, by the posterior `solved` there; returns `now` and its posterior `here`, or what is better."""
+        tried = self.proposal(now)
+        try:
+            there = solved(tried)
+        except np.linalg.LinAlgError:
+            self.failed()
+            return now, here
+        worse = there.minus_log + self.cost(tried) - here.minus_log - self.cost(now)
+        if not self.climbs:
+            self.looked(worse, there, here)
+            return now, here
+        self.climbed(worse < 0.0)
+        return (tried, there) if worse < 0.0 else (now, here)
+
+    def climbed(self, better: bool) -> None:
+        """After a climb: the next step is longer if this one was `better`, else shorter and the other way."""
+        i = self._climbs % len(self._chosen)
+        step = self._steps[i] * (1.5 if better else -0.6)
+        self._steps[i] = np.sign(step) * np.clip(abs(step), _SHORTEST, _LONGEST)
+        self._climbs += 1
+        self._trials += 1
+
+    def looked(self, worse: float, there: KeyFramePosterior, here: KeyFramePosterior) -> None:
+        """After a look. `worse`: increase of -2 log p; `there`, `here`: the posteriors there and at the optimum."""
+        if self._look < 2 * len(self._pairs):
+            self._curve(worse)
+            return
+        count = len(self._open)
+        share = np.log((1.0 - _CENTRE) / (2 * count) / _CENTRE)
+        log_weight = min(share + 0.5 * count / (1.0 - _CENTRE) - 0.5 * worse, share + _TRUSTED)
+        p = len(here.lower)
+        away = here.lower.T @ (there.x[:p] - here.x[:p])
+        half, _ = dtrtrs(there.lower, here.lower, lower=1)
+        spread = half.T @ half + np.outer(away, away)
+        self._nodes[self._look - 2 * len(self._pairs)] = _CubatureNode(float(log_weight), away, spread)
+        self._advance()
+
+    def _curve(self, worse: float) -> None:
+        """One look near the optimum; in the sum of a pair the slope cancels."""
+        self._curved[self._look // 2] += 0.5 * worse / _NEAR**2
+        if self._look == 2 * len(self._pairs) - 1:
+            self._axes = self._principal()
+        self._advance()
+
+    def _advance(self) -> None:
+        self._trials += 1
+        self._look += 1
+        if self._look == 2 * (len(self._pairs) + len(self._open)):
+            self._begin()
+
+    def failed(self) -> None:
+        """After a trial that has no posterior."""
+        if self.climbs:
+            self.climbed(False)
+        elif self._look < 2 * len(self._pairs):
+            self._curve(_NEAR**2)
+        else:
+            self._nodes.pop(self._look - 2 * len(self._pairs), None)
+            self._advance()
+
+    def averaged(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """Mean (p,) and covariance (p, p) of log k's coefficients over all nodes, from those at the optimum."""
+        nodes = list(self._nodes.values())
+        weights = np.exp([0.0, *(node.log_weight for node in nodes)])
+        weights /= np.sum(weights)
+        away, spread = np.zeros(len(mean)), weights[0] * np.eye(len(mean))
+        for weight, node in zip(weights[1:], nodes, strict=True):
+            away += weight * node.away
+            spread += weight * node.spread
+        spread -= np.outer(away, away)
+        root = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(covariance))).T
+        out = root @ spread @ root.T
+        return mean + root @ away, np.asarray(0.5 * (out + out.T))
+
+    def _begin(self) -> None:
+        """A new round of looks."""
+        count = len(self._open)
+        self._pairs = [(i, j) for i in range(count) for j in range(i + 1)]
+        self._curved = np.zeros(len(self._pairs))
+        self._axes = np.zeros((count, count))
+        self._look = 0
+
+    def _away(self) -> Array:
+        """Offset of the next look from the optimum, in sd of the priors."""
+        out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
+        if self._look < pairs:
+            i, j = self._pairs[self._look // 2]
+            out[self._open[[i, j]]] = side * _NEAR
+        else:
+            count = len(self._open)
+            out[self._open] = side * np.sqrt(count / (1.0 - _CENTRE)) * self._axes[:, (self._look - pairs) // 2]
+        return out
+
+    def _principal(self) -> Array:
+        """(d, d) columns: one sd along each principal axis of the hyperparameters' probability."""
+        count = len(self._open)
+        own = {i: c for (i, j), c in zip(self._pairs, self._curved, strict=True) if i == j}
+        h = np.diag([own[i] for i in range(count)])
+        for (i, j), c in zip(self._pairs, self._curved, strict=True):
+            if i != j:
+                h[i, j] = h[j, i] = 0.5 * (c - own[i] - own[j])
+        values, vectors = np.linalg.eigh(h)
+        return np.asarray(vectors / np.sqrt(np.maximum(values, _LEAST_CURVATURE)))
+
+
+_LEVEL = 0.05  # of the largest force: one sd of the log's zero
+_WRONG = 4.0  # times the error that comes with the load, while the model misses the tags by far
+_WALK = 0.3  # of the force's noise, per root second: the zero drifts by the noise in ten seconds
+
+
+@dataclass(frozen=True)
+class OnlineSettings:
+    """How the live learner works. Sizes of noise are first values; unless `adapt` is off, it learns them."""
+
+    functions: int = 45  # of the spline of log k
+    key_frames: int = 30
+    renewed: int = 5  # key frames linearised anew with every other update; one with those between
+    priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
+    placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
+    rest_unknown: bool = True  # the beam may be curved when free
+    calibrated: bool = True  # False: all lengths have a common unknown scale
+    marker_noise: float = 1.5  # over what the tags' covariances say
+    force_noise: float = 0.01  # N, sd of the log's coloured error
+    force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
+    force_walk: float | None = None  # N per root second, of its drift; None: 0.3 of the coloured one a second
+    force_zero: float = 0.0  # N, sd of the log's zero, on top of 5 % of the largest force
+    force_memory: float = 0.3  # s, correlation time of the log's coloured error
+    memory_doubt: float = MEMORY_DOUBT  # sd of the log of that time
+    force_load: float | None = None  # N, sd of its error that comes with the load; None: 3 % of the largest force
+    roughness: float = TAU  # of log k
+    steps: float = RHO  # of log k
+    adapt: bool = True  # False: the hyperparameters keep their first values
+    bulk: float = 3.0  # sd: a tag that fits worse gets less weight; infinite: plain least squares
+    gate: float = 8.0  # sd: a tag farther from where it is expected is left out,
+    patience: int = 8  # unless it is that far off in so many frames in a row
+    step: float = 0.7  # of log k: the most that one update moves it
+    allowances: frozenset[AllowanceName] = CAUSAL_ALLOWANCES  # what a real beam and bench may also do
+    thickness: float | None = None  # m, of the section in the plane of bending; None: not known
+    tag_size: float | None = None  # m, side of a tag's black square; None: not known
+
+    @property
+    def smoother(self) -> SmootherSettings:
+        """The part that the smoother needs."""
+        return SmootherSettings(
+            key_frames=self.key_frames,
+            renewed=self.renewed,
+            zero=self.force_zero,
+            least_zero=self.force_noise,
+            load=self.force_load,
+            roughness=self.roughness,
+            steps=self.steps,
+            memory_doubt=self.memory_doubt,
+            adapt=self.adapt,
+            bulk=self.bulk,
+            gate=self.gate,
+            patience=self.patience,
+            step=self.step,
+        )
+
+    @property
+    def hyperparameters(self) -> LiveHyperparameters:
+        """The values that the hyperparameters begin with."""
+        return LiveHyperparameters(
+            marker=self.marker_noise,
+            white=self.force_noise if self.force_white is None else self.force_white,
+            coloured=self.force_noise,
+            memory=self.force_memory,
+            walk=_WALK * self.force_noise if self.force_walk is None else self.force_walk,
+            load=1.0,
+        )
+
+    def check(self) -> None:
+        """Raises `LearningError` for settings without meaning."""
+        sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
+        for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise LearningError(f"{name} must be positive, got {value}")
+        for name in ("force_zero", "force_load", "placement_sd"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0.0:
+                raise LearningError(f"{name} cannot be negative, got {value}")
+        for name in ("thickness", "tag_size"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                raise LearningError(f"{name} must be a length in m, got {value}")
+        if not self.allowances <= CAUSAL_ALLOWANCES:
+            other = ", ".join(sorted(self.allowances - CAUSAL_ALLOWANCES))
+            raise LearningError(f"the live learner has no allowance for: {other}")
+        for name, least in (("functions", 5), ("key_frames", 5), ("renewed", 1), ("patience", 1)):
+            if getattr(self, name) < least:
+                raise LearningError(f"{name} must be at least {least}, got {getattr(self, name)}")
+
+
+def force_process(
+    settings: SmootherSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
+) -> ForceProcess:
+    """The force log's error. `largest`: N, the largest force so far; `far_off`: the residuals are far above the tags'
+    noise, so the force may also be further off than its log says."""
+    level = float(np.hypot(settings.zero, max(_LEVEL * largest, settings.least_zero)))
+    load = hyperparameters.load * (LOAD * largest if settings.load is None else settings.load)
+    if far_off:
+        load *= _WRONG
+    return ForceProcess(
+        level, hyperparameters.walk, hyperparameters.coloured, hyperparameters.memory, hyperparameters.white, load
+    )
+
+
+# Hyperparameters of log k's prior in the live learner: drawn from the same density as in `stiffness_prior.py`.
+#
+# A few Markov chains run for as long as frames come. The posterior changes little from frame to frame, so a few steps
+# of the chains follow it. The last draws are kept. Given the hyperparameters log k is normal, so its mean and
+# covariance are averages over draws.
+
+_CHAINS = 2
+_KEPT_STEPS = 20  # the last steps, whose draws are kept
+_COPIES, _LEFT_OUT, _READ = 2, 5, 20  # for the band: copies of every chain, their burn-in and draws
+_LEAST_INFORMATION = 1e-3  # of log k: directions with less are left out
+
+
+@dataclass(frozen=True)
+class _PartRows:
+    """The data's information on log k's parts as rows: `values = on_parts @ parts + unit noise`."""
+
+    on_parts: Array  # (r, n)
+    values: Array  # (r,)
+
+
+class StiffnessChains:
+    """The chains and their last draws."""
+
+    def __init__(self, spline: Spline, level: float, tau: float, rho: float) -> None:
+        """`level`: prior mean of log k; `tau`, `rho`: first values of roughness and steps."""
+        self._spline, self._level = spline, level
+        self._rng = np.random.default_rng(0)
+        self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
+        self._own = np.ones((_CHAINS, len(spline.share)))
+        self._expected = np.log([TAU, RHO])
+        first = part_variances(spline, self._logs, self._own)[0]
+        self._logs_drawn = np.tile(np.log(first), (_KEPT_STEPS, 1))  # (B KEPT, n) of the parts' variances
+        self._next_draw = 0
+
+    @property
+    def parts(self) -> Array:
+        """(n,) geometric means of the parts' variances over the kept draws: the prior for the estimate.
+
+        A few draws of large steps would dominate the plain mean; under so wide a prior log k would follow every error
+        of the first few frames.
+        """
+        return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
+
+    def step(self, stiffness_form: InformationForm) -> None:
+        """One step of every chain."""
+        b = _CHAINS
+        self._logs, self._own = self._moved(self._data(stiffness_form), self._logs, self._own, self._rng)
+        self._logs_drawn[self._next_draw : self._next_draw + b] = np.log(
+            part_variances(self._spline, self._logs, self._own)[0]
+        )
+        self._next_draw = (self._next_draw + b) % len(self._logs_drawn)
+
+    def mixed(self, stiffness_form: InformationForm) -> tuple[Array, Array, Array]:
+        """Mean (p,) and covariance (p, p) of log k averaged over fresh draws, and the mean steps (p - 1,).
+
+        The kept draws are of earlier data. So copies of the chains make fresh draws; the chains themselves stay as they
+        are, and reading a band changes nothing.
+        """
+        data, rng, drawn = self._data(stiffness_form), deepcopy(self._rng), []
+        logs, own = np.repeat(self._logs, _COPIES, axis=0), np.repeat(self._own, _COPIES, axis=0)
+        for i in range(_LEFT_OUT + _READ):
+            logs, own = self._moved(data, logs, own, rng)
+            if i >= _LEFT_OUT:
+                drawn.append(part_variances(self._spline, logs, own)[0])
+        return self._averaged(data, np.concatenate(drawn))
+
+    def _averaged(self, data: _PartRows, drawn: Array) -> tuple[Array, Array, Array]:
+        """`mixed` over parts of these variances (D, n)."""
+        weights, count = self._spline.parts, self._spline.count
+        across = data.on_parts * drawn[:, None]  # (D, r, n)
+        root = np.linalg.cholesky(across @ data.on_parts.T + np.eye(len(data.values)))
+        half = np.linalg.solve(root, across)
+        away = np.linalg.solve(root, np.broadcast_to(data.values[:, None], (*root.shape[:2], 1)))
+        parts = (np.swapaxes(half, 1, 2) @ away)[..., 0]  # (D, n)
+        means, half = parts @ weights.T, (half @ weights.T).reshape(-1, count)
+        mean, draws = np.mean(means, axis=0), len(drawn)
+        out = (weights * np.mean(drawn, axis=0)) @ weights.T - half.T @ half / draws
+        out += (means - mean).T @ (means - mean) / draws
+        return mean + self._level, 0.5 * (out + out.T), np.mean(parts, axis=0)[count : 2 * count - 1]
+
+    def _moved(self, data: _PartRows, logs: Array, own: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """One step of chains at sizes (B, 2) and (B, 2 p - 1)."""
+        b = len(logs)
+        stride = np.where(rng.random((b, 1)) < WIDE_SHARE, 1.5, 0.5) * PRIOR_SPREAD
+        tried = logs + STEP_DIRECTIONS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
+        both = np.concatenate([logs, tried])
+        variance, capped = part_variances(self._spline, both, np.concatenate([own, own]))
+        factors, value = self._density(both, capped, variance, data)
+        taken = np.log(rng.random(b)) < value[b:] - value[:b]
+        chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
+        local = self._local(variance[chosen], [factors[i] for i in chosen.tolist()], data, rng)
+        return both[chosen], drawn_sizes(self._spline, both[chosen], local, rng)
+
+    def _data(self, stiffness_form: InformationForm) -> _PartRows:
+        """The information form as rows on log k less its level, one for each direction with information."""
+        lower, order, rank, _ = dpstrf(stiffness_form.matrix, tol=_LEAST_INFORMATION, lower=1)
+        if rank == 0:
+            return _PartRows(np.zeros((1, self._spline.parts.shape[1])), np.zeros(1))
+        order, right = order - 1, stiffness_form.vector - self._level * np.sum(stiffness_form.matrix, axis=1)
+        values, _ = dtrtrs(lower[:rank, :rank], right[order[:rank]], lower=1)
+        rows = np.zeros((rank, len(order)))
+        rows[:, order] = np.tril(lower[:, :rank]).T
+        return _PartRows(rows @ self._spline.parts, values)
+
+    def _density(self, logs: Array, capped: Array, variance: Array, data: _PartRows) -> tuple[list[Array], Array]:
+        """Factors of the data's covariances, and the log densities of the sizes (B,), log k integrated out."""
+        spread = (data.on_parts * variance[:, None]) @ data.on_parts.T
+        spread.reshape(len(spread), -1)[:, :: len(data.values) + 1] += 1.0
+        value = -0.5 * np.sum(np.log1p(capped), axis=1)
+        value -= 0.5 * np.sum(((logs - self._expected) / PRIOR_SPREAD) ** 2, axis=1)
+        factors = []
+        for i, covariance in enumerate(spread):
+            root, _ = dpotrf(covariance, lower=1)
+            white, _ = dtrtrs(root, data.values, lower=1)
+            value[i] -= np.sum(np.log(np.diag(root))) + 0.5 * (white @ white)
+            factors.append(root)
+        return factors, value
+
+    def _local(self, variance: Array, factors: list[Array], data: _PartRows, rng: np.random.Generator) -> Array:
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by its
+        residual."""
+        drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
+        missed = data.values - drawn @ data.on_parts.T - rng.standard_normal((len(factors), len(data.values)))
+        pull = np.stack([dpotrs(root, residual, lower=1)[0] for root, residual in zip(factors, missed, strict=True)])
+        steps = slice(self._spline.count, None)
+        return np.asarray(drawn[:, steps] + variance[:, steps] * (pull @ data.on_parts[:, steps]))

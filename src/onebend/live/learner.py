@@ -1,0 +1,747 @@
+"""k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
+
+A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
+linearised anew at the present estimate, and the posterior is solved for over all of them (`key_frame_posterior.py`).
+So a poor start is forgotten, which in an extended Kalman filter it would not be. The hyperparameters of noise and force
+error are searched for, one trial in two updates; those of log k's prior are drawn. Memory and time per update do not
+grow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from onebend.beam.grid import Modes
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Powers, Profile, UncertainStiffness, Uniform
+from onebend.errors import LearningError
+from onebend.learning.allowances import OF_ONE, AllowanceName
+from onebend.learning.optimizer import MISS
+from onebend.learning.parameters import Layout, Spline
+from onebend.learning.posterior import Nuisance
+from onebend.live.hyperparameters import HyperparameterSearch, OnlineSettings, StiffnessChains, force_process
+from onebend.live.key_frames import (
+    CourseSoFar,
+    ForceProcess,
+    KeyFrames,
+    LoadStages,
+    accept_average,
+    closest_pairs,
+    empty,
+    propose_average,
+)
+from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, SmootherSettings, session_layout
+from onebend.live.posterior import (
+    KeyFramePosterior,
+    KeyFrameSums,
+    LiveHyperparameters,
+    LivePrior,
+    force_in,
+    gather,
+    marginalise_oldest,
+    nothing_marginalised,
+    robust_weights,
+    solve,
+    tag_noise_size,
+    tag_residuals,
+    without_force,
+)
+from onebend.progress import one_blas_thread
+from onebend.records import Array, BoolArray
+
+# The frame that comes from a live camera and force sensor: checked, written behind the key frames, and its tags
+# compared with what was expected of them.
+
+
+@dataclass(frozen=True)
+class CheckedFrame:
+    """m tags and a force at one time."""
+
+    time: float  # s
+    measured: Array  # (m, 3) m, m, rad; 0 where not seen
+    covariance: Array  # (m, 3, 3); the unit matrix where not seen
+    root: Array  # (m, 3, 3) R with R' R its inverse; zero where not seen
+    visible: BoolArray  # (m,)
+    force: Array  # (2,) N, as logged
+    push_s: float
+    loaded: bool
+    gravity: Array  # (2,) m/s^2
+
+
+def checked_frame(
+    tags: int,
+    time: float,
+    xy: ArrayLike,
+    angle: ArrayLike,
+    covariance: ArrayLike,
+    force: ArrayLike,
+    push_s: float,
+    loaded: bool,
+    gravity: ArrayLike,
+) -> CheckedFrame:
+    """A frame of `tags` tags. Raises `LearningError` where something does not fit or is not finite."""
+    position = _array(xy, (tags, 2), "xy", time)
+    turn = _array(angle, (tags,), "angle", time)
+    spread = _array(covariance, (tags, 3, 3), "covariance", time)
+    pushed, pulled = _array(force, (2,), "force", time), _array(gravity, (2,), "gravity", time)
+    if not np.isfinite(time):
+        raise LearningError(f"a frame's time must be a finite number, got {time}")
+    if not (np.all(np.isfinite(pushed)) and np.all(np.isfinite(pulled))):
+        raise LearningError(
+            f"frame at {time:g} s: force and gravity must be finite, got {pushed.tolist()} N and {pulled.tolist()} "
+            "m/s^2. Leave out frames whose force is not known"
+        )
+    if loaded and not 0.0 < push_s <= 1.0:
+        raise LearningError(f"frame at {time:g} s: the force acts at s in (0, 1], got {push_s}")
+    measured = np.concatenate([position, turn[:, None]], axis=1)
+    if np.any(np.isinf(measured)):
+        raise LearningError(f"frame at {time:g} s: a tag at infinity; give NaN where a tag is not seen")
+    visible = np.asarray(np.all(np.isfinite(measured), axis=1) & np.all(np.isfinite(spread), axis=(1, 2)))
+    spread = np.where(visible[:, None, None], spread, np.eye(3))
+    try:
+        lower = np.linalg.cholesky(spread)
+    except np.linalg.LinAlgError as error:
+        raise LearningError(
+            f"frame at {time:g} s: the covariance of a tag is not positive definite; give one sd squared of x, y [m^2] "
+            "and angle [rad^2] on its diagonal"
+        ) from error
+    where = push_s if loaded else 1.0
+    root = np.linalg.inv(lower) * visible[:, None, None]
+    return CheckedFrame(
+        time, np.where(visible[:, None], measured, 0.0), spread, root, visible, pushed, where, loaded, pulled
+    )
+
+
+def _array(values: ArrayLike, shape: tuple[int, ...], name: str, time: float) -> Array:
+    out = np.asarray(values, dtype=float)
+    if out.shape != shape:
+        raise LearningError(f"frame at {time:g} s: {name} must have shape {shape}, got {out.shape}")
+    return out
+
+
+def write_frame(keys: KeyFrames, frame: CheckedFrame, rate: Array, terms: Array) -> int:
+    """Write the frame behind the key frames in use; returns its index. `rate` (2,) N/s of its force, `terms` (TERMS,)
+    of its allowances."""
+    i = keys.used
+    keys.begin[i] = keys.end[i] = frame.time
+    keys.frames[i], keys.rest[i], keys.push_s[i] = 1.0, not frame.loaded, frame.push_s
+    keys.force[i], keys.rate[i], keys.gravity[i], keys.terms[i] = frame.force, rate, frame.gravity, terms
+    keys.measured[i], keys.weight[i] = frame.measured, frame.visible
+    keys.root[i], keys.information[i] = frame.root, frame.root.swapaxes(1, 2) @ frame.root
+    keys.used += 1
+    return i
+
+
+def expect_shape(keys: KeyFrames, i: int, error: Array) -> None:
+    """First guess of the shape of frame i, the last one, under the force error (2,) [N] that is expected."""
+    keys.error[i], keys.stale[i], keys.lost[i] = error, False, False
+    keys.shape[i], keys.grid[i] = 0.0, 0.0
+    if i > 0:
+        pushed = (keys.force[i - 1 : i + 1] - keys.error[i - 1 : i + 1]) * ~keys.rest[i - 1 : i + 1, None]
+        keys.q[i], keys.grid[i] = keys.q[i - 1] + keys.by_force[i - 1] @ (pushed[1] - pushed[0]), keys.grid[i - 1]
+
+
+def surprise(
+    keys: KeyFrames,
+    frame: CheckedFrame,
+    solution: KeyFramePosterior,
+    x: Array,
+    marker: float,
+    expected: tuple[Array, float],
+) -> tuple[Array, Array]:
+    """Innovation (m, 3) of the last key frame at parameters x, and its distance (m,) in sd.
+
+    `marker`: noise of the tags; `expected`: rows (slots,) of the frame's force error on the known ones, its variance.
+    """
+    i, tags, (rows, own) = keys.used - 1, len(frame.visible), expected
+    j, a = keys.j[i].reshape(-1, len(x)), keys.a[i].reshape(-1, 2)
+    innovation = keys.zeta[i] - keys.j[i] @ x + keys.a[i] @ keys.error[i]
+    by_errors = -a[:, None, :] * rows[None, :, None]
+    spread = solution.spread(by_errors.reshape(len(j), -1), j) + own * a @ a.T
+    blocks = spread.reshape(tags, 3, tags, 3)[np.arange(tags), :, np.arange(tags)]
+    solved = np.linalg.solve(blocks + marker**2 * frame.covariance, innovation[..., None])[..., 0]
+    return innovation, np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
+
+
+# Reasons not to rely on the live learner's k(s) at the moment; usually there are none.
+
+FAR_OFF = 5.0  # times the tags' noise: a larger misfit is not of the tags alone
+FAILED = "the last solution failed: k(s) is what was known before"
+TOO_SOFT = "the estimate has no equilibrium under a force that the beam withstood"
+_ROUGH = 1.7  # times the tags' noise: smaller misfits pass as noise
+_CLEAR_MISS = 3.0  # times the noise that a tag's covariance states: a smaller residual is no miss
+
+
+def misfit(keys: KeyFrames, marker: float) -> float:
+    """Root mean square of the tags' whitened residuals at the linearisation point, less what a force error in each
+    frame explains; 0 where it is no more than noise of size `marker`.
+    """
+    loaded = ~keys.rest[: keys.used]
+    residual = (keys.root[: keys.used] @ keys.residual[: keys.used][..., None]).reshape(keys.used, -1)[loaded]
+    r = without_force(residual, keys.rows_a[: keys.used][loaded])
+    size = float(np.sqrt(np.vdot(r, r) / max(np.count_nonzero(r) - 2.0 * len(r), 1.0)))
+    return size if size > _ROUGH * marker else 0.0
+
+
+def key_frame_doubts(keys: KeyFrames, marker: float, size: float, missed: str) -> tuple[str, ...]:
+    """The doubts that the key frames raise.
+
+    `marker`: noise of the tags over their covariances; `size`: of the `misfit`; `missed`: what `missed_tag` returned.
+    """
+    out = []
+    if size > FAR_OFF * marker:
+        out.append(
+            f"the tags are {size / marker:.2g} times their noise from the estimate, which still moves: go on pushing"
+        )
+    out += [missed] if missed else []
+    lost = int(np.count_nonzero(keys.lost[: keys.used]))
+    if lost:
+        out.append(f"{lost} of {keys.used} key frames have no equilibrium at the estimate")
+    return tuple(out)
+
+
+def missed_tag(keys: KeyFrames) -> str:
+    """A sentence on the tag whose residual is the largest share of its motion, whatever the force error; empty where
+    the fit would accept that share (`MISS`)."""
+    used = keys.used
+    visible = keys.information[:used, :, 0, 0] > 0.0
+    pushed = visible & ~keys.rest[:used, None]
+    if not np.any(pushed):
+        return ""
+    frames = pushed * keys.frames[:used, None]
+    counts = np.maximum(frames.sum(axis=0), 1.0)  # (m,) frames
+    force = force_in((keys.root[:used] @ keys.residual[:used][..., None]).reshape(used, -1), keys.rows_a[:used])
+    residual = keys.residual[:used, :, :2] - (keys.a[:used, :, :2] @ force[:, None, :, None])[..., 0]
+    rms = np.sqrt((frames[..., None] * residual**2).sum(axis=(0, 2)) / counts)
+    of_xy = (pushed * (keys.information[:used, :, 0, 0] + keys.information[:used, :, 1, 1])).sum(axis=0)
+    noise = 2.0 / np.sqrt(np.maximum(of_xy / counts, 1e-300))  # m, of one frame, x and y alike
+    motion = _motion(keys.measured[:used, :, :2], visible)
+    share = np.where(np.any(pushed, axis=0) & (rms > _CLEAR_MISS * noise), rms / np.maximum(motion, 1e-300), 0.0)
+    worst = int(np.argmax(share))
+    if share[worst] <= MISS:
+        return ""
+    return (
+        f"the estimate misses tag {worst + 1} by {1000.0 * rms[worst]:.3g} mm RMS where it moves by "
+        f"{1000.0 * motion[worst]:.3g} mm"
+    )
+
+
+def _motion(xy: Array, visible: BoolArray) -> Array:
+    """(m,) m: diagonal of the rectangle in which each tag was seen; infinite where it never was."""
+    part = visible[..., None]
+    across = np.max(xy, axis=0, initial=-np.inf, where=part) - np.min(xy, axis=0, initial=np.inf, where=part)
+    return np.asarray(np.sqrt(across[:, 0] ** 2 + across[:, 1] ** 2))
+
+
+# The state of the live learner: key frames, their posterior, and the search for the hyperparameters.
+
+_MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
+_NOISE_EVERY = 8  # of so many trials one counts the effective parameters instead
+_MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
+_MISSED_EVERY = 8  # of so many updates without a solution one looks for a missed tag
+
+
+class Smoother:
+    """All state of a live learner; its size is fixed when it is made."""
+
+    def __init__(
+        self,
+        session: LiveSession,
+        prior: LivePrior,
+        x: Array,
+        hyperparameters: LiveHyperparameters,
+        settings: SmootherSettings,
+    ) -> None:
+        tags, n = len(session.marker_s), session.layout.size
+        self.x = x  # (n,) the estimate
+        self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
+        self.hyperparameters = hyperparameters
+        self.keys = empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
+        self.marginalised = nothing_marginalised(n)
+        self._session, self._prior, self._settings = session, prior, settings
+        self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
+        spline, level = session.layout.spline, float(prior.mean[0])
+        begin = spline.variances(settings.roughness, settings.steps)
+        self._stiffness_prior = prior.stiffness_prior(begin)
+        drawn = settings.adapt and prior.fixed is None
+        self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
+        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.marker_s)
+        self._before = 0.0  # the load's own time from changes of the load that are settled
+        self._guess, self._spent = hyperparameters.marker, 0.0
+        self._looks, self._turns = 0, 0
+        self._linearised = 0  # key frames linearised in the last update
+        self._misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
+        self._failed = False  # whether the last solution failed
+        self._missed = ""  # what `missed_tag` returned last
+        self._too_soft = False  # whether the last frame had no equilibrium
+        self.pending = True  # whether a frame has come since the last solution
+        self._lineariser = Lineariser(session)
+        self._away = np.zeros(tags, dtype=np.int64)
+        self._largest = 0.0
+        self._expected = np.zeros(2), np.zeros(0), 0.0  # force error of the last frame, before its tags count
+        self._sums: KeyFrameSums = gather(self.keys, self.marginalised)
+        self.solution: KeyFramePosterior = solve(
+            self._sums, prior, self._stiffness_prior, hyperparameters, self._process(hyperparameters)
+        )
+
+    def enter(self, frame: CheckedFrame, rate: Array) -> bool:
+        """Add the frame as the last key frame, linearised; False where it has no equilibrium and is left out.
+
+        Also linearise the stale key frames that have waited longest, and average or marginalise others to make room.
+        """
+        keys = self.keys
+        self._stages.add_frame(frame.time, frame.measured[:, :2], frame.visible, frame.loaded)
+        i = self._write(frame, rate)
+        over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
+        own = keys.own[: keys.used] + self._stages.own(keys.centre)
+        pairs = closest_pairs(keys, i, self._largest, own, over)
+        fresh = [i]
+        for slot, pair in enumerate(pairs, keys.used):
+            propose_average(keys, pair, slot)
+            fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
+        if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
+            fresh.append(0)  # it is marginalised next, with the linearisation that it has then
+        room = 1 if self.pending else self._settings.renewed - len(fresh) + 1
+        waiting = [k for k in np.flatnonzero(keys.stale[:i]).tolist() if k not in fresh][: max(room, 0)]
+        solved = self._linearise([*fresh, *self._lineariser.near(keys, waiting, i)])
+        self._too_soft = i not in solved
+        if self._too_soft:
+            keys.used -= 1
+            return False
+        if frame.loaded:
+            self._largest = max(self._largest, float(np.linalg.norm(frame.force)))
+        missed = set(fresh) - solved
+        for pair, slot in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
+            if missed.isdisjoint((pair, pair + 1, slot)):
+                accept_average(keys, pair, slot, self.point)
+        while keys.used > self._settings.key_frames + 1:
+            marker = max(self.hyperparameters.marker, self._misfit)
+            marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)
+        return True
+
+    def _linearise(self, chosen: list[int]) -> set[int]:
+        """Linearise the chosen key frames; returns those that have an equilibrium. The others count as lost."""
+        self._linearised = len(chosen)
+        solved = self._lineariser.renew(self.keys, chosen, self.point)
+        gone = [k for k in chosen if k not in solved]
+        self.keys.lost[gone], self.keys.stale[gone] = True, False
+        return solved
+
+    def _write(self, frame: CheckedFrame, rate: Array) -> int:
+        """Write the frame behind the key frames in use; returns its index."""
+        bend, back = self._stages.displacement / self._session.length, self._stages.falling
+        angle, tags = frame.measured[:, 2], frame.visible
+        terms = self._course.terms(angle, tags, bend, frame.push_s, back=back, loaded=frame.loaded)
+        keys, i = self.keys, write_frame(self.keys, frame, rate, terms)
+        if frame.loaded:
+            self._lineariser.pushed_at(frame.push_s)
+        self._forget_changes(i)
+        now = keys.own[i] + float(self._stages.own(np.array([frame.time]))[0])
+        self._expected = self.solution.predicted_error(frame.time, now)
+        expect_shape(keys, i, self._expected[0])
+        return i
+
+    def _forget_changes(self, i: int) -> None:
+        """Add the settled changes of the load to the own times of the frames before; i: the frame that just came."""
+        keys, self.keys.own[i] = self.keys, self._before
+        added, after = self._stages.forgotten(np.append(keys.centre, self.marginalised.time))
+        keys.own[: keys.used] += added[:-1]
+        self.marginalised.own += float(added[-1])
+        self._before += after
+
+    def gate(self, frame: CheckedFrame) -> tuple[Array, Array, BoolArray]:
+        """Innovation (m, 3) of the last key frame, its distance (m,) in sd, and which tags are used.
+
+        A tag too far from where it was expected gets no weight, unless that lasts for some frames.
+        """
+        keys, i = self.keys, self.keys.used - 1
+        marker, expected = self.hyperparameters.marker, self._expected[1:]
+        innovation, distance = surprise(keys, frame, self.solution, self.x, marker, expected)
+        far = frame.visible & (distance > self._settings.gate)
+        self._away = np.where(far, self._away + 1, np.where(frame.visible, 0, self._away))
+        used = np.asarray(frame.visible & (~far | (self._away >= self._settings.patience)))
+        keys.weight[i] = used
+        if not np.array_equal(used, frame.visible):
+            keys.information[i] *= used[:, None, None]
+            keys.root[i] *= used[:, None, None]
+            keys.whiten(i)
+        innovation[~frame.visible], distance[~frame.visible] = np.nan, np.nan
+        return innovation, distance, used
+
+    def advance(self) -> None:
+        """After a frame: every other update solves for the posterior. The updates between take one step of the chains
+        or try other hyperparameters; after many linearisations they do neither, so that all updates cost alike.
+        """
+        if self.pending or self._failed:
+            self.pending = False
+            self.renew()
+            return
+        self.pending = True
+        if self._linearised > _MANY:
+            return
+        self._turns += 1
+        if self._turns % _MISSED_EVERY == 0:
+            self._missed = missed_tag(self.keys)
+        elif self._turns % 2 and self._chains is not None:
+            if self._misfit == 0.0:
+                self._chains.step(self.solution.stiffness_form)
+        elif self._settings.adapt:
+            self.look_about()
+
+    def look_about(self) -> None:
+        """Try other hyperparameters on the last solution's sums, or count the effective parameters."""
+        self._looks += 1
+        if self._looks % _NOISE_EVERY == 0:
+            self._spent = self.solution.effective_parameters(self._prior, self._stiffness_prior)
+        else:
+            tried = self._search.trial(self.hyperparameters, self.solution, self._solve)
+            self.hyperparameters, self.solution = tried
+
+    def renew(self) -> bool:
+        """Solve for the posterior, move the estimate, and renew the robust weights. False where the solution fails: the
+        last one stays, and `doubts` says so until a later one succeeds."""
+        keys, settings = self.keys, self._settings
+        self._sums = gather(keys, self.marginalised, self._stages.own)
+        bend = self._stages.largest / self._session.length
+        self._prior = replace(self._prior, scale=self._session.prior_scale(self._largest, bend))
+        if self._chains is not None:
+            self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
+        self._misfit = misfit(keys, self.hyperparameters.marker)
+        try:
+            self.solution = solution = self._solve(self.hyperparameters)
+        except np.linalg.LinAlgError:
+            self._failed = True
+            return False
+        self._failed = False
+        step = solution.x - self.x
+        largest = max(float(np.max(np.abs(step[: self._session.layout.spline.count]))), 1e-300)
+        self.x = self.x + step * min(1.0, settings.step / largest)
+        residual = tag_residuals(keys, solution)
+        if settings.adapt:
+            marker = tag_noise_size(keys, residual, self._spent, self._guess)
+            self.hyperparameters = replace(self.hyperparameters, marker=marker)
+        marker = max(self.hyperparameters.marker, self._misfit)
+        keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
+        fresh = not np.any(keys.stale[: keys.used])
+        if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
+            self.move()
+        return True
+
+    def _solve(self, hyperparameters: LiveHyperparameters) -> KeyFramePosterior:
+        """The posterior under these hyperparameters; a misfit beyond the tags' noise counts as noise."""
+        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self._misfit))
+        return solve(self._sums, self._prior, self._stiffness_prior, coarse, self._process(hyperparameters))
+
+    def catch_up(self) -> None:
+        """Solve now if a frame has come since the last time."""
+        if self.pending and self.keys.used:
+            self.renew()
+            self.pending = False
+
+    def settle(self, rounds: int) -> None:
+        """Linearise all key frames and solve, several times; then try other hyperparameters for two rounds."""
+        self.catch_up()
+        if self._failed and not self.renew():  # its force errors belong to other key frames
+            return
+        for _ in range(rounds):
+            self.move()
+            self._linearise(list(range(self.keys.used)))
+            if not self.renew():
+                return
+        if self._settings.adapt:
+            for _ in range(2 * self._search.round):
+                self.look_about()
+                if self._chains is not None:
+                    self._chains.step(self.solution.stiffness_form)
+
+    def move(self) -> None:
+        """Make the present estimate the linearisation point."""
+        keys = self.keys
+        self.point = self.x
+        keys.error[: keys.used] = self.solution.e[len(self.solution.e) - keys.used :]
+        keys.stale[: keys.used] = True
+
+    def stiffen(self, amount: float) -> None:
+        """Raise log k by `amount` and linearise there: the beam withstood a force that the estimate cannot."""
+        self.x = self.x.copy()
+        self.x[: self._session.layout.spline.count] += amount
+        self.point = self.x
+        self.keys.stale[: self.keys.used] = True
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Reasons not to rely on the posterior as it is now; usually none."""
+        self._missed = missed_tag(self.keys)
+        return self.last_doubts
+
+    @property
+    def last_doubts(self) -> tuple[str, ...]:
+        """The same, with the missed tag of the last look for one."""
+        reasons = {FAILED: self._failed, TOO_SOFT: self._too_soft}
+        return tuple(words for words, holds in reasons.items() if holds) + key_frame_doubts(
+            self.keys, self.hyperparameters.marker, self._misfit, self._missed
+        )
+
+    def posterior(self) -> tuple[Array, Array, Array]:
+        """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
+        solution, p = self.solution, self._session.layout.spline.count
+        if self._chains is None:
+            k, covariance, steps = solution.x[:p], solution.covariance()[:p, :p], np.zeros(p - 1)
+        else:
+            k, covariance, steps = self._chains.mixed(solution.stiffness_form)
+        x, covariance = solution.with_stiffness(*self._search.averaged(k, covariance))
+        return *self._lineariser.secant(self.keys, self.point, x, covariance), steps
+
+    @property
+    def nuisance_sd(self) -> Array:
+        """(n - p,) one sd before the data of all parameters but log k's coefficients."""
+        return self._prior.nuisance_sd
+
+    def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
+        """The force log's error under these hyperparameters."""
+        far_off = self._misfit > FAR_OFF * hyperparameters.marker
+        return force_process(self._settings, hyperparameters, self._largest, far_off)
+
+
+_EXACT = 1e-12  # of the largest variance of a start: smaller ones are rounding
+_HELD: frozenset[AllowanceName] = frozenset({"patches"})  # what k(s) of a fit has in it
+_STIFFER = 0.2  # added to log k where the estimate has no equilibrium under a force that the beam withstood
+
+
+@dataclass(frozen=True)
+class Update:
+    """The result of one frame."""
+
+    innovation: Array  # (m, 3) m, m, rad: measured minus expected; NaN where a tag was not seen
+    distance: Array  # (m,) the same in sd of what was expected (root of chi-square with 3 degrees); NaN likewise
+    accepted: BoolArray  # (m,) tags that were used
+    solved: bool  # False: the estimate has no equilibrium under this force, nothing was learned from the frame
+    doubts: tuple[str, ...]  # reasons not to rely on k(s) after this frame; usually none
+
+
+class OnlineLearner:
+    """Learns k(s) of one beam frame by frame. Not thread-safe."""
+
+    @one_blas_thread
+    def __init__(
+        self,
+        length: float,
+        marker_s: ArrayLike,
+        start: Profile | float | UncertainStiffness,
+        *,
+        mass: float = 0.0,
+        gain_sd: float = 0.0,
+        settings: OnlineSettings = OnlineSettings(),
+    ) -> None:
+        """A learner that has seen nothing.
+
+        Args:
+            length: m.
+            marker_s: (m,) the tags' places along the beam.
+            start: stiffness to begin with [N m], a poor guess will do; or what a fit has found, to go on from there.
+            mass: kg, needed where gravity acts in the plane.
+            gain_sd: of the force sensor's common scale; it widens the band and is not learned.
+
+        Raises:
+            LearningError: a length or stiffness that is not positive, tags outside (0, 1], settings without meaning.
+        """
+        s = np.asarray(marker_s, dtype=float)
+        _check(length, s, mass)
+        settings.check()
+        self._held = _HELD if isinstance(start, UncertainStiffness) else frozenset()
+        thickness, tag_size = (np.nan if v is None else v for v in (settings.thickness, settings.tag_size))
+        layout = session_layout(
+            Spline(settings.functions),
+            s,
+            settings.priors,
+            length=length,
+            placement_sd=settings.placement_sd,
+            rest_unknown=settings.rest_unknown,
+            calibrated=settings.calibrated,
+            mass=mass,
+            allowances=settings.allowances - self._held,
+            thickness=thickness,
+            tag_size=tag_size,
+        )
+        self.settings = settings
+        self._session, self._gain_sd = LiveSession(length, s, mass, layout, thickness, tag_size), gain_sd
+        prior, x = _prior_and_point(layout, start)
+        self._state = Smoother(self._session, prior, x, settings.hyperparameters, settings.smoother)
+        self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
+        self._last: tuple[float, Array] | None = None
+        self._frames = 0
+
+    @one_blas_thread
+    def update(
+        self,
+        time: float,
+        xy: ArrayLike,
+        angle: ArrayLike,
+        covariance: ArrayLike,
+        force: ArrayLike,
+        push_s: float = 1.0,
+        *,
+        loaded: bool = True,
+        gravity: ArrayLike = (0.0, 0.0),
+    ) -> Update:
+        """One frame.
+
+        Args:
+            time: s, later than the frame before.
+            xy: (m, 2) m, the tags in the beam's frame; NaN where not seen.
+            angle: (m,) rad, whole turns do not matter; NaN where not seen.
+            covariance: (m, 3, 3) of (x, y, angle) of every tag.
+            force: (2,) N on the beam, in its frame, as logged.
+            push_s: place of the force.
+            loaded: False where nothing touches the beam: the frame then shows the rest shape and the log's zero. Leave
+                out frames in which that is not sure.
+            gravity: (2,) m/s^2 in the beam's frame.
+
+        Raises:
+            LearningError: shapes that do not fit, numbers that are not finite (missing tags apart), a covariance that
+                is not positive definite, time that does not go on, a place outside (0, 1], gravity without mass. The
+                learner stays as it was.
+        """
+        tags = len(self._session.marker_s)
+        frame = checked_frame(tags, time, xy, angle, covariance, force, push_s, loaded, gravity)
+        if self._last is not None and not time > self._last[0]:
+            raise LearningError(f"frames must come in order of time: {time:g} s after {self._last[0]:g} s")
+        if np.any(frame.gravity != 0.0) and self._session.mass <= 0.0:
+            raise LearningError("gravity acts in the plane, so the beam's mass must be given")
+        rate = np.zeros(2) if self._last is None else (frame.force - self._last[1]) / (time - self._last[0])
+        self._last = (time, frame.force)
+        nothing = np.full((tags, 3), np.nan), np.full(tags, np.nan), np.zeros(tags, dtype=bool)
+        state = self._state
+        if loaded and not np.any(frame.visible):
+            return Update(*nothing, solved=True, doubts=self._doubts + state.last_doubts)
+        if not state.enter(frame, rate):
+            state.stiffen(_STIFFER)
+            return Update(*nothing, solved=False, doubts=self._doubts + state.last_doubts)
+        gated = state.gate(frame)
+        state.advance()
+        self._frames += 1
+        return Update(*gated, solved=True, doubts=self._doubts + state.last_doubts)
+
+    @one_blas_thread
+    def settle(self, rounds: int = 10) -> None:
+        """Linearise all key frames anew and solve, several times: for the end of a push, not for a loop."""
+        self._state.settle(rounds)
+
+    @property
+    def frames(self) -> int:
+        """Count of the frames learned from."""
+        return self._frames
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What the fit allows for and this learner does not: it takes the beam and the bench as ideal there,
+        and its band holds no more of it than what the discrepancy takes in."""
+        return tuple(sorted(OF_ONE - self._session.carried - self._held))
+
+    @property
+    @one_blas_thread
+    def hyperparameters(self) -> LiveHyperparameters:
+        """Sizes of the tags' noise and of the force error, as they are now."""
+        return self._state.hyperparameters
+
+    @property
+    @one_blas_thread
+    def parameters(self) -> tuple[Array, Array]:
+        """(n,) and (n, n): mean and covariance of all parameters; log k's coefficients come first."""
+        self._state.catch_up()
+        mean, covariance, _ = self._state.posterior()
+        return mean, covariance
+
+    @property
+    @one_blas_thread
+    def stiffness(self) -> UncertainStiffness:
+        """k(s) with its band, as it is now; while there are `doubts`, no place of it counts as identified."""
+        self._state.catch_up()
+        spline, (mean, covariance, steps) = self._session.layout.spline, self._state.posterior()
+        fine, onto, p = spline.finer, spline.on_finer, spline.count
+        index = np.arange(p)
+        if self._session.carries("patches"):  # k(s) has them in it
+            under_tags = self._session.layout.index["patches", -1].where
+            index = np.append(index, np.arange(under_tags.start, under_tags.stop))
+            onto = np.column_stack([onto, self._session.patches_on_finer])
+        spread = onto @ covariance[np.ix_(index, index)] @ onto.T + np.tensordot(steps**2, spline.unseen, 1)
+        coefficients, spread = onto @ mean[index], 0.5 * (spread + spread.T)
+        return UncertainStiffness(
+            fine.knots, coefficients, spread, self._gain_sd, doubts=self._doubts + self._state.doubts
+        )
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Reasons not to rely on `stiffness` as it is now; usually none."""
+        self._state.catch_up()
+        return self._doubts + self._state.doubts
+
+    @property
+    @one_blas_thread
+    def force_error(self) -> Array:
+        """(2,) N: the log's error at the last frame, as far as it is known."""
+        self._state.catch_up()
+        e = self._state.solution.e
+        return e[-1].copy() if len(e) else np.zeros(2)
+
+    @one_blas_thread
+    def nuisances(self) -> list[Nuisance]:
+        """Every parameter but k's, before and after the frames so far."""
+        mean, covariance = self.parameters
+        sd, p = np.sqrt(np.diag(covariance)), self._session.layout.spline.count
+        before = np.concatenate([np.ones(p), self._state.nuisance_sd])
+        out = []
+        for block in self._session.layout.blocks:
+            if block.start >= 0 and block.name != "stiffness":
+                values = zip(block.labels, mean[block.where], sd[block.where], before[block.where], strict=True)
+                out += [Nuisance(n, block.unit, float(v), float(s), float(p)) for n, v, s, p in values]
+        return out
+
+    @property
+    @one_blas_thread
+    def beam(self) -> Beam:
+        """The beam as it is now."""
+        self._state.catch_up()
+        theta0 = self._session.layout.get(self._state.x, "curvature")
+        rest: Profile = Uniform(0.0)
+        if np.any(theta0 != 0.0):
+            rest = Powers(tuple(np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0).tolist()))
+        length = self._session.length
+        mass = Uniform(self._session.mass / length)
+        return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)
+
+
+def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness) -> tuple[LivePrior, Array]:
+    """The prior, and the parameters to begin with."""
+    x, mean, p = np.zeros(layout.size), np.zeros(layout.size), layout.spline.count
+    if isinstance(start, UncertainStiffness):
+        if len(start.mean) < p:
+            raise LearningError(
+                f"the stiffness to go on from has {len(start.mean)} functions, fewer than the {p} of the settings: "
+                "fit it with more, or go on with fewer"
+            )
+        s = np.linspace(0.0, 1.0, 8 * len(start.mean))
+        onto = np.linalg.lstsq(layout.spline.basis(s), start.basis(s), rcond=None)[0]
+        offset = np.zeros(p) if start.offset is None else layout.spline.nearest(start.offset)
+        x[:p] = mean[:p] = onto @ start.mean + offset
+        size, ways = np.linalg.eigh(onto @ start.covariance @ onto.T)
+        return LivePrior(layout, mean, np.asarray((ways / np.maximum(size, _EXACT * size[-1])) @ ways.T)), x
+    s = np.linspace(0.0, 1.0, 8 * p)
+    k = np.full(len(s), float(start)) if isinstance(start, float | int) else np.asarray(start(s))
+    if not np.all(k > 0.0):
+        raise LearningError("the start stiffness must be positive everywhere")
+    x[:p] = np.linalg.lstsq(layout.spline.basis(s), np.log(k), rcond=None)[0]
+    mean[:p] = np.mean(np.log(k))
+    return LivePrior(layout, mean, None), x
+
+
+def _check(length: float, marker_s: Array, mass: float) -> None:
+    if not (np.isfinite(length) and length > 0.0):
+        raise LearningError(f"a beam's length must be positive, got {length} m")
+    if marker_s.ndim != 1 or len(marker_s) == 0 or not np.all((marker_s > 0.0) & (marker_s <= 1.0)):
+        raise LearningError(f"tags are at s in (0, 1], got {marker_s.tolist()}")
+    if not mass >= 0.0:
+        raise LearningError(f"a beam's mass cannot be negative, got {mass} kg")

@@ -1,0 +1,463 @@
+"""One recording, from the first picture to the folder."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.errors import ObservationError, OnebendError, RecordingError
+from onebend.learning.design import plan
+from onebend.learning.instruments import instruments_of
+from onebend.live.guidance import (
+    GOOD,
+    NO_FORCE,
+    CaptureOutcome,
+    CaptureSettings,
+    CaptureState,
+    Stages,
+    Stop,
+    TagView,
+    not_begun,
+    outcome_remarks,
+    setup_advice,
+    stage_advice,
+    tag_views,
+)
+from onebend.live.live import Live, seen_by
+from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
+from onebend.live.review import Seen, observed_in
+from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of
+from onebend.pipeline import learn_observed
+from onebend.progress import interrupts_held, leave_interrupts_to_parent
+from onebend.recording.entries import Recording
+from onebend.recording.observe import ObserveSettings
+from onebend.recording.tags import Tracker
+from onebend.recording.video import Picture
+from onebend.records import Array
+from onebend.report.confidence import identified_ranges, typical_half_width
+
+# Which push to make next, from all that was recorded so far: fitted and planned by a process beside this one.
+
+
+def next_push_words(seen: Seen, observing: ObserveSettings = ObserveSettings()) -> str:
+    """The push that would leave the narrowest band without anything new on the bench, in words; else why none."""
+    try:
+        posterior = learn_observed(observed_in(seen, observing)).posterior
+        assert posterior is not None  # it was asked for
+        found = plan(posterior.stiffness, posterior.beam, instruments_of(posterior))
+    except OnebendError as wrong:
+        return f"what the next push should be is not known: {wrong}"
+    free = [one for one in found.proposals if not one.needs]
+    return free[0].text if free else "no push on this bench would narrow the band much"
+
+
+class NextPush:
+    """Asks for it, and looks whether it is known."""
+
+    def __init__(self, *, beside: bool = True) -> None:
+        """`beside`: False: the question is answered at once, which takes some seconds."""
+        self._beside = beside
+        self._pool: ProcessPoolExecutor | None = None
+        self._coming: Future[str] | None = None
+        self._words = ""
+
+    @property
+    def words(self) -> str:
+        """The answer to the last question; empty where there is none yet."""
+        if self._coming is not None and self._coming.done():
+            try:
+                self._words = self._coming.result()
+            except Exception as wrong:  # the process was ended
+                self._words = f"what the next push should be is not known: {type(wrong).__name__}"
+            self._coming = None
+        return self._words
+
+    def ask(self, seen: Seen, observing: ObserveSettings) -> None:
+        """From what was seen so far; a question that is under way goes on."""
+        if self._coming is not None:
+            return
+        self._words = ""
+        if not self._beside:
+            self._words = next_push_words(seen, observing)
+            return
+        if self._pool is None:
+            context = get_context("spawn")
+            self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=leave_interrupts_to_parent)
+        with interrupts_held():
+            self._coming = self._pool.submit(next_push_words, seen, observing)
+
+    def close(self) -> None:
+        """End the process."""
+        if self._pool is None:
+            return
+        processes = list(getattr(self._pool, "_processes", {}).values())
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            with suppress(OSError):
+                process.terminate()
+        self._pool = None
+
+
+# What follows a recording while it is made: the tags of each picture, and k(s).
+
+
+class Follower:
+    """Tags before the film begins, and tags and k(s) from then on. Not thread-safe."""
+
+    def __init__(self, rec: Recording, settings: CaptureSettings) -> None:
+        self.why = "" if settings.follow else "k(s) was not asked for"  # there is no k(s)
+        self._rec, self._settings = rec, settings
+        ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+        self._tracker = Tracker(ids, rec.tags.family)
+        self._live: Live | None = None
+        self._next = NextPush(beside=settings.live_beside)
+
+    def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
+        """The tags of a picture before the film begins, and what is to be better."""
+        try:
+            seen = self._tracker.step(frame.picture, frame.arrival)
+        except ObservationError as wrong:
+            return (), [str(wrong)]
+        views = tag_views(self._rec.tags, seen.corners)
+        return views, setup_advice(frame.picture, views, seen.strangers)
+
+    def begin(self, error: float) -> None:
+        """The film begins, and its clock; that of the force is the same to `error` [s]."""
+        self._tracker = Tracker(self._tracker.tag_id, self._rec.tags.family)
+        if self._settings.follow:
+            try:
+                self._live = Live(
+                    self._rec, clock=(0.0, error), settings=self._settings.live, beside=self._settings.live_beside
+                )
+            except RecordingError as wrong:
+                self.why = str(wrong)
+
+    def frame(self, picture: Picture, time: float) -> Array | None:
+        """(b + m, 4, 2) px, the tags of a picture of the film; None where it is of no use."""
+        if self._live is not None:
+            seen = self._live.frame(picture, time)
+            return None if seen is None else seen.corners
+        try:
+            return self._tracker.step(picture, time).corners
+        except ObservationError:
+            return None
+
+    def force(self, time: Array, force: Array, place: Array | None) -> None:
+        """Rows of the force: times (n,) s on the film's clock, forces (n, 2) N, and perhaps the push's places (n,)."""
+        if self._live is not None and len(time):
+            self._live.force(time, force, place)
+
+    def known(self) -> dict[str, Any]:
+        """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
+        if self._live is None:
+            return {}
+        state = self._live.state()
+        return {"live": state, "stiffness": state.stiffness, "half_width": half_width_share(state.stiffness)}
+
+    def plan(self) -> None:
+        """Begin to find what the next push should be."""
+        if self._live is not None:
+            self._next.ask(seen_by(self._live), self._settings.live.observing)
+
+    @property
+    def next_push(self) -> str:
+        """What the next push should be; empty where that was not asked, or is not known yet."""
+        return self._next.words
+
+    def close(self) -> None:
+        """End what learns beside this process."""
+        self._next.close()
+        if self._live is not None:
+            self._live.close()
+
+
+def half_width_share(stiffness: UncertainStiffness | None) -> float:
+    """Half the 95 % band of k(s), its median, as a share of k; NaN where k(s) is identified nowhere."""
+    if stiffness is None or not identified_ranges(stiffness):
+        return float("nan")
+    return float(np.expm1(typical_half_width(stiffness)))
+
+
+LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
+FIRST_LOOKS = 5  # frames of a good picture at least, before the film begins
+
+
+def record(
+    folder: Path | str,
+    camera: CameraSource,
+    force: ForceSource | None,
+    settings: CaptureSettings = CaptureSettings(),
+    watch: Callable[[CaptureState], None] = lambda _: None,
+    stop: Stop | None = None,
+    *,
+    begin: Stop | None = None,
+    clock: Clock | None = None,
+) -> CaptureOutcome:
+    """Record one push into `folder`, which holds a `recording.toml` that names its film and its force log.
+
+    It ends when the beam is at rest after a push (and k(s) is known to `settings.until`), when a source ends, when
+    `stop` is set, or when the disk is full. What there is by then is in the folder.
+
+    Args:
+        watch: called from this thread some ten times a second; what it raises ends the recording.
+        stop: set from anywhere to end it.
+        begin: set from anywhere to begin the film in spite of what is wrong with the picture.
+        clock: None: this machine's; `PlayedClock` plays played sources as fast as they can be read.
+
+    Raises:
+        RecordingError: recording.toml, the camera or the sensor cannot be used; nothing was recorded then.
+    """
+    clock = clock or HostClock()
+    columns = None if force is None else force.columns
+    places = places_for(folder, columns, overwrite=settings.overwrite, read=files_of(camera, force))
+    sources: list[CameraSource | ForceSource] = [camera, *([] if force is None else [force])]
+    with ExitStack() as opened:
+        for source in sources:
+            source.open(clock)
+            opened.callback(source.close)
+        session = _Session(places, camera, force, settings, watch, clock)
+        return session.run(stop or threading.Event(), begin or threading.Event())
+
+
+class _Session:
+    """What is under way."""
+
+    def __init__(
+        self,
+        places: RecordingPlaces,
+        camera: CameraSource,
+        force: ForceSource | None,
+        settings: CaptureSettings,
+        watch: Callable[[CaptureState], None],
+        clock: Clock,
+    ) -> None:
+        self._places, self._settings, self._watch, self._clock = places, settings, watch, clock
+        self._pump = Pump(camera, force, clock)
+        self._camera, self._force = camera, force
+        self._logs = Logs(
+            camera.timing, None if force is None else force.timing, () if force is None else force.columns
+        )
+        self._film: FilmWriter | None = None
+        self._stages = Stages(places.rec, settings, forced=force is not None)
+        self._follower = Follower(places.rec, settings)
+        self._newest = math.nan, np.full(2, np.nan)
+        self._early: deque[Frame | Samples] = deque()  # of the last moments before the film
+        self._good, self._good_since = 0, math.nan
+        self._state = CaptureState("exposure", until=settings.until)
+        self._next_state = self._next_flush = self._next_stiffness = -math.inf
+        self._why, self._fault = "", False
+        self._force_end = ""
+        self._followed = -math.inf  # s, this machine's clock: when a picture was searched for tags
+        self._planned = False  # the next push is asked for, in this rest
+
+    def run(self, stop: Stop, begin: Stop) -> CaptureOutcome:
+        """Until something ends it."""
+        try:
+            for item in self._pump:
+                if item is not None:
+                    self._take(*item)
+                if self._film is None and begin.is_set() and any(isinstance(one, Frame) for one in self._early):
+                    self._begin()
+                self._now_and_then()
+                if stop.is_set():
+                    self._end("it was stopped")
+                if self._why:
+                    break
+        except KeyboardInterrupt:
+            self._end("it was stopped")
+        except OSError as wrong:
+            self._end(f"nothing more can be written ({wrong.strerror or wrong})", fault=True)
+        finally:
+            self._pump.close()
+            self._renew()
+            self._close()
+        self._watch(self._state)
+        return self._outcome()
+
+    def _end(self, why: str, *, fault: bool = False) -> None:
+        if not self._why:
+            self._why, self._fault = why, fault
+
+    def _take(self, source: object, item: Frame | Samples | End) -> None:
+        if isinstance(item, End):
+            if source is self._camera or item.fault:
+                self._end(item.why, fault=item.fault)
+            else:
+                self._force_end = item.why
+            return
+        self._logs.see(item)
+        if self._film is None:
+            self._early.append(item)
+            if isinstance(item, Frame):
+                self._set_up(item)
+        elif isinstance(item, Frame):
+            self._filmed(item)
+        else:
+            self._felt(item)
+
+    def _set_up(self, frame: Frame) -> None:
+        """One picture before the film begins."""
+        settings = self._settings
+        while self._early and self._early[0].arrival < frame.arrival - settings.setup - 0.5:
+            self._early.popleft()
+        if settings.begin_at_once:
+            self._begin()
+            return
+        if self._too_late():
+            return
+        views, advice = self._follower.look(frame)
+        self._good = 0 if advice else self._good + 1
+        if advice or math.isnan(self._good_since):
+            self._good_since = frame.arrival
+        if self._force is not None and not any(isinstance(one, Samples) for one in self._early):
+            advice = [
+                *advice,
+                NO_FORCE,
+            ]
+        self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice or [GOOD]))
+        good = self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup
+        if good:
+            self._begin()
+
+    def _begin(self) -> None:
+        """The film begins with the pictures of the last moments."""
+        first = next(one for one in self._early if isinstance(one, Frame))
+        height, width = first.picture.shape
+        for path in self._places.earlier:
+            path.unlink()
+        state_start(self._places.rec.folder, self._logs.error)
+        self._film = FilmWriter(self._places.film, (width, height), crf=self._settings.crf)
+        self._logs.begin(self._places, first)
+        self._follower.begin(self._logs.error)
+        items = sorted(self._early, key=lambda one: one.arrival)
+        self._early.clear()
+        for item in items:
+            if isinstance(item, Frame):
+                self._filmed(item)
+            else:
+                self._felt(item)
+
+    def _too_late(self) -> bool:
+        """Whether there is no time to search this picture for tags."""
+        now = self._clock.now()
+        if self._pump.waiting > self._settings.most_waiting and now - self._followed < LEAST_OFTEN:
+            return True
+        self._followed = now
+        return False
+
+    def _filmed(self, frame: Frame) -> None:
+        assert self._film is not None
+        if frame.picture.shape != self._film.shape:
+            self._end(f"{self._camera.name} changed the size of its pictures", fault=True)
+            return
+        time = self._logs.frame(frame)
+        if time is None:
+            return
+        self._film.write(frame.picture, time, frame.colour)
+        if self._too_late():
+            self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
+        elif (corners := self._follower.frame(frame.picture, time)) is not None:
+            self._stages.update(time, corners)
+            self._state = replace(self._state, picture=frame.picture, tags=tag_views(self._places.rec.tags, corners))
+        self._state = replace(self._state, seconds=time, frames=self._film.frames)
+        if time > self._settings.longest:
+            self._end(f"it lasted {self._settings.longest:.0f} s, and longer was not asked for")
+
+    def _felt(self, samples: Samples) -> None:
+        time = self._logs.rows(samples)
+        force = samples.force[:, self._places.wanted]
+        self._stages.force(time, force)
+        place = self._places.push_column
+        self._follower.force(time, force, None if place is None else samples.force[:, place])
+        good = np.flatnonzero(np.isfinite(force).all(axis=1))
+        if len(good):
+            self._newest = float(time[good[-1]]), force[good[-1]]
+
+    def _now_and_then(self) -> None:
+        """What need not be done for each frame."""
+        now, settings = self._clock.now(), self._settings
+        if self._film is not None and now >= self._next_flush:
+            self._next_flush = now + settings.flush_every
+            self._logs.flush()
+            left = room_left(self._places.rec.folder)
+            self._state = replace(self._state, disk_left=left, bytes=self._film.bytes + self._logs.bytes)
+            if left < settings.least_disk:
+                self._end(f"the disk is nearly full ({left / 1e6:.0f} MB are left)", fault=True)
+        if now >= self._next_state:
+            self._next_state = now + settings.state_every
+            self._renew()
+            self._watch(self._state)
+
+    def _renew(self) -> None:
+        """The state, of what is known now."""
+        now, state, stages, settings = self._clock.now(), self._state, self._stages, self._settings
+        if self._film is not None:
+            if now >= self._next_stiffness or self._why:
+                self._next_stiffness = now + settings.stiffness_every
+                state = replace(state, **self._follower.known())
+            newest, force = self._newest
+            rested = stages.stage == "last rest" and stages.rested >= settings.rest
+            enough = math.isnan(settings.until) or state.half_width <= settings.until
+            if rested and not enough and not self._planned:
+                self._follower.plan()
+            self._planned = rested
+            next_push = self._follower.next_push if rested else ""
+            state = replace(
+                state,
+                stage="done" if rested and enough else stages.stage,
+                advice=tuple(stage_advice(stages, settings, state.half_width, next_push)),
+                next_push=next_push,
+                displacement=stages.displacement,
+                largest=stages.largest,
+                tare=stages.tare,
+                force=force - stages.tare,
+                force_time=newest,
+                drops=self._logs.drops,
+                samples=self._logs.samples,
+                lost_samples=self._logs.lost_samples,
+                clock_sd=self._logs.clock_sd,
+            )
+            if state.stage == "done":
+                state = replace(state, advice=("done: the recording is whole",))
+                self._end("the beam is at rest again after the push")
+        self._state = state
+
+    def _close(self) -> None:
+        """Put all there is on disk."""
+        self._follower.close()
+        if self._film is None:
+            return
+        for close in (self._film.close, self._logs.finish):
+            try:
+                close()
+            except OSError as wrong:
+                self._fault = True
+                self._why = f"{self._why}; at its end nothing more could be written ({wrong.strerror or wrong})"
+
+    def _outcome(self) -> CaptureOutcome:
+        places, state, why = self._places, self._state, self._why or "its sources ended"
+        remarks = [] if self._film is None else outcome_remarks(state, self._settings, self._stages)
+        if self._follower.why and self._settings.follow:
+            remarks.append(f"k(s) was not learned meanwhile: {self._follower.why}")
+        if self._force_end and self._force is not None:
+            remarks.append(f"{self._force_end} before the film did")
+        return CaptureOutcome(
+            folder=places.rec.folder,
+            film=None if self._film is None else places.film,
+            log=None if self._film is None else places.log,
+            why=why if self._film is not None or self._fault else not_begun(why, state.advice, self._settings),
+            fault=self._fault,
+            state=state,
+            remarks=tuple(remarks),
+        )

@@ -1,0 +1,276 @@
+"""Sources as they are named on the command line: `kind:place,key=value,...`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from onebend.errors import RecordingError
+from onebend.live.cameras import PACKED, STREAMS, AvCamera, RealSenseCamera, RealSenseSettings, V4l2Camera, V4l2Settings
+from onebend.live.force_sensors import (
+    KNOWN,
+    PORT,
+    WEB_PORT,
+    AtiForce,
+    AtiScale,
+    FrankaForce,
+    GrowingBag,
+    GrowingLog,
+    LslForce,
+    SerialForce,
+    UrForce,
+    cells_of,
+)
+from onebend.live.played import Disturbances, OwnClock, played_camera, played_force
+from onebend.live.sources import CameraSource, ForceSource
+from onebend.text_files import QUOTED
+
+Options = Mapping[str, str]
+
+
+Made = TypeVar("Made", CameraSource, ForceSource)
+
+
+@dataclass(frozen=True)
+class SourceKind(Generic[Made]):
+    """One way to name a camera, or a force sensor."""
+
+    example: str
+    says: str
+    keys: tuple[str, ...]
+    make: Callable[[str, Options], Made]
+
+
+MOST_LATE, MOST_DRIFT = 60_000.0, 100_000.0  # ms and ppm, of what is played
+MOST_SEED, MOST_START, MOST_COUNTS = 2**53, 1e12, 1e12
+MOST_SIDE = MOST_PORT = 65_535  # px, and of a port
+MOST_RATE, MOST_FPS = 1e6, 100_000.0  # Hz
+_ON_THE_WAY = ("lost", "late", "jitter_ms", "drift_ppm", "seed")
+
+
+def camera_of(spec: str) -> CameraSource:
+    """The camera that a spec names, not opened yet.
+
+    Raises:
+        RecordingError: there is no such kind, or a key that it does not know.
+    """
+    kind, place, options = _split(spec, CAMERAS, "--camera")
+    return CAMERAS[kind].make(place, options)
+
+
+def force_of(spec: str) -> ForceSource:
+    """The force sensor that a spec names, not opened yet.
+
+    Raises:
+        RecordingError: as `camera_of`.
+    """
+    kind, place, options = _split(spec, FORCES, "--force")
+    return FORCES[kind].make(place, options)
+
+
+def number(options: Options, key: str, default: float, *, least: float = -math.inf, most: float = math.inf) -> float:
+    """A number of a spec's options.
+
+    Raises:
+        RecordingError: it is none.
+    """
+    if key not in options:
+        return default
+    try:
+        value = float(options[key])
+    except ValueError:
+        value = math.nan
+    if not (least <= value <= most and math.isfinite(value)):
+        low = "" if least == -math.inf else f" from {least:g}"
+        high = "" if most == math.inf else f" to {most:g}"
+        raise RecordingError(f"{key}={options[key][:QUOTED]}: this must be a number{low}{high}.")
+    return value
+
+
+def _split(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> tuple[str, str, dict[str, str]]:
+    head, *more = spec.split(",")
+    if head.endswith(":"):
+        raise RecordingError(f"{option} {spec}: nothing stands behind the colon. Say where it is: {head}PLACE.")
+    kind, colon, place = ("v4l2", ":", head) if head.startswith("/dev/video") else head.partition(":")
+    if not colon or kind not in kinds:
+        known = ", ".join(one.example for one in kinds.values())
+        raise RecordingError(f"{option} {spec}: there is no such source. Name one of: {known}.")
+    options = {}
+    for part in more:
+        key, _, value = part.partition("=")
+        if key not in kinds[kind].keys:
+            known = ", ".join(kinds[kind].keys) or "none"
+            raise RecordingError(f"{option} {spec}: {kind} has no key {key}. Its keys: {known}.")
+        options[key] = value
+    return kind, place, options
+
+
+def _disturbances(options: Options) -> Disturbances:
+    lost, late = (number(options, key, 0.0, least=0.0, most=1.0) for key in ("lost", "late"))
+    jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE)
+    return Disturbances(
+        frames_lost=lost,
+        frames_late=late,
+        frame_jitter=jitter,
+        samples_lost=lost,
+        samples_late=late,
+        sample_jitter=jitter,
+    )
+
+
+def _own(options: Options) -> OwnClock:
+    drift = number(options, "drift_ppm", 0.0, least=-MOST_DRIFT, most=MOST_DRIFT)
+    return OwnClock(drift=1e-6 * drift, late=1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE))
+
+
+def _film(place: str, options: Options) -> CameraSource:
+    seed = int(number(options, "seed", 0, least=0, most=MOST_SEED))
+    return played_camera(Path(place), _disturbances(options), own=_own(options), seed=seed)
+
+
+def _log(place: str, options: Options) -> ForceSource:
+    seed = int(number(options, "seed", 0, least=0, most=MOST_SEED))
+    start = number(options, "start_s", math.nan, least=-MOST_START, most=MOST_START)
+    return played_force(Path(place), _disturbances(options), start=start, own=_own(options), seed=seed)
+
+
+def _ati(place: str, options: Options) -> ForceSource:
+    scale = None
+    if "counts" in options:
+        per = number(options, "counts", 0.0, least=1e-6, most=MOST_COUNTS)
+        torque = number(options, "counts_torque", per, least=1e-6, most=MOST_COUNTS)
+        scale = AtiScale(per, torque, number(options, "rate", 0.0, least=0.0, most=MOST_RATE))
+    ports = (("port", PORT), ("web_port", WEB_PORT))
+    port, web = (int(number(options, key, value, least=1, most=MOST_PORT)) for key, value in ports)
+    return AtiForce(place, port=port, web_port=web, scale=scale)
+
+
+def _names(options: Options, key: str) -> list[str]:
+    return [name for name in options.get(key, "").split("/") if name]
+
+
+def _serial(place: str, options: Options) -> ForceSource:
+    if "columns" not in options:
+        raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
+    cells = cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
+    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
+
+
+def _csv(place: str, options: Options) -> ForceSource:
+    return GrowingLog(Path(place), _names(options, "columns"), _names(options, "zero"))
+
+
+def _lsl(place: str, options: Options) -> ForceSource:
+    if "columns" not in options:
+        raise RecordingError(f"lsl:{place}: say what its channels are, as columns=fx_N/fy_N/_. {KNOWN}.")
+    return LslForce(place, cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}"))
+
+
+def _size(options: Options, default: str) -> tuple[int, int]:
+    width, cross, height = options.get("size", default).partition("x")
+    sides = [int(side) if side.isdecimal() and len(side) < 6 else 0 for side in (width, height)]
+    if not cross or not all(1 <= side <= MOST_SIDE for side in sides):
+        raise RecordingError(f"size={options['size'][:QUOTED]}: write width and height in pixels, as size=1280x720.")
+    return sides[0], sides[1]
+
+
+def _v4l2(place: str, options: Options) -> CameraSource:
+    asked = V4l2Settings()
+    width, height = _size(options, f"{asked.width}x{asked.height}")
+    packed = options.get("packed", asked.packed)
+    if packed not in PACKED:
+        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
+    settings = V4l2Settings(
+        width=width,
+        height=height,
+        fps=number(options, "fps", asked.fps, least=0.1, most=MOST_FPS),
+        packed=packed,
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE),
+    )
+    return V4l2Camera(Path(place), settings)
+
+
+def _realsense(place: str, options: Options) -> CameraSource:
+    asked = RealSenseSettings()
+    width, height = _size(options, f"{asked.width}x{asked.height}")
+    stream = next((one for one in STREAMS if one == options.get("stream", asked.stream)), None)
+    if stream is None:
+        raise RecordingError(f"stream={options['stream']}: take one of {', '.join(STREAMS)}.")
+    settings = RealSenseSettings(
+        stream=stream,
+        width=width,
+        height=height,
+        fps=round(number(options, "fps", asked.fps, least=1.0, most=MOST_FPS)),
+        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE),
+    )
+    return RealSenseCamera("" if place == "any" else place, settings)
+
+
+def _av(place: str, options: Options) -> CameraSource:
+    more = {key: options[key] for key in ("framerate", "video_size", "pixel_format") if key in options}
+    return AvCamera(place, options.get("format", ""), more)
+
+
+CAMERAS: dict[str, SourceKind[CameraSource]] = {
+    "v4l2": SourceKind(
+        "/dev/video0", "a camera of Linux, with the kernel's stamps", ("size", "fps", "packed", "exposure_ms"), _v4l2
+    ),
+    "realsense": SourceKind(
+        "realsense:any",
+        "a RealSense camera, or its serial number for `any` (pip install 'onebend[realsense]')",
+        ("stream", "size", "fps", "exposure_ms"),
+        _realsense,
+    ),
+    "av": SourceKind(
+        "av:PLACE,format=NAME",
+        "what FFmpeg opens: a camera of another system, a stream",
+        ("format", "framerate", "video_size", "pixel_format"),
+        _av,
+    ),
+    "film": SourceKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
+}
+FORCES: dict[str, SourceKind[ForceSource]] = {
+    "ati": SourceKind(
+        "ati:192.168.1.1",
+        "an ATI Net F/T or Axia box on the network",
+        ("counts", "counts_torque", "rate", "port", "web_port"),
+        _ati,
+    ),
+    "serial": SourceKind(
+        "serial:/dev/ttyUSB0,columns=fx_N/fy_N",
+        "a load cell that sends a line of numbers a sample",
+        ("columns", "zero", "baud"),
+        _serial,
+    ),
+    "ur": SourceKind(
+        "ur:HOST",
+        "a Universal Robot's wrench (pip install 'onebend[ur]')",
+        ("rate",),
+        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0, most=MOST_RATE)),
+    ),
+    "franka": SourceKind(
+        "franka:HOST",
+        "a Franka arm's estimate (pip install 'onebend[franka]')",
+        (),
+        lambda place, _: FrankaForce(place),
+    ),
+    "lsl": SourceKind(
+        "lsl:NAME,columns=fx_N/fy_N",
+        "a stream of the Lab Streaming Layer (pip install 'onebend[lsl]')",
+        ("columns", "zero"),
+        _lsl,
+    ),
+    "bag": SourceKind(
+        "bag:PATH",
+        "a ROS bag that is being written",
+        ("topic", "field"),
+        lambda place, options: GrowingBag(Path(place), options.get("topic", ""), options.get("field", "")),
+    ),
+    "csv": SourceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
+    "log": SourceKind(
+        "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
+    ),
+}

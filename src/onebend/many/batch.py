@@ -1,0 +1,491 @@
+"""A batch from its list to its results. Stopped at any moment, the same call goes on: what has a record is done."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from scipy.special import ndtri
+
+from onebend.errors import RecordingError, ResultsError
+from onebend.extras import require
+from onebend.files.publish import check_place, enter
+from onebend.files.single_file import as_parquet, write_file
+from onebend.many.tasks import (
+    EVERY,
+    PLACES,
+    RECORDS,
+    Item,
+    ItemResult,
+    Record,
+    TaskSettings,
+    cluster,
+    dashboard_of,
+    folder_path,
+    items_of,
+    read_record,
+    results_of,
+)
+from onebend.progress import Progress, Silent, track
+from onebend.records import Array
+from onebend.report.page import render
+from onebend.report.wording import UNKNOWN, significant
+from onebend.text_files import is_number, one_line, quoted, to_json
+
+# Recordings whose k(s) is unlike that of the others in their group: by robust scores of its level and its shape.
+
+FEWEST = 5  # recordings of a group, for the others to have a spread
+MAD_TO_SD = 1.4826  # of a normal
+FALSE_ALARMS = 0.025  # of groups in which nothing differs, for the level and again for the shape
+# The largest score of a normal group of that number, at 1 - FALSE_ALARMS (simulated: tests/batch/test_outliers.py). The
+# median of absolute deviations of few varies much, so that scores of small groups do too.
+NUMBERS = (5, 6, 7, 8, 9, 10, 11, 12, 15, 20, 25, 30, 50, 100, 200, 1000)
+LIMITS = (11.3, 7.2, 7.6, 6.1, 6.3, 5.5, 5.6, 5.2, 4.95, 4.5, 4.4, 4.25, 4.06, 3.98, 4.02, 4.25)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How far recordings are from the median of their group, in robust standard deviations; NaN: too few others."""
+
+    level: Array  # (N,) of the mean of log k, weighted by how well the group's recordings tell it
+    shape: Array  # (N,) of how far log k, less its mean, is from the median shape (RMS, so weighted); not negative
+    reasons: tuple[str, ...]  # N; empty: no outlier
+
+
+def scores(log_k: Array, covariance: Array, groups: Sequence[str]) -> Scores:
+    """Scores from log k (N, S) at S places from s = 0 to 1, NaN where nothing was learned, its covariance (N, S, S),
+    and the groups (N).
+
+    What is nearer to the median than its own band allows is no outlier: a recording's own sd is the least scale.
+    """
+    level, shape = np.full(len(log_k), np.nan), np.full(len(log_k), np.nan)
+    reasons = [""] * len(log_k)
+    for group in sorted(set(groups)):
+        rows = [i for i, one in enumerate(groups) if one == group and np.isfinite(log_k[i]).all()]
+        if len(rows) < FEWEST:
+            continue
+        weight = 1.0 / np.median(np.diagonal(covariance[rows], axis1=1, axis2=2), axis=0)
+        weight /= weight.sum()
+        mean = log_k[rows] @ weight
+        level[rows] = (mean - np.median(mean)) / np.maximum(_spread(mean), _own_sd(covariance[rows], weight))
+        off = log_k[rows] - mean[:, None]
+        off -= np.median(off, axis=0)
+        far = np.sqrt(off**2 @ weight)
+        shape[rows] = far / np.maximum(MAD_TO_SD * np.median(far), _own_shape_sd(covariance[rows], weight))
+        limit = limit_of(len(rows))
+        for row, one, less in zip(rows, off * np.sqrt(weight), mean - np.median(mean), strict=True):
+            at = int(np.argmax(np.abs(one)))
+            there = (at / (len(one) - 1), float(one[at] / np.sqrt(weight[at])))
+            reasons[row] = _reason(float(level[row]), float(shape[row]), there, float(less), limit)
+    return Scores(level, shape, tuple(reasons))
+
+
+def _own_sd(covariance: Array, weight: Array) -> Array:
+    """(N,) sd of the weighted mean of log k, as the recordings' own bands have it."""
+    return np.asarray(np.sqrt(np.einsum("s,nst,t->n", weight, covariance, weight)))
+
+
+def _own_shape_sd(covariance: Array, weight: Array) -> Array:
+    """(N,) weighted RMS sd of log k less its mean."""
+    whole = np.diagonal(covariance, axis1=1, axis2=2) @ weight
+    return np.asarray(np.sqrt(np.maximum(whole - _own_sd(covariance, weight) ** 2, 0.0)))
+
+
+def limit_of(count: int) -> float:
+    """The score beyond which a recording of a group of `count` is named.
+
+    A shape that varies in more than one way has smaller scores than the level, so that its alarms are rarer.
+    """
+    if count > NUMBERS[-1]:  # the spread is as good as known: Bonferroni
+        return float(ndtri(1.0 - FALSE_ALARMS / (2 * count)))
+    return float(np.interp(np.log(count), np.log(NUMBERS), LIMITS))
+
+
+def _spread(values: Array) -> float:
+    """Robust sd, by the median of absolute deviations."""
+    return max(MAD_TO_SD * float(np.median(np.abs(values - np.median(values)))), 1e-12)
+
+
+def _reason(level: float, shape: float, there: tuple[float, float], less: float, limit: float) -> str:
+    """In words.
+
+    Args:
+        there: s where the shape is farthest off, and log k off there.
+    """
+    said = []
+    if abs(level) > limit:
+        said.append(f"k is {np.exp(less):.2g} times the group's median ({abs(level):.2g} robust sd)")
+    if shape > limit:
+        where = f"at s = {there[0]:.2g} ({shape:.2g} robust sd)"
+        said.append(f"the shape of k(s) is {np.exp(there[1]):.2g} times the group's {where}")
+    return "; ".join(said)
+
+
+# What a batch found: a record for every recording that was asked for.
+
+
+@dataclass(frozen=True)
+class BatchOutcome:
+    """All recordings of a batch in the order of the list."""
+
+    out: Path
+    items: tuple[Item, ...]
+    records: tuple[Record, ...]
+    scores: Scores
+    learned_now: int  # recordings that this run learned from, or tried to; the others were there
+
+    @property
+    def failed(self) -> tuple[tuple[Item, str], ...]:
+        """Recordings without k(s), each with its reason."""
+        return tuple((item, one.reason) for item, one in zip(self.items, self.records, strict=True) if one.reason)
+
+    @property
+    def outliers(self) -> tuple[tuple[Item, str], ...]:
+        """Recordings unlike the others of their group, each with its reason."""
+        return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
+
+
+def outcome_of(out: Path, items: Sequence[Item], records: Sequence[Record], learned_now: int) -> BatchOutcome:
+    """The records, and how each is beside the others."""
+    count = len(PLACES[::EVERY])
+    log_k, covariance = np.full((len(records), count), np.nan), np.full((len(records), count, count), np.nan)
+    for i, one in enumerate(records):
+        if one.k is not None and one.covariance is not None:
+            log_k[i], covariance[i] = np.log(one.k[::EVERY]), one.covariance
+    found = scores(log_k, covariance, [item.group for item in items])
+    return BatchOutcome(out, tuple(items), tuple(records), found, learned_now)
+
+
+BATCH_FORMAT = "onebend-batch-1"
+MARKER = "batch.json"  # in a results folder: it is one of a batch
+
+
+def run_batch(
+    source: Path | str,
+    out: Path | str,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    processes: bool = True,
+    folders: bool = False,
+    progress: Progress = Silent(),
+    began: Callable[[str], None] = lambda _: None,
+) -> BatchOutcome:
+    """Learn from every recording of `source` (a folder, or a CSV) by itself; what is learned stands in `out`.
+
+    Args:
+        scheduler: address of a Dask scheduler whose workers see the recordings and `out` under the same paths; None:
+            one on this machine.
+        workers: how many, on this machine; None: one a core.
+        processes: whether those are processes of their own.
+        folders: also a results folder of each recording.
+        began: is told the link of the cluster's page ("": none) when the work begins.
+
+    Raises:
+        RecordingError: the list cannot be used.
+        MissingPackageError: Dask is not installed.
+        ResultsError: `out` holds something else, or is being written; the scheduler is lost.
+    """
+    require(("dask", "distributed"), "batch")
+    target = Path(os.path.realpath(out))
+    items = items_of(Path(source), target)
+    if folders:
+        for item in items:
+            folder_path(item, target)
+    check_place(target)
+    place = enter(target, BATCH_FORMAT)
+    try:
+        _take(target)
+        settings = TaskSettings(target, version("onebend"), folders)
+        with cluster(scheduler, workers, processes=processes) as client:
+            began(dashboard_of(client))
+            results = _all(client, items, settings, progress)
+        for left in (target / RECORDS).glob(".*.json"):
+            left.unlink(missing_ok=True)  # begun by workers that were lost
+    finally:
+        place.remove()
+    records = [_record(target, item, result) for item, result in zip(items, results, strict=True)]
+    return outcome_of(target, items, records, sum(one.learned_now for one in results))
+
+
+def _take(out: Path) -> None:
+    """Make `out` the results folder of a batch. Raises `ResultsError` where it holds anything else."""
+    marker = out / MARKER
+    if marker.is_file():
+        return
+    if out.exists() and any(out.iterdir()):
+        raise ResultsError(f"{out}: holds files that are not of a batch. Choose another -o")
+    write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {version('onebend')}"}) + "\n")
+
+
+def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: Progress) -> list[ItemResult]:
+    found: dict[int, ItemResult] = {}
+    try:
+        for i, result in track(progress, "Recordings", results_of(client, items, settings), len(items)):
+            found[i] = result
+    except BaseException as error:
+        error.add_note(
+            f"{len(found)} of {len(items)} recordings are done, and kept in {settings.out}; the same command goes on "
+            "from there."
+        )
+        raise
+    return [found[i] for i in range(len(items))]
+
+
+def _record(out: Path, item: Item, result: ItemResult) -> Record:
+    if not result.hash:
+        return Record(hash="", reason=result.reason)
+    record = read_record(out, result.hash)
+    if record is None:
+        raise ResultsError(
+            f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must "
+            "see this folder under the same path"
+        )
+    return record
+
+
+# The tables of a batch as Parquet: a row a recording, a row a place of a curve, a row a nuisance.
+
+LENGTH = "length_m"  # of the list, states the beam's; the table has it as it was learned with
+AT = (0, 25, 50, 75, 100)  # of PLACES: where the table of recordings has k
+
+
+def recordings_table(outcome: BatchOutcome) -> pa.Table:
+    """A row a recording: its name, group and the list's own columns; k at five places with its band; the verdict.
+
+    Raises:
+        RecordingError: a column of the list has the name of one of ours.
+    """
+    ours = _columns(outcome)
+    labels = _labels(outcome)
+    both = [name for name in labels if name in ours]
+    if both:
+        raise RecordingError(f"the list's column {quoted(both[0])} is one of the results'. Rename it.")
+    first = {name: ours.pop(name) for name in ("name", "group")}
+    return pa.table(first | labels | ours)
+
+
+def curves_table(outcome: BatchOutcome) -> pa.Table:
+    """A row a recording and place: `name, s, k_N_m, k_lo_N_m, k_hi_N_m, identified`, at 101 places."""
+    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
+
+    def joined(name: str, kind: type) -> np.ndarray:
+        return np.concatenate([np.zeros(0, kind), *(getattr(one, name) for _, one in there)]).astype(kind)
+
+    return pa.table(
+        {
+            "name": pa.array([name for name, _ in there for _ in PLACES], pa.string()),
+            "s": np.tile(PLACES, len(there)),
+            "k_N_m": joined("k", float),
+            "k_lo_N_m": joined("low", float),
+            "k_hi_N_m": joined("high", float),
+            "identified": joined("identified", bool),
+        }
+    )
+
+
+def covariances_table(outcome: BatchOutcome) -> pa.Table:
+    """A row a recording and place: `name, s`, and the covariance of log k there with that at each of 21 places,
+    `with_0` to `with_1`, and the part of it that comes from the prior, `prior_with_0` to `prior_with_1`; what the force
+    sensor's scale does to all of k is apart (`gain_sd`).
+    """
+    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
+    places = PLACES[::EVERY]
+    columns: dict[str, Any] = {
+        "name": pa.array([name for name, _ in there for _ in places], pa.string()),
+        "s": np.tile(places, len(there)),
+    }
+    for head, field in (("with", "covariance"), ("prior_with", "prior_part")):
+        rows = np.concatenate([np.zeros((0, len(places))), *(getattr(one, field) for _, one in there)])
+        columns |= {f"{head}_{s:.3g}": rows[:, i] for i, s in enumerate(places)}
+    return pa.table(columns)
+
+
+def nuisances_table(outcome: BatchOutcome) -> pa.Table:
+    """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
+    rows = [
+        (item.name, *values)
+        for item, one in zip(outcome.items, outcome.records, strict=True)
+        for values in one.nuisances
+    ]
+    columns = list(zip(*rows, strict=True)) if rows else [()] * 6
+    kinds = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.float64(), pa.float64())
+    names = ("name", "nuisance", "unit", "value", "sd", "prior_sd")
+    return pa.table({name: pa.array(values, kind) for name, values, kind in zip(names, columns, kinds, strict=True)})
+
+
+def _columns(outcome: BatchOutcome) -> dict[str, Any]:
+    records, text = outcome.records, pa.string()
+    found: dict[str, Any] = {
+        "name": pa.array([item.name for item in outcome.items], text),
+        "group": pa.array([item.group for item in outcome.items], text),
+        "reason": pa.array([one.reason for one in records], text),
+        "grade": pa.array([one.grade for one in records], text),
+        "doubts": pa.array(["; ".join(one.doubts) for one in records], text),
+        "warnings": pa.array(["; ".join(one.warnings) for one in records], text),
+        LENGTH: np.array([one.length for one in records]),
+    }
+    for i in AT:
+        for name, field in (("k", "k"), ("k_lo", "low"), ("k_hi", "high")):
+            found[f"{name}_at_{PLACES[i]:g}_N_m"] = np.array([_at(one, field, i) for one in records])
+    return found | {
+        "identified": np.array([np.nan if one.identified is None else one.identified.mean() for one in records]),
+        "gain_sd": np.array([one.gain_sd for one in records]),
+        "error_m": np.array([one.error for one in records]),
+        "level_z": outcome.scores.level,
+        "shape_z": outcome.scores.shape,
+        "outlier": pa.array(outcome.scores.reasons, text),
+        "frames": np.array([one.frames for one in records], dtype=np.int64),
+        "seconds": np.array([one.seconds for one in records]),
+        "finished": pa.array([one.finished for one in records], text),
+        "hash": pa.array([one.hash for one in records], text),
+        "path": pa.array([str(item.folder) for item in outcome.items], text),
+    }
+
+
+def _at(record: Record, field: str, i: int) -> float:
+    curve = getattr(record, field)
+    return float("nan") if curve is None else float(curve[i])
+
+
+def _labels(outcome: BatchOutcome) -> dict[str, pa.Array]:
+    """The list's own columns: numbers where every cell is one or empty, else text."""
+    rows: Sequence[Mapping[str, str]] = [dict(item.labels) for item in outcome.items]
+    names = rows[0] if rows else ()
+    return {name: _column([row.get(name, "") for row in rows]) for name in names if name != LENGTH}
+
+
+def _column(cells: Sequence[str]) -> pa.Array:
+    filled = [cell for cell in cells if cell]
+    if filled and all(is_number(cell) for cell in filled):
+        return pa.array([float(cell) if cell else float("nan") for cell in cells], pa.float64())
+    return pa.array(cells, pa.string())
+
+
+# `index.html` of a batch: a table to sort, a small picture of each k(s), what is unlike the others and why.
+
+LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns of the Parquet table that the page does not show
+WIDE, HIGH = 100.0, 60.0  # of a small picture
+STEP = 4  # of PLACES: points of a small picture
+
+
+def page(outcome: BatchOutcome, *, version: str) -> str:
+    """The page as HTML, which carries everything in itself."""
+    least, most = _range(outcome.records)
+    names = sorted({item.group for item in outcome.items})
+    content = {
+        "version": version,
+        "title": one_line(f"Batch {outcome.out.name}"),
+        "cards": _cards(outcome),
+        "outliers": [(one_line(item.name), why) for item, why in outcome.outliers],
+        "failed": [(one_line(item.name), one_line(why)) for item, why in outcome.failed],
+        "alarms": significant(200.0 * FALSE_ALARMS),
+        **_table(outcome),
+        "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
+        "least": significant(least),
+        "most": significant(most),
+        "data": "{}",
+    }
+    return render("onebend.many", "batch.html", {}, content, scripts=("sort.js",))
+
+
+def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
+    learned = [one for one in outcome.records if one.k is not None]
+    doubted = sum(bool(one.doubts) for one in learned)
+    return [
+        {"what": "learned", "value": f"{len(learned)} of {len(outcome.records)}", "note": "recordings"},
+        {"what": "in doubt", "value": str(doubted), "note": "with a doubt as to all of k(s)"},
+        {"what": "unlike the others", "value": str(len(outcome.outliers)), "note": "of their group"},
+    ]
+
+
+def _table(outcome: BatchOutcome) -> dict[str, Any]:
+    table = recordings_table(outcome)
+    names = [name for name in table.column_names if name not in LEFT_OUT]
+    columns = [table[name].to_pylist() for name in names]
+    heads = [
+        {"name": one_line(name), "text": any(isinstance(cell, str) for cell in column)}
+        for name, column in zip(names, columns, strict=True)
+    ]
+    return {"heads": heads, "rows": [[_cell(cell) for cell in row] for row in zip(*columns, strict=True)]}
+
+
+def _cell(cell: Any) -> dict[str, str]:
+    """What is shown, and what is sorted by."""
+    if isinstance(cell, str):
+        return {"words": one_line(cell), "value": one_line(cell)}
+    if not np.isfinite(cell):
+        return {"words": UNKNOWN, "value": ""}
+    return {"words": str(cell) if isinstance(cell, int) else significant(cell), "value": repr(cell)}
+
+
+def _range(records: Sequence[Record]) -> tuple[float, float]:
+    """The axis of k [N m] of all pictures: every curve, and no band farther away than a factor of two."""
+    curves = [one.k for one in records if one.k is not None]
+    if not curves:
+        return 1.0, 10.0
+    every = np.concatenate(curves)
+    return float(every.min()) / 2.0, float(every.max()) * 2.0
+
+
+def _group(outcome: BatchOutcome, name: str, least: float, most: float) -> dict[str, Any]:
+    pictures = []
+    for item, one, why in zip(outcome.items, outcome.records, outcome.scores.reasons, strict=True):
+        if item.group != name or one.k is None or one.low is None or one.high is None:
+            continue
+        s = PLACES[::STEP]
+        band = [*_points(s, one.low[::STEP], least, most), *_points(s, one.high[::STEP], least, most)[::-1]]
+        curve = _points(s, one.k[::STEP], least, most)
+        pictures.append(
+            {"name": one_line(item.name), "far": bool(why), "band": " ".join(band), "curve": " ".join(curve)}
+        )
+    return {"name": one_line(name), "pictures": pictures}
+
+
+def _points(s: Array, k: Array, least: float, most: float) -> list[str]:
+    share = np.clip(np.log(k / least) / np.log(most / least), 0.0, 1.0)
+    return [f"{WIDE * x:.4g},{HIGH * (1.0 - y):.4g}" for x, y in zip(s, share, strict=True)]
+
+
+# The files of a batch and its summary; each is written whole or not at all.
+
+SUMMARY = "summary.json"
+
+
+def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
+    """What `--json` prints and `summary.json` holds."""
+    return {
+        "format": BATCH_FORMAT,
+        "written_by": written_by,
+        "recordings": len(outcome.items),
+        "learned": sum(one.k is not None for one in outcome.records),
+        "worked_on_now": outcome.learned_now,
+        "failed": [{"name": item.name, "reason": why} for item, why in outcome.failed],
+        "in_doubt": [item.name for item, one in zip(outcome.items, outcome.records, strict=True) if one.doubts],
+        "outliers": [{"name": item.name, "reason": why} for item, why in outcome.outliers],
+    }
+
+
+def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str) -> None:
+    """Tables, page and summary into the results folder, in place of earlier ones.
+
+    Raises:
+        RecordingError: a column of the list has the name of one of the results'.
+        ResultsError: a file cannot be written.
+    """
+    made: dict[str, str | bytes] = {
+        "recordings.parquet": as_parquet(recordings_table(outcome)),
+        "curves.parquet": as_parquet(curves_table(outcome)),
+        "covariances.parquet": as_parquet(covariances_table(outcome)),
+        "nuisances.parquet": as_parquet(nuisances_table(outcome)),
+        "index.html": page(outcome, version=version),
+        SUMMARY: to_json(summary) + "\n",
+    }
+    for name, content in made.items():
+        write_file(outcome.out / name, content, overwrite=True)

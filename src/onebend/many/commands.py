@@ -1,0 +1,210 @@
+"""Commands over many recordings: the paper's experiments made again, batches, populations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+import onebend
+from onebend.cli import BY
+from onebend.cli.common import (
+    MOST,
+    Json,
+    Overwrite,
+    Quiet,
+    clean_errors,
+    print_json,
+    progress_of,
+    put_in_place,
+    say,
+    screen,
+    workplace,
+)
+from onebend.errors import ResultsError
+from onebend.many import batch as batches, population_report as populations
+from onebend.many.batch import BatchOutcome, run_batch
+from onebend.many.population import TABLES, read_batch, read_tolerance
+from onebend.many.population_report import (
+    SPREAD,
+    PopulationOutcome,
+    PopulationSettings,
+    count_words,
+    draw_figures as draw_figures_of,
+    group_name,
+    judged_words,
+    percent,
+    population as outcome_of,
+)
+from onebend.report.wording import significant
+from onebend.results.provenance import inputs_of
+from onebend.text_files import one_line
+
+# What `onebend reproduce`, `onebend batch` and `onebend population` say in the end.
+
+MOST_ROWS = 20  # rows of each kind that are shown of a batch
+
+
+def show_batch(console: Console, outcome: BatchOutcome) -> None:
+    """How many were learned, which were not and why, and which are unlike the others."""
+    learned = sum(one.k is not None for one in outcome.records)
+    there = len(outcome.items) - outcome.learned_now
+    before = f", {there} of them before" if there else ""
+    console.print(f"{learned} of {len(outcome.items)} recordings learned{before}.", markup=False)
+    doubted = sum(bool(one.doubts) for one in outcome.records)
+    if doubted:
+        console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
+    for title, rows in (("not learned", outcome.failed), ("unlike the others", outcome.outliers)):
+        if not rows:
+            continue
+        table = Table("recording", "why", title=f"{title}: {len(rows)}", title_justify="left")
+        for item, why in rows[:MOST_ROWS]:
+            table.add_row(one_line(item.name), one_line(why))
+        console.print(table)
+    console.print(
+        f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
+        markup=False,
+    )
+
+
+def show_population(console: Console, outcome: PopulationOutcome, output: Path) -> None:
+    """The groups' means, the spread, what is unlike the others, and where the report is."""
+    named = outcome.named
+    middle = len(named.trial.s) // 2
+    table = Table(title="mean k(s)", title_justify="left", box=None, pad_edge=False)
+    table.add_column("group")
+    for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
+        table.add_column(head, justify="right")
+    for i, name in enumerate(named.groups):
+        curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
+        values = [significant(float(np.exp(one[i, middle]))) for one in curves]
+        count = str(int(np.sum(named.trial.group_of == i)))
+        half = percent(float(np.expm1(outcome.half[i])))
+        table.add_row(group_name(name), count, *values, half, count_words(outcome.needed[i]))
+    console.print(table)
+    for key, one in vars(outcome.shares).items():
+        what, of_log_k = SPREAD[key]
+        numbers = [np.expm1(value) if of_log_k else value for value in (one.value, one.low, one.high)]
+        if np.isfinite(numbers[0]):
+            text = f"{what}: {percent(numbers[0])} (95 %: {percent(numbers[1])} to {percent(numbers[2])})"
+            console.print(text, markup=False)
+    rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
+    for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
+        if shown:
+            listed = Table("name", "why", title=f"{title}: {len(shown)}", title_justify="left")
+            for name, why in shown[:MOST_ROWS]:
+                listed.add_row(one_line(name), one_line(why))
+            console.print(listed)
+    if words := judged_words(outcome):
+        console.print(words, markup=False)
+    console.print(f"Wrote {output / 'report.html'}", markup=False)
+
+
+Source = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FOLDER|LIST.csv",
+        help="A folder with recordings in it, or a CSV with a column path.",
+    ),
+]
+Results = Annotated[
+    Path, typer.Option("--output", "-o", metavar="RESULTS", help="Folder for what comes out; a stopped run goes on.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that sees these folders under these paths."),
+]
+Workers = Annotated[
+    int | None, typer.Option("--workers", min=1, metavar="N", help="On this machine; default: one a core.")
+]
+Folders = Annotated[
+    bool, typer.Option("--folders", help="Also write a results folder of each recording, without pictures.")
+]
+
+
+def batch(
+    source: Source,
+    *,
+    output: Results,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    folders: Folders = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped."""
+
+    def began(link: str) -> None:
+        if link and not quiet:
+            say(f"The cluster's page: {link}", err=True)
+
+    with clean_errors():
+        if scheduler is not None and workers is not None:
+            raise ResultsError("a cluster has its own workers. Give --scheduler or --workers, not both")
+        with progress_of(quiet) as progress:
+            outcome = run_batch(
+                source, output, scheduler=scheduler, workers=workers, folders=folders, progress=progress, began=began
+            )
+        summary = batches.summary_of(outcome, written_by=BY)
+        batches.write_batch(outcome, summary, version=onebend.__version__)
+    if as_json:
+        print_json({**summary, "output": str(output)})
+    else:
+        show_batch(screen(), outcome)
+
+
+Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
+By = Annotated[str, typer.Option("--by", metavar="COLUMN", help="Of recordings.parquet, that names the group.")]
+Object = Annotated[
+    str | None,
+    typer.Option("--object", metavar="COLUMN", help="That names the object; default: every recording has its own."),
+]
+PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
+Band = Annotated[
+    float, typer.Option("--band", min=0.01, max=MOST, metavar="PERCENT", help="Wished half band of the means, of k.")
+]
+ToleranceFile = Annotated[
+    Path | None,
+    typer.Option("--tolerance", metavar="CSV", help="With s, low_N_m, high_N_m: objects pass or fail against it."),
+]
+Passes = Annotated[
+    float,
+    typer.Option("--pass-from", min=0.01, max=0.99, metavar="P", help="Probability of lying inside that passes."),
+]
+
+
+def population(
+    results: Batch,
+    *,
+    output: PopulationOut,
+    by: By = "group",
+    same: Object = None,
+    band: Band = 5.0,
+    tolerance: ToleranceFile = None,
+    passes: Passes = 0.5,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
+    with (
+        clean_errors(),
+        workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
+        progress_of(quiet) as progress,
+    ):
+        limits = None if tolerance is None else read_tolerance(tolerance)
+        setting = PopulationSettings(by, same, band / 100.0, limits, passes)
+        inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
+        found = outcome_of(read_batch(results, by, same), setting)
+        pictures = draw_figures_of(found, progress=progress)
+        summary = populations.summary_of(found, written_by=BY)
+        write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
+        put_in_place(place, write, pictures, inputs=inputs)
+    if as_json:
+        print_json(summary | {"output": str(output)})
+    else:
+        show_population(screen(), found, output)

@@ -1,0 +1,744 @@
+"""The hierarchical model: objects of a group scatter about its mean, recordings about their object.
+
+    log k of a recording = mean of its group + its object's deviation + the occasion's deviation + the fit's error
+
+Means have flat priors, deviations are Gaussian with `covariances.covariance`, of which the share `lasting` is the
+object's, and the fit's error has the covariance of its posterior. Given the spreads all is linear and Gaussian; the
+spreads, alike in all groups, are integrated over a grid that closes in on where their evidence is (restricted maximum
+likelihood would take its top alone).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.polynomial.legendre import legvander
+from scipy.special import log_ndtr, ndtr, ndtri, stdtrit
+
+from onebend.errors import ResultsError
+from onebend.progress import one_blas_thread
+from onebend.records import Array, BoolArray, IntArray
+from onebend.text_files import csv_rows, quoted
+
+# What the model is given: log k(s) of every recording with its covariance, its object, and the object's group.
+
+JITTER = 1e-4  # sd of log k that a fit leaves at each place by itself: a hundredth of a percent
+
+
+@dataclass(frozen=True)
+class PopulationTrial:
+    """R recordings of O objects in G groups, at S places."""
+
+    s: Array  # (S,)
+    log_k: Array  # (R, S) log(N m)
+    covariance: Array  # (R, S, S) of a recording's fit, what it shares with others apart
+    object_of: IntArray  # (R,) number of its object
+    group_of: IntArray  # (O,) number of its group
+    alike: Array  # (G, S, S) of what all fits of a group are off by alike, as by their prior
+    common_sd: float = 0.0  # of log k: an error that all recordings share, as of the force sensor's scale
+
+    @property
+    def objects(self) -> int:
+        """How many objects there are."""
+        return len(self.group_of)
+
+    @property
+    def groups(self) -> int:
+        """How many groups there are."""
+        return int(self.group_of.max()) + 1
+
+    @property
+    def repeated(self) -> bool:
+        """Whether any object was recorded more than once."""
+        return len(self.object_of) > self.objects
+
+    @property
+    def noise(self) -> Array:
+        """(R, S, S) the covariance, with a little at each place by itself, so that it has an inverse."""
+        return np.asarray(self.covariance + JITTER**2 * np.eye(len(self.s)))
+
+
+# Gaussian means of Gaussian means (recordings of an object, objects of a group, groups), and mixtures of normals.
+
+HALVINGS = 50  # of the interval in which a quantile is
+
+
+@dataclass(frozen=True)
+class Means:
+    """Estimates of M means under N spreads."""
+
+    mean: Array  # (N, M, S)
+    covariance: Array  # (N, M, S, S) of the estimate
+    log_evidence: Array  # (N, M) of what the parts say of one another, the mean being flat
+
+
+def inverse(covariance: Array) -> tuple[Array, Array]:
+    """(..., S, S) the inverses of covariances, and (...) the logarithms of their determinants, by Cholesky factors."""
+    factor = np.linalg.cholesky(covariance)
+    root = np.linalg.inv(factor)
+    logs = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.swapaxes(root, -1, -2) @ root, logs
+
+
+def means(parts: Array, covariance: Array, whole_of: IntArray) -> Means:
+    """The means that the parts are scattered about, each with a flat prior.
+
+    Args:
+        parts: (N, R, S) or (1, R, S), what is known of each part.
+        covariance: (N, R, S, S) of the parts about their mean: their error and their scatter.
+        whole_of: (R,) whose part each is, from 0 to M - 1.
+    """
+    precision, logs = inverse(covariance)
+    weighted = np.einsum("nrij,nrj->nri", precision, np.broadcast_to(parts, precision.shape[:-1]))
+    squares = np.einsum("nri,nri->nr", weighted, np.broadcast_to(parts, weighted.shape))
+    count = int(whole_of.max()) + 1
+    together = np.stack([precision[:, whole_of == i].sum(axis=1) for i in range(count)], axis=1)
+    pulled = np.stack([weighted[:, whole_of == i].sum(axis=1) for i in range(count)], axis=1)
+    found, less = inverse(together)
+    mean = np.einsum("nmij,nmj->nmi", found, pulled)
+    own = np.stack([(logs + squares)[:, whole_of == i].sum(axis=1) for i in range(count)], axis=1)
+    sizes = np.bincount(whole_of, minlength=count)
+    turns = 0.5 * parts.shape[-1] * np.log(2.0 * np.pi) * (sizes - 1)
+    evidence = -0.5 * (own + less - np.einsum("nmi,nmi->nm", mean, pulled)) - turns
+    return Means(mean, found, evidence)
+
+
+def quantile(weight: Array, mean: Array, sd: Array, share: float) -> Array:
+    """(...) where the mixture of N normals, `mean` and `sd` (N, ...), has this share below it."""
+    centre = ndtri(share) * sd + mean
+    low, high = (np.asarray(edge(centre, axis=0)) for edge in (np.min, np.max))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        below = np.tensordot(weight, ndtr((middle - mean) / sd), axes=1) < share
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(0.5 * (low + high))
+
+
+def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """(..., S) mean and (..., S, S) covariance of the mixture of `mean` (N, ..., S) and `covariance` (N, ..., S, S)."""
+    centre = np.tensordot(weight, mean, axes=1)
+    off = mean - centre
+    return centre, np.tensordot(weight, covariance + off[..., :, None] * off[..., None, :], axes=1)
+
+
+def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> tuple[float, ...]:
+    """Quantiles of values that have weights."""
+    places, number = np.unique(values, return_inverse=True)
+    share_of = np.bincount(number, weight)
+    before = (np.cumsum(share_of) - 0.5 * share_of) / share_of.sum()
+    return tuple(float(np.interp(share, before, places)) for share in shares)
+
+
+# How log k(s) differs between objects of one group: a level, and a smooth shape beside it.
+
+
+@dataclass(frozen=True)
+class Spreads:
+    """Points that the spread within groups is integrated over, N of them."""
+
+    level_sd: Array  # (N,) of log k, of the mean along the beam
+    shape_sd: Array  # (N,) of log k less its mean, RMS along the beam
+    length: Array  # (N,) of correlation of the shape along s
+    lasting: Array  # (N,) share of the variance that an object keeps when it is recorded again
+
+    def chosen(self, rows: BoolArray | IntArray | slice) -> Spreads:
+        """Some of the points."""
+        return Spreads(self.level_sd[rows], self.shape_sd[rows], self.length[rows], self.lasting[rows])
+
+
+def shape_correlation(s: Array, length: float) -> Array:
+    """(S, S) covariance of a smooth curve less its mean along s, of mean variance one: squared exponential."""
+    kernel = np.exp(-0.5 * ((s[:, None] - s) / length) ** 2)
+    centred = kernel - kernel.mean(axis=0) - kernel.mean(axis=1)[:, None] + kernel.mean()
+    return np.asarray(centred / np.mean(np.diagonal(centred)))
+
+
+def covariance(spreads: Spreads, s: Array) -> Array:
+    """(N, S, S) of log k(s) of a recording about its group's mean, its own error apart."""
+    found = np.empty((len(spreads.length), len(s), len(s)))
+    for length in np.unique(spreads.length):
+        rows = spreads.length == length
+        level, shape = spreads.level_sd[rows, None, None] ** 2, spreads.shape_sd[rows, None, None] ** 2
+        found[rows] = level + shape * shape_correlation(s, float(length))
+    return found
+
+
+def log_prior(spreads: Spreads, trial: PopulationTrial) -> Array:
+    """(N,) for equal steps of the logarithms of both sd: p(sd) = 1 / (sd + e), with e the sd of one recording's fit.
+
+    Where the spread is far above e this is 1 / sd, with which the band of a mean is Student's; far below, it is flat,
+    so that a spread of zero has no more weight than it should.
+    """
+    noise = trial.covariance
+    level = np.median(np.sqrt(np.maximum(noise.mean(axis=(1, 2)), 0.0)))
+    whole = np.median(np.sqrt(np.mean(np.diagonal(noise, axis1=1, axis2=2), axis=1)))
+    pairs = ((spreads.level_sd, level), (spreads.shape_sd, np.sqrt(max(whole**2 - level**2, 1e-12))))
+    return np.asarray(sum(np.log(sd / (sd + error)) for sd, error in pairs))
+
+
+LEAST_SD, MOST_SD = 1e-3, 3.0  # of log k
+LENGTHS = (0.1, 0.25, 0.6)
+POINTS, FEWER = 11, 7  # of an axis of the grid; where there is a third axis
+ROUNDS = 5  # at most, of closing in
+TAIL = 1e-4  # of the weight that a range may lose on either side
+AT_ONCE = 4_000_000  # numbers of the largest array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The population, given its trial: N spreads with weights, and the groups' means under each."""
+
+    trial: PopulationTrial
+    spreads: Spreads
+    weight: Array  # (N,) sums to one
+    mean: Array  # (N, G, S) of log k
+    covariance: Array  # (N, G, S, S) of that mean, what all recordings share apart
+
+
+@one_blas_thread
+def fit(trial: PopulationTrial) -> Fit:
+    """Close in on the spreads."""
+    points = FEWER if trial.repeated else POINTS
+    axes = [np.linspace(np.log(LEAST_SD), np.log(MOST_SD), points)] * 2
+    axes.append(np.linspace(0.02, 0.98, points) if trial.repeated else np.ones(1))
+    for i in range(ROUNDS):
+        found = _on_grid(trial, axes)
+        closer = [_closer(axis, share) for axis, share in zip(axes, _shares(found, axes), strict=True)]
+        if i == ROUNDS - 1 or all(
+            len(a) < 2 or np.ptp(b) > 0.75 * np.ptp(a) for a, b in zip(axes, closer, strict=True)
+        ):
+            break
+        axes = closer
+    kept = found.weight > 1e-5 * found.weight.max()
+    weight = found.weight[kept] / found.weight[kept].sum()
+    return Fit(trial, found.spreads.chosen(kept), weight, found.mean[kept], found.covariance[kept])
+
+
+def _on_grid(trial: PopulationTrial, axes: list[Array]) -> Fit:
+    points = np.array(list(product(*axes, LENGTHS)))
+    spreads = Spreads(np.exp(points[:, 0]), np.exp(points[:, 1]), points[:, 3], points[:, 2])
+    step = max(1, AT_ONCE // (len(trial.log_k) * len(trial.s) ** 2))
+    parts = [_given(trial, spreads.chosen(slice(i, i + step))) for i in range(0, len(points), step)]
+    log = np.concatenate([evidence for _, evidence in parts]) + log_prior(spreads, trial)
+    weight = np.exp(log - log.max())
+    return Fit(
+        trial,
+        spreads,
+        weight / weight.sum(),
+        np.concatenate([one.mean for one, _ in parts]),
+        np.concatenate([one.covariance for one, _ in parts]),
+    )
+
+
+def _given(trial: PopulationTrial, spreads: Spreads) -> tuple[Means, Array]:
+    """The groups' means, and (N,) the logarithm of the evidence."""
+    objects = objects_of(trial, spreads)
+    spread = spreads.lasting[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    groups = means(objects.mean, objects.covariance + spread, trial.group_of)
+    return groups, objects.log_evidence.sum(axis=1) + groups.log_evidence.sum(axis=1)
+
+
+def objects_of(trial: PopulationTrial, spreads: Spreads) -> Means:
+    """What the recordings of each object say of it, without the other objects; (1, O, ...) where none has two."""
+    if not trial.repeated:
+        rows = np.argsort(trial.object_of)
+        return Means(trial.log_k[None, rows], trial.noise[None, rows], np.zeros((1, trial.objects)))
+    passing = (1.0 - spreads.lasting)[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    return means(trial.log_k[None], trial.noise + passing, trial.object_of)
+
+
+def _shares(found: Fit, axes: list[Array]) -> list[Array]:
+    """The weight at each point of each axis."""
+    whole = found.weight.reshape([len(axis) for axis in axes] + [len(LENGTHS)])
+    return [np.asarray(whole.sum(axis=tuple(j for j in range(whole.ndim) if j != i))) for i in range(len(axes))]
+
+
+def _closer(axis: Array, share: Array) -> Array:
+    """The axis from one point before where the weight begins to one after where it ends."""
+    before = np.cumsum(share)
+    first = max(int(np.searchsorted(before, TAIL)) - 1, 0)
+    last = min(int(np.searchsorted(before, 1.0 - TAIL)) + 1, len(axis) - 1)
+    return np.linspace(axis[first], axis[last], len(axis))
+
+
+# The results of a batch as a trial: which recordings are of which object and group, and log k(s) with covariance.
+
+TABLES = ("recordings", "curves", "covariances")
+FEWEST = 2  # objects of at least one group, for any spread within groups
+OURS = ("reason", "grade", "doubts", "warnings", "outlier", "hash", "path", "finished")
+
+
+@dataclass(frozen=True)
+class Named:
+    """A trial with the names of what is in it."""
+
+    trial: PopulationTrial
+    recordings: tuple[str, ...]  # R
+    objects: tuple[str, ...]  # O
+    groups: tuple[str, ...]  # G
+    identified: Array  # (G, S) share of the recordings whose data tell k there
+    left_out: tuple[tuple[str, str], ...]  # recordings that are not in it, with the reason
+
+
+def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
+    """The recordings that were learned and are not in doubt as a whole.
+
+    Args:
+        by: column of recordings.parquet that names the group.
+        same: column that names the object; None: every recording is of an object of its own.
+
+    Raises:
+        ResultsError: the folder is not of a batch, a column is not there, an object stands in two groups, or there are
+            too few objects.
+    """
+    tables = {name: _table(folder, name) for name in TABLES}
+    rows = tables["recordings"].to_pylist()
+    used, left_out = _used(rows, [_column(folder, rows, one) for one in (by, same) if one is not None])
+    groups_of = {_text(row[same]) if same else row["name"]: _text(row[by]) for row in used}
+    for row in used:
+        name = _text(row[same]) if same else row["name"]
+        if groups_of[name] != _text(row[by]):
+            raise ResultsError(
+                f"{folder}: the object {quoted(name)} is in the groups {quoted(groups_of[name])} and "
+                f"{quoted(_text(row[by]))}. Name its recordings apart, or choose another --by"
+            )
+    objects, groups = tuple(groups_of), tuple(sorted(set(groups_of.values())))
+    if len(objects) < len(groups) + FEWEST - 1:
+        raise ResultsError(
+            f"{folder}: {len(objects)} objects in {len(groups)} groups tell nothing of the spread within groups. "
+            "Give some group two objects or more, or choose another --by"
+        )
+    s, log_k, covariance, prior, identified = _curves(folder, tables, [row["name"] for row in used])
+    number, place = ({name: i for i, name in enumerate(names)} for names in (objects, groups))
+    object_of = np.array([number[_text(row[same]) if same else row["name"]] for row in used])
+    group_of = np.array([place[one] for one in groups_of.values()])
+    common = max((float(row["gain_sd"]) for row in used), default=0.0)
+    alike, shares = (
+        np.array([one[group_of[object_of] == i].mean(axis=0) for i in range(len(groups))])
+        for one in (prior, identified)
+    )
+    trial = PopulationTrial(s, log_k, _not_negative(covariance - prior), object_of, group_of, alike, common)
+    return Named(trial, tuple(row["name"] for row in used), objects, groups, shares, left_out)
+
+
+def _not_negative(matrices: Array) -> Array:
+    """The matrices with eigenvalues below zero at zero: rounding, and what else the parts of a covariance share."""
+    values, vectors = np.linalg.eigh(0.5 * (matrices + np.swapaxes(matrices, -1, -2)))
+    return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
+
+
+def _table(folder: Path, name: str) -> pa.Table:
+    path = folder / f"{name}.parquet"
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ResultsError(
+            f"{path}: no table of a batch ({type(error).__name__}). Name what onebend batch wrote, or run it again"
+        ) from error
+
+
+def _column(folder: Path, rows: Sequence[Mapping[str, Any]], name: str) -> str:
+    known = [one for one in (rows[0] if rows else ()) if one not in OURS]
+    if name not in known:
+        raise ResultsError(
+            f"{folder}: the recordings have no column {quoted(name)}. There are {', '.join(known)}; the columns of the "
+            "batch's list are among them"
+        )
+    return name
+
+
+def _used(
+    rows: Sequence[Mapping[str, Any]], needed: Sequence[str]
+) -> tuple[list[Mapping[str, Any]], tuple[tuple[str, str], ...]]:
+    used, out = [], []
+    for row in rows:
+        empty = [name for name in needed if not _text(row[name]) and len({_text(one[name]) for one in rows}) > 1]
+        why = row["reason"] or row["doubts"] or (f"no {empty[0]} is stated" if empty else "")
+        if why:
+            out.append((str(row["name"]), str(why)))
+        else:
+            used.append(row)
+    return used, tuple(out)
+
+
+def _text(cell: Any) -> str:
+    """A group's or object's name; a number as people write it."""
+    if isinstance(cell, float):
+        return "" if np.isnan(cell) else f"{cell:g}"
+    return "" if cell is None else str(cell)
+
+
+def _curves(folder: Path, tables: Mapping[str, pa.Table], names: Sequence[str]) -> tuple[Array, ...]:
+    table = tables["covariances"]
+    columns = [name for name in table.column_names if name.startswith("with_")]
+    count = len(columns)
+    order = {name: i for i, name in enumerate(dict.fromkeys(table["name"].to_pylist()))}
+    lacking = [name for name in names if name not in order]
+    if lacking or not names or len(table) != count * len(order):
+        raise ResultsError(f"{folder}: the tables do not belong together. Run `onebend batch` again")
+    rows = [order[name] for name in names]
+    covariance, prior = (
+        np.stack([table[f"{head}{name}"].to_numpy() for name in columns], axis=1).reshape(-1, count, count)[rows]
+        for head in ("", "prior_")
+    )
+    s = table["s"].to_numpy()[:count]
+    curves = tables["curves"]
+    places = curves["s"].to_numpy().reshape(len(order), -1)[0]
+    at = [int(np.argmin(np.abs(places - one))) for one in s]
+    log_k = np.log(curves["k_N_m"].to_numpy()).reshape(len(order), -1)[rows][:, at]
+    identified = np.array(curves["identified"].to_pylist(), dtype=float).reshape(len(order), -1)[rows][:, at]
+    return np.asarray(s), log_k, covariance, prior, identified
+
+
+# Mean k(s) of the groups, how they differ, and k(s) of every object, each with its 95 % band.
+
+LOW, HIGH = 0.025, 0.975  # of a 95 % band
+
+
+@dataclass(frozen=True)
+class Curves:
+    """M curves of log k (or of its difference) with their 95 % bands at S places."""
+
+    mean: Array  # (M, S)
+    low: Array  # (M, S)
+    high: Array  # (M, S)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """log k(s) of every object as itself and the others of its group tell: O normals, the common error apart."""
+
+    mean: Array  # (O, S)
+    covariance: Array  # (O, S, S)
+
+
+def group_means(fit: Fit) -> Curves:
+    """The groups' means, with what all recordings share in the band."""
+    return _banded(fit, fit.mean, _variances(fit.covariance + fit.trial.alike) + fit.trial.common_sd**2)
+
+
+def differences(fit: Fit, pairs: list[tuple[int, int]]) -> Curves:
+    """The first group's log k less the second's; what all recordings share drops out."""
+    first, second = [list(one) for one in zip(*pairs, strict=True)]
+    variance = _variances(fit.covariance + fit.trial.alike)
+    return _banded(fit, fit.mean[:, first] - fit.mean[:, second], variance[:, first] + variance[:, second])
+
+
+def _banded(fit: Fit, mean: Array, variance: Array) -> Curves:
+    sd = np.sqrt(variance)
+    low, high = (quantile(fit.weight, mean, sd, share) for share in (LOW, HIGH))
+    return Curves(np.tensordot(fit.weight, mean, axes=1), low, high)
+
+
+def _variances(covariances: Array) -> Array:
+    return np.asarray(np.diagonal(covariances, axis1=-2, axis2=-1))
+
+
+def within(fit: Fit) -> Array:
+    """(S,) sd of log k within groups at each place: the root of its mean variance."""
+    return np.asarray(np.sqrt(fit.weight @ _variances(covariance(fit.spreads, fit.trial.s))))
+
+
+@one_blas_thread
+def shrunken(fit: Fit) -> Objects:
+    """Every object's own log k: its recordings drawn towards its group's mean, as far as they are the less certain.
+
+    What all fits of a group are off by alike is in the covariances.
+    """
+    trial, spreads = fit.trial, fit.spreads
+    size = (len(fit.weight), trial.objects, len(trial.s))
+    step = max(1, 4_000_000 // (len(trial.log_k) * size[-1] ** 2))
+    total, square = np.zeros(size[1:]), np.zeros((*size[1:], size[-1]))
+    for first in range(0, size[0], step):
+        rows = slice(first, first + step)
+        mean, cov = _drawn(fit, spreads.chosen(rows), rows)
+        share = fit.weight[rows]
+        total += np.tensordot(share, mean, axes=1)
+        square += np.einsum("n,noi,noj->oij", share, mean, mean) + np.tensordot(share, cov, axes=1)
+    return Objects(total, square - total[:, :, None] * total[:, None, :] + trial.alike[trial.group_of])
+
+
+def _drawn(fit: Fit, spreads: Spreads, rows: slice) -> tuple[Array, Array]:
+    trial = fit.trial
+    objects = objects_of(trial, spreads)
+    spread = spreads.lasting[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    precision, _ = inverse(objects.covariance + spread)
+    pull = spread @ precision  # towards the object's own recordings
+    centre, error = fit.mean[rows][:, trial.group_of], fit.covariance[rows][:, trial.group_of]
+    mean = centre + np.einsum("noij,noj->noi", pull, objects.mean - centre)
+    rest = np.eye(len(trial.s)) - pull
+    return mean, rest @ spread + rest @ error @ np.swapaxes(rest, -1, -2)
+
+
+def banded(objects: Objects, common_sd: float) -> Curves:
+    """The objects' curves, with what all recordings share in the band."""
+    half = 1.959963984540054 * np.sqrt(np.maximum(_variances(objects.covariance), 0.0) + common_sd**2)
+    return Curves(objects.mean, objects.mean - half, objects.mean + half)
+
+
+def next_object(fit: Fit) -> Objects:
+    """log k of one more object of each group, before it is recorded."""
+    spread = fit.spreads.lasting[:, None, None, None] * covariance(fit.spreads, fit.trial.s)[:, None]
+    return Objects(*moments(fit.weight, fit.mean, fit.covariance + fit.trial.alike + spread))
+
+
+# How many objects of a group a wished band of its mean needs.
+
+MOST = 100_000  # objects that are looked at
+NUMBERS = (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50, 100, 200, 500, 1000)  # whose band is foretold
+
+
+def half_band(means: Curves, group: int, places: BoolArray) -> float:
+    """Half the 95 % band of the group's mean log k: the median over the places; NaN where there is none."""
+    wide = 0.5 * (means.high[group] - means.low[group])[places]
+    return float(np.median(wide)) if len(wide) else float("nan")
+
+
+@one_blas_thread
+def foretold(fit: Fit, means: Curves, group: int, places: BoolArray) -> Array:
+    """(MOST,) half bands of the group's mean for 1, 2, ... objects in it as those that are there, other groups as now.
+
+    The band shrinks as the mean's sd under the spreads that were found, and as Student's quantile; at the number that
+    is there it is the band that was found.
+    """
+    trial = fit.trial
+    now, rest = int(np.sum(trial.group_of == group)), trial.objects - trial.groups
+    objects = objects_of(trial, fit.spreads)
+    spread = fit.spreads.lasting[:, None, None, None] * covariance(fit.spreads, trial.s)[:, None]
+    precision, _ = inverse((objects.covariance + spread)[:, trial.group_of == group])
+    one, _ = inverse(precision.mean(axis=1))
+    variance = fit.weight @ np.diagonal(one, axis1=-2, axis2=-1)[:, places]
+    numbers = np.arange(1, MOST + 1)
+    freedom = np.maximum(rest + numbers - now, 1)
+    quantile = stdtrit(freedom.astype(float), 0.975)
+    own = quantile**2 * float(np.median(variance)) / numbers
+    alike = float(np.median(np.diagonal(trial.alike[group])[places]))  # no number of objects averages this out
+    common = 1.959963984540054**2 * (trial.common_sd**2 + alike)
+    found = max(half_band(means, group, places) ** 2 - common, 0.0)
+    return np.asarray(np.sqrt(own * found / own[now - 1] + common))
+
+
+def needed(bands: Array, wished: float) -> float:
+    """The least number of objects whose half band is at most that wished; inf: none that was looked at."""
+    enough = np.flatnonzero(bands <= wished)
+    return float(enough[0] + 1) if len(enough) else float("inf")
+
+
+# Objects unlike the others of their group: each against what the others predict for it, spreads included.
+
+ORDERS = 5  # of polynomials along the beam: level, slope, bow and two more
+FEWEST_OBJECTS = 3  # objects of a group
+FALSE_ALARMS = 0.05  # of groups in which nothing differs, at most
+HEAVY = 300  # points of the grid that are kept, the heaviest
+
+
+@one_blas_thread
+def outliers(fit: Fit) -> tuple[str, ...]:
+    """O reasons; empty: like the others, or too few others to say.
+
+    Level, slope and so on of the object less those that the others predict are normal given the spreads, and the
+    spreads are weighed without the object. The least of the probabilities counts ORDERS times the group's size.
+    """
+    trial, heavy = fit.trial, np.argsort(-fit.weight)[:HEAVY]
+    spreads, weight = fit.spreads.chosen(heavy), fit.weight[heavy]
+    objects = objects_of(trial, spreads)
+    spread = spreads.lasting[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    wide = objects.covariance + spread
+    waves = legvander(2.0 * trial.s - 1.0, ORDERS - 1) / len(trial.s)
+    reasons = []
+    for i, group in enumerate(trial.group_of):
+        mates = (trial.group_of == group) & (np.arange(trial.objects) != i)
+        if mates.sum() < FEWEST_OBJECTS - 1:
+            reasons.append("")
+            continue
+        precision, _ = inverse(wide[:, mates])
+        error, _ = inverse(precision.sum(axis=1))
+        centre = np.einsum("nij,nmjk,nmk->ni", error, precision, np.broadcast_to(objects.mean[:, mates],
+                           precision.shape[:-1]))  # fmt: skip
+        off, scatter = objects.mean[:, i] - centre, wide[:, i] + error
+        chance = _chance(off, scatter, weight, waves) * ORDERS * (mates.sum() + 1)
+        reasons.append(_reason(chance, weight @ off, trial.s) if chance.min() < FALSE_ALARMS else "")
+    return tuple(reasons)
+
+
+def _chance(off: Array, scatter: Array, weight: Array, waves: Array) -> Array:
+    """(ORDERS,) two-sided probability of what is seen, or farther, if the object is like the others."""
+    inner, logs = inverse(scatter)
+    log_density = -0.5 * (logs + np.einsum("ni,nij,nj->n", off, inner, off))
+    log = np.log(weight) - log_density  # the object's own say taken out of the weights
+    without = np.exp(log - log.max())
+    sd = np.sqrt(np.einsum("si,nst,ti->ni", waves, scatter, waves))
+    tails = 2.0 * np.exp(log_ndtr(-np.abs(off @ waves) / sd))
+    return np.asarray(without @ tails / without.sum())
+
+
+def _reason(chance: Array, off: Array, s: Array) -> str:
+    least = f"p = {min(float(chance.min()), 1.0):.1g}"
+    if int(np.argmin(chance)) == 0:
+        return f"k is {np.exp(off.mean()):.2g} times that of the others ({least})"
+    beside = off - off.mean()
+    at = int(np.argmax(np.abs(beside)))
+    return f"the shape of k(s) is {np.exp(beside[at]):.2g} times that of the others at s = {s[at]:.2g} ({least})"
+
+
+# How much of what differs lies between groups, and how much an object keeps when it is recorded again.
+
+BAND = (0.5, 0.025, 0.975)
+FEWEST_GROUPS = 3  # groups, to say anything of how groups scatter
+HEAVY_SHARES = 200  # points of the grid that are kept, the heaviest
+STEPS = np.linspace(0.0, 0.99, 34)  # of the share between groups
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval; NaN where the trial cannot tell."""
+
+    value: float  # the median
+    low: float
+    high: float
+
+
+UNKNOWN = Estimate(np.nan, np.nan, np.nan)
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Of the variance of log k between objects."""
+
+    level_sd: Estimate  # within groups, of the mean along the beam
+    shape_sd: Estimate  # within groups, RMS along the beam
+    repeatability: Estimate  # of the variance within groups: what stays with the object when it is recorded again
+    between: Estimate  # of all variance between objects: between groups (intraclass correlation, heritability)
+    between_sd: Estimate  # of the groups' means, RMS along the beam
+
+
+def shares(fit: Fit) -> Shares:
+    """The spreads that the trial tells, each from its posterior."""
+    spreads, weight = fit.spreads, fit.weight
+    lasting = np.sqrt(spreads.lasting)
+    between, between_sd = _between(fit) if fit.trial.groups >= FEWEST_GROUPS else (UNKNOWN, UNKNOWN)
+    return Shares(
+        _estimate(lasting * spreads.level_sd, weight),
+        _estimate(lasting * spreads.shape_sd, weight),
+        _estimate(spreads.lasting, weight) if fit.trial.repeated else UNKNOWN,
+        between,
+        between_sd,
+    )
+
+
+def _estimate(values: Array, weight: Array) -> Estimate:
+    return Estimate(*weighted_quantiles(values, weight, BAND))
+
+
+@one_blas_thread
+def _between(fit: Fit) -> tuple[Estimate, Estimate]:
+    """The groups' means scattered about one mean, with h / (1 - h) of the covariance within groups; h is flat."""
+    heavy = np.argsort(-fit.weight)[:HEAVY_SHARES]
+    spreads = fit.spreads.chosen(heavy)
+    within = spreads.lasting[:, None, None] * covariance(spreads, fit.trial.s)
+    log, every = [], np.zeros(fit.trial.groups, dtype=int)
+    for share in STEPS:
+        scatter = share / (1.0 - share) * within[:, None]
+        log.append(means(fit.mean[heavy], fit.covariance[heavy] + scatter, every).log_evidence[:, 0])
+    joint = np.array(log) + np.log(fit.weight[heavy])
+    weight = np.exp(joint - joint.max())
+    rms = np.sqrt(np.mean(np.diagonal(within, axis1=1, axis2=2), axis=1))
+    sd = np.sqrt(STEPS / (1.0 - STEPS))[:, None] * rms
+    return _estimate(STEPS, weight.sum(axis=1)), _estimate(sd.ravel(), weight.ravel())
+
+
+# Pass or fail against a tolerance band of k(s), with the errors that are to be expected of it.
+
+COLUMNS = ("s", "low_N_m", "high_N_m")
+DRAWS = 4000
+PASSES = 0.5  # probability of lying inside, from which an object passes
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Limits of k, straight between places in the logarithm; what lies outside the places is not asked."""
+
+    s: Array
+    low: Array  # N m
+    high: Array  # N m
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What passes, how sure that is, and how often it is wrong."""
+
+    inside: Array  # (O,) probability that k(s) lies inside everywhere
+    passes: float  # probability from which an object passes
+    false_passes: float  # share of those that pass that is expected to lie outside; NaN: none passes
+    false_fails: float  # share of those that fail that is expected to lie inside; NaN: none fails
+
+    @property
+    def passed(self) -> Array:
+        """(O,) bool."""
+        return np.asarray(self.inside >= self.passes)
+
+
+def read_tolerance(path: Path) -> Tolerance:
+    """The band of a CSV with the columns `s, low_N_m, high_N_m`.
+
+    Raises:
+        ResultsError: it cannot be read, or is no band; the message names the line.
+    """
+    rows = list(csv_rows(path, ResultsError))
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    if absent := [name for name in COLUMNS if name not in header]:
+        raise ResultsError(f"{path} has no column {absent[0]}. A tolerance has {', '.join(COLUMNS)}")
+    at = [header.index(name) for name in COLUMNS]
+    values: list[list[float]] = []
+    for line, cells in rows[1:]:
+        try:
+            s, low, high = (float(cells[i]) for i in at)
+        except (ValueError, IndexError):
+            raise ResultsError(f"{path}, line {line}: {', '.join(COLUMNS)} are three numbers. Write them") from None
+        if not (0.0 <= s <= 1.0 and 0.0 < low < high < np.inf):
+            raise ResultsError(f"{path}, line {line}: s is from 0 to 1, and 0 < low_N_m < high_N_m. Correct it")
+        if values and s <= values[-1][0]:
+            raise ResultsError(f"{path}, line {line}: s does not grow from line to line. Sort the lines")
+        values.append([s, low, high])
+    if len(values) < 2:
+        raise ResultsError(f"{path} has {len(values)} lines of numbers; a band needs two or more. Add some")
+    return Tolerance(*np.array(values).T)
+
+
+def judge(objects: Objects, s: Array, common_sd: float, band: Tolerance, passes: float = PASSES) -> Judgement:
+    """Probabilities by draws from each object's k(s), the same for every call.
+
+    Args:
+        s: places of the objects' curves.
+    """
+    inside = inside_of(objects, s, common_sd, band)
+    judged = inside >= passes
+    return Judgement(
+        inside,
+        passes,
+        float(np.mean(1.0 - inside[judged])) if judged.any() else float("nan"),
+        float(np.mean(inside[~judged])) if not judged.all() else float("nan"),
+    )
+
+
+def inside_of(objects: Objects, s: Array, common_sd: float, band: Tolerance) -> Array:
+    """(M,) probability that each k(s) lies inside at every place from the band's first to its last."""
+    places = (s >= band.s[0] - 1e-9) & (s <= band.s[-1] + 1e-9)
+    if not places.any():
+        raise ResultsError("the tolerance lies between two places of k(s). Let it span 0.1 or more of s")
+    low, high = (np.interp(s[places], band.s, np.log(edge)) for edge in (band.low, band.high))
+    normal = np.random.default_rng(0).standard_normal((DRAWS, len(s) + 1))
+    found = np.empty(len(objects.mean))
+    for i, (mean, covariance) in enumerate(zip(objects.mean, objects.covariance, strict=True)):
+        values, vectors = np.linalg.eigh(covariance)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0)))[places]
+        drawn = mean[places] + normal[:, :-1] @ root.T + common_sd * normal[:, -1:]
+        found[i] = np.mean(np.all((drawn >= low) & (drawn <= high), axis=1))
+    return found

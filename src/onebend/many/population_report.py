@@ -1,0 +1,487 @@
+"""All that `onebend population` says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+
+from onebend.errors import ResultsError
+from onebend.files.publish import write_summary
+from onebend.files.single_file import as_csv, as_parquet
+from onebend.many.population import (
+    NUMBERS,
+    Curves,
+    Estimate,
+    Judgement,
+    Named,
+    Objects,
+    Shares,
+    Tolerance,
+    banded,
+    differences,
+    fit,
+    foretold,
+    group_means,
+    half_band,
+    inside_of,
+    judge,
+    needed,
+    next_object,
+    outliers,
+    shares,
+    shrunken,
+    within,
+)
+from onebend.progress import Progress, Silent
+from onebend.records import Array, BoolArray
+from onebend.report.page import render
+from onebend.report.pictures import Draw, Pictures, draw
+from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
+from onebend.report.wording import UNKNOWN, significant
+from onebend.text_files import figure_text, one_line
+
+WISHED = 0.05  # half band of a group's mean, as a share of k
+MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with the first
+
+
+@dataclass(frozen=True)
+class PopulationSettings:
+    """What is asked."""
+
+    by: str = "group"
+    same: str | None = None  # column that names the object
+    wished: float = WISHED  # half band of the groups' means, as a share of k
+    tolerance: Tolerance | None = None
+    passes: float = 0.5  # probability of lying inside, from which an object passes
+
+
+@dataclass(frozen=True)
+class PopulationOutcome:
+    """The answers, with the trial that they are from."""
+
+    setting: PopulationSettings
+    named: Named
+    means: Curves  # of log k, G
+    told: BoolArray  # (G, S) where the data of half the recordings or more tell k
+    pairs: tuple[tuple[int, int], ...]  # of groups
+    ratios: Curves  # of the logarithm, a pair each
+    objects: Objects
+    curves: Curves  # of log k, O
+    within: Array  # (S,) sd of log k within groups
+    shares: Shares
+    outliers: tuple[str, ...]  # O reasons
+    half: tuple[float, ...]  # G half bands of log k, the median over the places that are told
+    bands: Array  # (G, len(NUMBERS)) the same for that many objects
+    needed: tuple[float, ...]  # G objects for the wished band; inf: no number gives it
+    judgement: Judgement | None
+    next_inside: Array | None  # (G,) probability that one more object of the group lies inside the tolerance
+
+
+def population(named: Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
+    """Learn the population from its objects.
+
+    Raises:
+        ResultsError: a number that was asked for makes no sense.
+    """
+    if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
+        raise ResultsError("a wished band is above 0, and a probability between 0 and 1. Correct it")
+    trial, found = named.trial, fit(named.trial)
+    means, told = group_means(found), named.identified >= 0.5
+    groups = range(trial.groups)
+    pairs = list(combinations(groups, 2))
+    if trial.groups > MOST_COMPARED:
+        pairs = [(i, 0) for i in groups if i]
+    objects, tolerance = shrunken(found), setting.tolerance
+    bands = [foretold(found, means, i, told[i]) if told[i].any() else np.full(NUMBERS[-1], np.nan) for i in groups]
+    return PopulationOutcome(
+        setting=setting,
+        named=named,
+        means=means,
+        told=told,
+        pairs=tuple(pairs),
+        ratios=differences(found, pairs) if pairs else Curves(*[np.zeros((0, len(trial.s)))] * 3),
+        objects=objects,
+        curves=banded(objects, trial.common_sd),
+        within=within(found),
+        shares=shares(found),
+        outliers=outliers(found),
+        half=tuple(half_band(means, i, told[i]) for i in groups),
+        bands=np.array([one[np.array(NUMBERS) - 1] for one in bands]),
+        needed=tuple(needed(one, float(np.log1p(setting.wished))) for one in bands),
+        judgement=None if tolerance is None else judge(objects, trial.s, trial.common_sd, tolerance, setting.passes),
+        next_inside=None if tolerance is None else inside_of(next_object(found), trial.s, trial.common_sd, tolerance),
+    )
+
+
+# The tables of a population, each as Parquet and as CSV.
+
+TABLES = {
+    "groups": "a row a group: how many objects, the band of its mean, how many objects the wished band needs",
+    "means": "a row a group and place: mean k(s) with its 95 % band",
+    "ratios": "a row a pair of groups and place: the first group's mean over the second's, with its 95 % band",
+    "spread": "a row a number: spread within and between groups, repeatability, with 95 % intervals",
+    "objects": "a row an object: k at five places, why it is unlike the others, whether it passes",
+    "curves": "a row an object and place: k(s) as it and the others of its group tell, with its 95 % band",
+    "needed": "a row a group and number of objects: the half band of the mean that is to be expected",
+    "left_out": "a row a recording that is not in it, with the reason",
+}
+AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, where the table of objects has k
+
+
+def tables(outcome: PopulationOutcome) -> dict[str, pa.Table]:
+    """All of `TABLES`, by name."""
+    made = (_groups, _means, _ratios, _spread, _objects, _curves, _needed, _left_out)
+    return {name: pa.table(one(outcome)) for name, one in zip(TABLES, made, strict=True)}
+
+
+def _groups(outcome: PopulationOutcome) -> dict[str, Any]:
+    trial = outcome.named.trial
+    next_inside = np.full(trial.groups, np.nan) if outcome.next_inside is None else outcome.next_inside
+    return {
+        "group": _texts(outcome.named.groups),
+        "objects": np.bincount(trial.group_of),
+        "recordings": np.bincount(trial.group_of[trial.object_of]),
+        "half_band": np.expm1(outcome.half),
+        "wished_half_band": np.full(trial.groups, outcome.setting.wished),
+        "objects_needed": np.array(outcome.needed),
+        "next_object_inside": next_inside,
+    }
+
+
+def _means(outcome: PopulationOutcome) -> dict[str, Any]:
+    return {
+        "group": _each(outcome.named.groups, outcome),
+        **_curve(outcome.means, outcome, "k", "_N_m"),
+        "identified": outcome.told.ravel(),
+        "within_sd": np.tile(outcome.within, outcome.named.trial.groups),
+    }
+
+
+def _ratios(outcome: PopulationOutcome) -> dict[str, Any]:
+    groups = outcome.named.groups
+    return {
+        "group": _each([groups[i] for i, _ in outcome.pairs], outcome),
+        "over": _each([groups[j] for _, j in outcome.pairs], outcome),
+        **_curve(outcome.ratios, outcome, "ratio", ""),
+    }
+
+
+def _spread(outcome: PopulationOutcome) -> dict[str, Any]:
+    found = vars(outcome.shares)
+    return {
+        "quantity": _texts(found),
+        **{name: np.array([getattr(one, name) for one in found.values()]) for name in ("value", "low", "high")},
+    }
+
+
+def _objects(outcome: PopulationOutcome) -> dict[str, Any]:
+    named, curves, judged = outcome.named, outcome.curves, outcome.judgement
+    trial = named.trial
+    columns: dict[str, Any] = {
+        "object": _texts(named.objects),
+        "group": _texts([named.groups[i] for i in trial.group_of]),
+        "recordings": np.bincount(trial.object_of),
+    }
+    for s in AT:
+        i = int(np.argmin(np.abs(trial.s - s)))
+        for name, one in (("k", curves.mean), ("k_lo", curves.low), ("k_hi", curves.high)):
+            columns[f"{name}_at_{s:g}_N_m"] = np.exp(one[:, i])
+    columns["outlier"] = _texts(outcome.outliers)
+    columns["inside"] = np.full(trial.objects, np.nan) if judged is None else judged.inside
+    words = [""] * trial.objects if judged is None else ["passes" if one else "fails" for one in judged.passed]
+    return columns | {"judged": _texts(words)}
+
+
+def _curves(outcome: PopulationOutcome) -> dict[str, Any]:
+    named = outcome.named
+    return {
+        "object": _each(named.objects, outcome),
+        "group": _each([named.groups[i] for i in named.trial.group_of], outcome),
+        **_curve(outcome.curves, outcome, "k", "_N_m"),
+    }
+
+
+def _needed(outcome: PopulationOutcome) -> dict[str, Any]:
+    return {
+        "group": _texts([name for name in outcome.named.groups for _ in NUMBERS]),
+        "objects": np.tile(NUMBERS, len(outcome.named.groups)),
+        "half_band": np.expm1(outcome.bands).ravel(),
+    }
+
+
+def _left_out(outcome: PopulationOutcome) -> dict[str, Any]:
+    rows = outcome.named.left_out
+    return {"recording": _texts([name for name, _ in rows]), "reason": _texts([why for _, why in rows])}
+
+
+def _texts(words: Any) -> pa.Array:
+    return pa.array(list(words), pa.string())
+
+
+def _each(names: Any, outcome: PopulationOutcome) -> pa.Array:
+    """A name for every place of its curve."""
+    return _texts(name for name in names for _ in outcome.named.trial.s)
+
+
+def _curve(curves: Curves, outcome: PopulationOutcome, name: str, unit: str) -> dict[str, Any]:
+    return {
+        "s": np.tile(outcome.named.trial.s, len(curves.mean)),
+        f"{name}{unit}": np.exp(curves.mean).ravel(),
+        f"{name}_lo{unit}": np.exp(curves.low).ravel(),
+        f"{name}_hi{unit}": np.exp(curves.high).ravel(),
+    }
+
+
+# The pictures of a population.
+
+A_ROW = 3  # panels
+MOST = 24  # groups that have a panel
+
+
+def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -> Pictures:
+    """By name."""
+    wanted: dict[str, Draw] = {"means": partial(means, outcome), "groups": partial(panels, outcome)}
+    if outcome.pairs:
+        wanted["ratios"] = partial(ratios, outcome)
+    wanted["needed"] = partial(bands, outcome)
+    return draw(wanted, progress)
+
+
+@styled
+def means(outcome: PopulationOutcome) -> Figure:
+    """The groups' means with their bands, and the tolerance."""
+    figure, (axes,) = blank(3.8)
+    s, count = outcome.named.trial.s, min(len(outcome.named.groups), MOST)
+    for i in range(count):
+        low, mean, high = (np.exp(one[i]) for one in (outcome.means.low, outcome.means.mean, outcome.means.high))
+        axes.fill_between(s, low, high, color=hue_of(i, count), alpha=0.2, linewidth=0)
+        axes.plot(s, mean, color=hue_of(i, count), label=figure_text(outcome.named.groups[i] or "all"))
+    if (band := outcome.setting.tolerance) is not None:
+        for edge in (band.low, band.high):
+            axes.plot(band.s, edge, color=INK, linestyle="--", linewidth=1.2)
+    axes.set(xlabel="s", ylabel="k(s) [N m]", yscale="log")
+    axes.legend(ncols=4)
+    return figure
+
+
+@styled
+def panels(outcome: PopulationOutcome) -> Figure:
+    """Each group: every object, those unlike the others, and the mean."""
+    trial, count = outcome.named.trial, min(len(outcome.named.groups), MOST)
+    rows = -(-count // A_ROW)
+    figure, axes = blank(2.4 * rows, rows, min(count, A_ROW), sharex=True, sharey=True)
+    for i, panel in enumerate(axes):
+        if i >= count:
+            panel.set_axis_off()
+            continue
+        for one in np.flatnonzero(trial.group_of == i):
+            far = bool(outcome.outliers[one])
+            panel.plot(trial.s, np.exp(outcome.curves.mean[one]), color=ORANGE if far else MUTED, linewidth=0.8)
+        panel.plot(trial.s, np.exp(outcome.means.mean[i]), color=hue_of(i, count))
+        panel.set(yscale="log", title=figure_text(outcome.named.groups[i] or "all"))
+    axes[0].set_ylabel("k(s) [N m]")
+    return figure
+
+
+@styled
+def ratios(outcome: PopulationOutcome) -> Figure:
+    """Mean over mean, for the first pairs."""
+    figure, (axes,) = blank(3.4)
+    s, shown = outcome.named.trial.s, outcome.pairs[:6]
+    for i, (one, other) in enumerate(shown):
+        low, mean, high = (np.exp(x[i]) for x in (outcome.ratios.low, outcome.ratios.mean, outcome.ratios.high))
+        axes.fill_between(s, low, high, color=hue_of(i), alpha=0.2, linewidth=0)
+        name = f"{outcome.named.groups[one]} / {outcome.named.groups[other]}"
+        axes.plot(s, mean, color=hue_of(i), label=figure_text(name))
+    axes.axhline(1.0, color=INK, linewidth=1.0)
+    axes.set(xlabel="s", ylabel="ratio of k(s)", yscale="log")
+    axes.legend(ncols=3)
+    return figure
+
+
+@styled
+def bands(outcome: PopulationOutcome) -> Figure:
+    """The half band that is to be expected of so many objects."""
+    figure, (axes,) = blank(3.2)
+    count = min(len(outcome.named.groups), MOST)
+    for i in range(count):
+        name = figure_text(outcome.named.groups[i] or "all")
+        axes.plot(NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
+    axes.axhline(100.0 * outcome.setting.wished, color=INK, linestyle="--", linewidth=1.0)
+    axes.set(xlabel="objects of the group", ylabel="half band of its mean [%]", xscale="log", yscale="log")
+    axes.legend(ncols=4)
+    return figure
+
+
+# `report.html` of a population.
+
+SPREAD = {
+    "level_sd": ("within groups, of the level of k", True),
+    "shape_sd": ("within groups, of the shape of k(s)", True),
+    "repeatability": ("repeatability: share of the variance within groups that stays with the object", False),
+    "between": ("share of all variance between objects that lies between groups (intraclass correlation)", False),
+    "between_sd": ("between the groups' means", True),
+}
+MOST_JUDGED = 200  # rows of objects on the page; the table has all
+
+
+def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
+    """The page as HTML, which carries everything in itself."""
+    named = outcome.named
+    content = {
+        "version": version,
+        "title": one_line(f"Population {name}"),
+        "cards": _cards(outcome),
+        "group_heads": ("group", "objects", "recordings", "half band of the mean", "objects for the wished band"),
+        "group_rows": _group_rows(outcome),
+        "spread_heads": ("", "value", "95 % from", "to"),
+        "spread_rows": [_spread_row(*SPREAD[key], value) for key, value in vars(outcome.shares).items()],
+        "outliers": [(one_line(one), why) for one, why in zip(named.objects, outcome.outliers, strict=True) if why],
+        "tolerance": judged_words(outcome),
+        "judged_heads": ("object", "group", "probability inside", ""),
+        "judged_rows": _judged_rows(outcome),
+        "ratios": bool(outcome.pairs),
+        "needed": f"For a half band of {percent(outcome.setting.wished)} of k, the median along the beam.",
+        "left_out": [(one_line(one), one_line(why)) for one, why in named.left_out],
+        "files": list(TABLES.items()),
+        "data": "{}",
+    }
+    return render("onebend.many", "population.html", figures, content)
+
+
+def percent(share: float) -> str:
+    """A share in percent; a dash where it is not known."""
+    return f"{significant(100.0 * share)} %" if np.isfinite(share) else UNKNOWN
+
+
+def count_words(number: float) -> str:
+    """A number of objects."""
+    return f"{number:.0f} objects" if np.isfinite(number) else "no number of them"
+
+
+def group_name(name: str) -> str:
+    """A group's name on a screen or page."""
+    return one_line(name) or "all"
+
+
+def judged_words(outcome: PopulationOutcome) -> str:
+    """What passes, and the errors to be expected; empty where no tolerance was given."""
+    judged = outcome.judgement
+    if judged is None:
+        return ""
+    return (
+        f"{int(judged.passed.sum())} of {len(judged.inside)} objects pass: k(s) lies inside everywhere with a "
+        f"probability of {significant(judged.passes)} or more. To be expected: {percent(judged.false_passes)} of those "
+        f"that pass lie outside, {percent(judged.false_fails)} of those that fail lie inside."
+    )
+
+
+def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
+    trial = outcome.named.trial
+    far = sum(bool(why) for why in outcome.outliers)
+    level = outcome.shares.level_sd
+    return [
+        {"what": "objects", "value": str(trial.objects), "note": f"in {trial.groups} groups"},
+        {"what": "recordings", "value": str(len(trial.log_k)), "note": f"{len(outcome.named.left_out)} left out"},
+        {
+            "what": "spread of k within groups",
+            "value": percent(float(np.expm1(level.value))),
+            "note": "sd of the level",
+        },
+        {"what": "unlike the others", "value": str(far), "note": "objects"},
+    ]
+
+
+def _group_rows(outcome: PopulationOutcome) -> list[tuple[str, ...]]:
+    trial = outcome.named.trial
+    return [
+        (
+            group_name(name),
+            str(int(np.sum(trial.group_of == i))),
+            str(int(np.sum(trial.group_of[trial.object_of] == i))),
+            f"± {percent(float(np.expm1(outcome.half[i])))}",
+            count_words(outcome.needed[i]),
+        )
+        for i, name in enumerate(outcome.named.groups)
+    ]
+
+
+def _spread_row(what: str, of_log_k: bool, one: Estimate) -> tuple[str, ...]:
+    values = np.array([one.value, one.low, one.high])
+    return (what, *(percent(float(value)) for value in (np.expm1(values) if of_log_k else values)))
+
+
+def _judged_rows(outcome: PopulationOutcome) -> list[tuple[Any, ...]]:
+    judged, named = outcome.judgement, outcome.named
+    if judged is None:
+        return []
+    rows = zip(named.objects, named.trial.group_of, judged.inside, judged.passed, strict=True)
+    found = [
+        (one_line(name), group_name(named.groups[i]), significant(inside), "passes" if passed else "fails")
+        for name, i, inside, passed in rows
+    ]
+    return found[:MOST_JUDGED]
+
+
+# The files of a population and its summary.
+
+POPULATION_FORMAT = "onebend-population-1"
+
+
+def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]:
+    """What `--json` prints and `summary.json` holds."""
+    named, judged = outcome.named, outcome.judgement
+    trial = named.trial
+    return {
+        "format": POPULATION_FORMAT,
+        "written_by": written_by,
+        "by": outcome.setting.by,
+        "object": outcome.setting.same,
+        "wished_half_band": outcome.setting.wished,
+        "groups": [
+            {
+                "group": name,
+                "objects": int(np.sum(trial.group_of == i)),
+                "half_band": float(np.expm1(outcome.half[i])),
+                "objects_needed": outcome.needed[i],
+                "next_object_inside": None if outcome.next_inside is None else float(outcome.next_inside[i]),
+            }
+            for i, name in enumerate(named.groups)
+        ],
+        "spread": {name: vars(one) for name, one in vars(outcome.shares).items()},
+        "outliers": [
+            {"object": name, "reason": why} for name, why in zip(named.objects, outcome.outliers, strict=True) if why
+        ],
+        "tolerance": None
+        if judged is None
+        else {
+            "passed": int(judged.passed.sum()),
+            "objects": trial.objects,
+            "false_passes": judged.false_passes,
+            "false_fails": judged.false_fails,
+        },
+        "left_out": [{"recording": name, "reason": why} for name, why in named.left_out],
+    }
+
+
+def writer(
+    outcome: PopulationOutcome, pictures: Pictures, summary: Mapping[str, Any], *, name: str, version: str
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder."""
+
+    def write(folder: Path) -> None:
+        for key, table in tables(outcome).items():
+            (folder / f"{key}.parquet").write_bytes(as_parquet(table))
+            (folder / f"{key}.csv").write_bytes(as_csv(table))
+        (folder / "report.html").write_text(page(outcome, pictures.drawn, name=name, version=version), encoding="utf-8")
+        write_summary(folder, summary)
+
+    return write

@@ -1,0 +1,501 @@
+"""One recording as one task: on any machine that sees its folder and the results folder under the same paths."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from importlib.util import find_spec
+from logging import getLogger
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+
+from onebend.errors import OnebendError, RecordingError, ResultsError, told
+from onebend.extras import package
+from onebend.files.publish import abandon, finish, prepare, publish, read_summary, sha256_of
+from onebend.files.single_file import write_file
+from onebend.learning.optimizer import FitSettings
+from onebend.pipeline import Run, learn
+from onebend.progress import available_cores, interrupts_held, leave_interrupts_to_parent
+from onebend.recording.description import HOMES
+from onebend.recording.entries import Recording
+from onebend.recording.folder import FILE_NAME, folder_of, read_recording
+from onebend.recording.observe import ObserveSettings
+from onebend.records import Array
+from onebend.report.pictures import Pictures
+from onebend.report.verdict import verdict_of
+from onebend.report.wording import all_remarks
+from onebend.results.learned_files import LEARN_FORMAT, learned_writer, summary_of
+from onebend.results.provenance import InputFile, as_data, files_of, inputs_of, provenance
+from onebend.text_files import csv_rows, quoted, to_json
+
+# Which recordings are learned: those in a folder, or the rows of a CSV, which may state what differs between them.
+
+OWN = ("path", "name", "group")  # columns of a list with a meaning of their own
+MOST = 1_000_000  # recordings
+
+
+@dataclass(frozen=True)
+class Item:
+    """One recording that is asked for."""
+
+    name: str  # of its own in the batch
+    folder: Path  # absolute
+    group: str = ""
+    stated: tuple[tuple[str, str, Any], ...] = ()  # table, key, value in place of recording.toml's
+    labels: tuple[tuple[str, str], ...] = ()  # the list's other columns, carried through: column, cell
+
+
+def items_of(source: Path, out: Path) -> tuple[Item, ...]:
+    """The recordings of `source`: a CSV with a column `path`, or a folder with recordings in it at any depth, without
+    those in `out`.
+
+    Raises:
+        RecordingError: there is none, two have one name, or a column or a cell of the list cannot be used.
+    """
+    if source.is_dir():
+        found = _in_folder(source.resolve(), out.resolve())
+        if not found:
+            raise RecordingError(f"{source} holds no recording, no folder with {FILE_NAME}. Name another.")
+    elif source.suffix.lower() == ".csv" or source.is_file():
+        found = _in_list(source)
+    else:
+        raise RecordingError(f"{source} is neither a folder nor a file. Give a folder of recordings, or a CSV of them.")
+    twice = [name for name, count in Counter(one.name.casefold() for one in found).items() if count > 1]
+    if twice:
+        raise RecordingError(f"{source}: two recordings are called {quoted(twice[0])}. Give each a name of its own.")
+    if len(found) > MOST:
+        raise RecordingError(f"{source}: {len(found)} recordings; at most {MOST} are learned at once. Part them.")
+    return found
+
+
+def _in_folder(source: Path, out: Path) -> tuple[Item, ...]:
+    """Recordings by their path in the folder; the first part of a longer path is the group."""
+    found = []
+    for file in sorted(source.rglob(FILE_NAME)):
+        folder = file.parent
+        if folder == out or out in folder.parents:
+            continue
+        inside = folder.relative_to(source)
+        group = inside.parts[0] if len(inside.parts) > 1 else ""
+        found.append(Item(inside.as_posix() if inside.parts else folder.name, folder, group))
+    return tuple(found)
+
+
+def _in_list(path: Path) -> tuple[Item, ...]:
+    rows = list(csv_rows(path, RecordingError))
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    if "path" not in header:
+        raise RecordingError(f"{path} has no column path, which names the folder of each recording. Add it.")
+    twice = [name for name, count in Counter(header).items() if name and count > 1]
+    if twice:
+        raise RecordingError(f"{path}: the column {quoted(twice[0])} is there twice. Remove one.")
+    keys = {name: key for name in header if name not in OWN and (key := _key(name, path)) is not None}
+    if len(rows) == 1:
+        raise RecordingError(f"{path} has no rows. Write one for each recording.")
+    return tuple(_item(path, line, header, cells, keys) for line, cells in rows[1:])
+
+
+def _item(
+    path: Path, line: int, header: Sequence[str], cells: Sequence[str], keys: Mapping[str, tuple[str, str]]
+) -> Item:
+    if len(cells) > len(header):
+        raise RecordingError(f"{path}, line {line}: {len(cells)} cells under {len(header)} columns. Quote the commas.")
+    by_name = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if name}
+    if not by_name.get("path"):
+        raise RecordingError(f"{path}, line {line}: the path is empty. Name the recording's folder.")
+    if "\0" in by_name["path"]:
+        raise RecordingError(f"{path}, line {line}: the path is no path.")
+    folder = folder_of(path.resolve().parent / by_name["path"])
+    stated = tuple((*key, _value(by_name[name])) for name, key in keys.items() if by_name.get(name))
+    labels = tuple((name, by_name.get(name, "")) for name in header if name and name not in OWN)
+    return Item(by_name.get("name") or by_name["path"], folder, by_name.get("group", ""), stated, labels)
+
+
+def _key(column: str, path: Path) -> tuple[str, str] | None:
+    """Table and key of recording.toml that a column states, as `length_m` or `beam.length_m`; None: it is a label.
+
+    Raises:
+        RecordingError: several tables know the key.
+    """
+    table, dot, name = column.partition(".")
+    if dot:
+        return (table, name) if table in HOMES.get(name, ()) else None
+    homes = HOMES.get(column, ())
+    if len(homes) > 1:
+        raise RecordingError(
+            f"{path}: the column {column} is a key of {' and '.join(f'[{home}]' for home in homes)} in {FILE_NAME}. "
+            f"Write {homes[0]}.{column} for one of them, or rename a label."
+        )
+    return (homes[0], column) if homes else None
+
+
+def _value(cell: str) -> Any:
+    """A cell as TOML knows it: a number, true or false, a list; else the text."""
+    if cell in ("true", "false") or cell.startswith("["):
+        try:
+            return tomllib.loads(f"value = {cell}")["value"]
+        except (tomllib.TOMLDecodeError, RecursionError):
+            return cell
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            continue
+    return cell
+
+
+# What is kept of one recording: a small JSON file, whole or not there, under the hash of all that it was made from.
+
+FORMAT = "onebend-batch-record-3"
+RECORDS = ".records"  # in the results folder
+PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
+EVERY = 5  # of PLACES: where a record has the covariance of log k
+
+
+@dataclass(frozen=True)
+class Record:
+    """A recording that was learned, or the reason why it could not be."""
+
+    hash: str
+    reason: str = ""  # why there is no k(s); empty: there is one
+    length: float = np.nan  # m
+    k: Array | None = None  # (101,) N m at PLACES
+    low: Array | None = None  # (101,) N m, of the 95 % band
+    high: Array | None = None  # (101,) N m
+    identified: Array | None = None  # (101,) bool
+    covariance: Array | None = None  # (21, 21) of log k at every fifth of PLACES, without what is common to all of k
+    prior_part: Array | None = None  # (21, 21) of that covariance, what comes from the prior and not from the data
+    gain_sd: float = np.nan  # of log k: what the force sensor's scale does to all of k, in every recording alike
+    grade: str = ""  # of the verdict
+    headline: str = ""
+    error: float = np.nan  # m RMS of the worst tag
+    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    nuisances: tuple[tuple[str, str, float, float, float], ...] = ()  # name, unit, value, sd, prior sd
+    frames: int = 0
+    seconds: float = np.nan  # that reading and learning took
+    finished: str = ""  # UTC, ISO 8601
+
+
+def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
+    """SHA-256 over the content of the files, their names, and what they are learned with; the same on every machine.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    entries = sorted((path.name, sha256_of(path)) for path in dict.fromkeys(files))
+    text = json.dumps({"files": entries, "with": made_with}, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record:
+    """What is kept of a learned recording."""
+    assert run.posterior is not None  # a batch learns with the fit
+    verdict, band = verdict_of(run), run.posterior.stiffness.band(PLACES)
+    return Record(
+        hash=hashed,
+        length=run.beam.length,
+        k=band.k,
+        low=band.low,
+        high=band.high,
+        identified=np.asarray(band.identified),
+        covariance=run.posterior.stiffness.log_covariance(PLACES[::EVERY]),
+        prior_part=run.posterior.prior_part(PLACES[::EVERY]),
+        gain_sd=run.posterior.stiffness.gain_sd,
+        grade=verdict.grade,
+        headline=verdict.headline,
+        error=verdict.error,
+        doubts=run.posterior.stiffness.doubts,
+        warnings=tuple(remark.text for _, remark in all_remarks(run) if remark.level == "warning"),
+        nuisances=tuple((n.name, n.unit, n.value, n.sd, n.prior_sd) for n in run.posterior.nuisances()),
+        frames=len(run.recordings[0].time),
+        seconds=seconds,
+        finished=finished,
+    )
+
+
+def record_path(out: Path, hashed: str) -> Path:
+    """Where the record of this hash stands in the results `out`."""
+    return out / RECORDS / f"{hashed}.json"
+
+
+def write_record(out: Path, record: Record) -> None:
+    """Put the record in place, whole or not at all. Raises `ResultsError` where it cannot be written."""
+    write_file(record_path(out, record.hash), to_json({"format": FORMAT, **vars(record)}) + "\n", overwrite=True)
+
+
+def read_record(out: Path, hashed: str) -> Record | None:
+    """The record of this hash; None where there is none, or none that can be used: it is made anew then."""
+    try:
+        data = json.loads(record_path(out, hashed).read_text(encoding="utf-8"))
+        if data.pop("format") != FORMAT or data["hash"] != hashed:
+            return None
+        curves = {name: _curve(data[name]) for name in ("k", "low", "high")}
+        known = None if data["identified"] is None else np.array(data["identified"], dtype=bool)
+        if any(curve is not None and curve.shape != PLACES.shape for curve in (*curves.values(), known)):
+            return None
+        squares = {n: None if data[n] is None else np.array(data[n], dtype=float) for n in ("covariance", "prior_part")}
+        if any(one is not None and one.shape != (len(PLACES[::EVERY]),) * 2 for one in squares.values()):
+            return None
+        return Record(
+            **data
+            | curves
+            | squares
+            | {name: _number(data[name]) for name in ("length", "gain_sd", "error", "seconds")}
+            | {name: tuple(data[name]) for name in ("doubts", "warnings")}
+            | {
+                "identified": known,
+                "nuisances": tuple((n, unit, *map(_number, values)) for n, unit, *values in data["nuisances"]),
+            }
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _curve(values: Any) -> Array | None:
+    return None if values is None else np.array([_number(value) for value in values])
+
+
+def _number(value: Any) -> float:
+    """A number, which is null in JSON where it is not finite."""
+    return np.nan if value is None else float(value)
+
+
+FOLDERS = "recordings"  # in the results folder: a folder of each, where asked for
+
+
+@dataclass(frozen=True)
+class TaskSettings:
+    """What all recordings of a batch are learned with."""
+
+    out: Path  # absolute
+    version: str  # of the onebend that asks
+    folders: bool = False  # also a results folder of each recording
+    fitting: FitSettings = field(default_factory=FitSettings)
+    # the other cores have recordings of their own
+    observing: ObserveSettings = field(default_factory=lambda: ObserveSettings(threads=1))
+
+
+@dataclass(frozen=True)
+class ItemResult:
+    """What a task says to who asked: the record itself stands in the results folder."""
+
+    hash: str  # empty: there is no record
+    learned_now: bool  # False: the record was there
+    reason: str = ""  # why there is no record
+
+
+def do(item: Item, settings: TaskSettings, *, version: str) -> ItemResult:
+    """Learn from the recording, unless its record is there; write the record.
+
+    A recording that cannot be learned from has a record with the reason. Where the reason may be another one the next
+    time (a file that could not be read, a fault of onebend), there is none.
+
+    Args:
+        version: of the onebend that works here.
+    """
+    if version != settings.version:
+        text = f"the worker has onebend {version}, but onebend {settings.version} asks. Install the same on both"
+        return ItemResult("", False, text)
+    try:
+        return _do(item, settings)
+    except OSError as error:
+        return ItemResult("", True, f"{error.filename or item.folder}: {error.strerror or error}")
+    except ResultsError as error:
+        return ItemResult("", True, told(error))
+    except Exception as error:  # one recording, whatever is wrong with it, does not end thousands
+        return ItemResult("", True, f"a fault of onebend: {type(error).__name__}: {error}")
+
+
+def _do(item: Item, settings: TaskSettings) -> ItemResult:
+    stated = {(table, key): value for table, key, value in item.stated}
+    unread = ""
+    recording = None
+    try:
+        recording = read_recording(item.folder, stated)
+        files = inputs_of(files_of(recording))
+    except OnebendError as error:
+        unread, files = told(error), inputs_of([item.folder])
+    made_with = {
+        "version": settings.version,
+        "stated": [[table, key, value] for table, key, value in item.stated],
+        "settings": {"fit": as_data(settings.fitting), "observing": as_data(settings.observing)},
+        "path": str(item.folder) if unread else "",  # the reason may name it
+    }
+    hashed = hash_of([one.path for one in files], made_with)
+    known = read_record(settings.out, hashed)
+    if known is not None and (not settings.folders or known.reason or _has_folder(item, settings.out, hashed)):
+        return ItemResult(hashed, False)
+    record, run = _learned(recording, unread, hashed, settings)
+    changed = [one.path for one in files if not one.is_still_there()]
+    if changed:
+        return ItemResult("", True, f"{changed[0]} was changed while it was read. Run again to learn from it as it is")
+    if settings.folders and run is not None:
+        _write_folder(item, run, settings, files, hashed)
+    write_record(settings.out, record)
+    return ItemResult(hashed, True)
+
+
+def _learned(
+    recording: Recording | None, unread: str, hashed: str, settings: TaskSettings
+) -> tuple[Record, Run | None]:
+    """The record, and all that was learned; None where nothing could be."""
+    began = time.perf_counter()
+    run, reason = None, unread
+    if recording is not None:
+        try:
+            run = learn(recording, fitting=settings.fitting, observing=settings.observing)
+        except ResultsError:
+            raise
+        except OnebendError as error:
+            reason = told(error)
+    seconds, now = time.perf_counter() - began, datetime.now(UTC).isoformat(timespec="seconds")
+    if run is None:
+        return Record(hash=hashed, reason=reason or "nothing was learned", seconds=seconds, finished=now), None
+    return record_of(run, hashed, seconds=seconds, finished=now), run
+
+
+def folder_path(item: Item, out: Path) -> Path:
+    """Where the results folder of one recording stands. Raises `RecordingError` where its name leads elsewhere."""
+    inside = Path(item.name)
+    if inside.is_absolute() or ".." in inside.parts or not inside.parts:
+        raise RecordingError(
+            f"the name {item.name!r} is no name of a folder in the results. Give the list a column name, without .."
+        )
+    return out / FOLDERS / inside
+
+
+def _has_folder(item: Item, out: Path, hashed: str) -> bool:
+    summary = read_summary(folder_path(item, out))
+    return summary is not None and summary.get("record") == hashed
+
+
+def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[InputFile, ...], hashed: str) -> None:
+    """What `onebend learn` leaves, but for the pictures."""
+    made_from = provenance(files, {}, {"fit": settings.fitting, "observing": settings.observing})
+    summary: Mapping[str, Any] = {**summary_of(run, written_by=f"onebend {settings.version}"), "record": hashed}
+    write: Callable[[Path], None] = learned_writer(
+        run, Pictures(), summary, version=settings.version, made_from=made_from
+    )
+    place = prepare(folder_path(item, settings.out), kind=LEARN_FORMAT, overwrite=True)
+    try:
+        publish(place, write, made_from)
+    except BaseException:
+        abandon(place)
+        raise
+    finish(place)
+
+
+# Tasks on Dask: a cluster on this machine, or any by its address. Results do not depend on which.
+
+ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
+WAIT = "30s"  # for a scheduler to answer
+Work = Callable[[Item, TaskSettings], ItemResult]
+LOST = "the scheduler of the cluster is lost. Start it and its workers again"
+
+
+def distributed() -> Any:
+    """Dask's library for clusters. Raises `MissingPackageError` where it is not installed."""
+    # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
+    package("dask", "batch").config.set({"distributed.logging": {"distributed": "critical"}})
+    return package("distributed", "batch")
+
+
+@contextmanager
+def cluster(address: str | None = None, workers: int | None = None, *, processes: bool = True) -> Iterator[Any]:
+    """A client of the scheduler at `address`, or of one here with `workers` of one thread each (default: one a core).
+
+    Raises:
+        MissingPackageError: Dask is not installed.
+        ResultsError: nobody answers at the address.
+    """
+    library = distributed()
+    if address is not None:
+        try:
+            client = library.Client(address, timeout=WAIT)
+        except (OSError, ValueError) as error:
+            raise ResultsError(f"no scheduler answers at {address} ({error}). Start one, or correct it") from error
+        try:
+            yield client
+        finally:
+            client.close()
+        return
+    count = workers or available_cores()
+    with interrupts_held():
+        begun = library.LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=processes, dashboard_address=ANY_PORT, memory_limit=0
+        )
+    with begun as local, library.Client(local) as client:
+        if processes:
+            client.register_plugin(_prepared(library))
+        yield client
+
+
+def _prepared(library: Any) -> Any:
+    """A plugin for workers here, those that take the place of lost ones included."""
+
+    class Prepared(library.WorkerPlugin):  # type: ignore[misc]
+        name = "onebend"
+
+        def setup(self, worker: Any) -> None:  # noqa: ARG002
+            leave_interrupts_to_parent()
+            getLogger("distributed").setLevel("CRITICAL")
+
+    return Prepared()
+
+
+def dashboard_of(client: Any) -> str:
+    """The link of the cluster's page; empty where it has none."""
+    return str(client.dashboard_link or "") if find_spec("bokeh") else ""
+
+
+def here(item: Item, settings: TaskSettings) -> ItemResult:
+    """`task.do` by the onebend of the machine that this runs on."""
+    return do(item, settings, version=version("onebend"))
+
+
+def results_of(
+    client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
+) -> Iterator[tuple[int, ItemResult]]:
+    """Every item's number and result, as they come. A task whose worker is lost goes to another one.
+
+    Raises:
+        ResultsError: the scheduler is lost.
+    """
+    library, batch = distributed(), uuid4().hex
+    futures = {}
+    try:
+        for i, item in enumerate(items):
+            key = f"onebend-{batch}-{i}"
+            futures[client.submit(work, item, settings, key=key, pure=False)] = i
+        for future in library.as_completed(futures):
+            yield futures[future], _result(future, library)
+    except (OSError, CancelledError) as error:
+        raise ResultsError(LOST) from error
+    finally:
+        if client.status == "running":
+            client.cancel(list(futures), force=True)
+
+
+def _result(future: Any, library: Any) -> ItemResult:
+    if future.status == "finished":
+        found: ItemResult = future.result()
+        return found
+    if future.status == "error":
+        error = future.exception()
+        if isinstance(error, library.KilledWorker):
+            return ItemResult("", True, "the workers that learned from it were lost: too little memory?")
+        return ItemResult("", True, f"the worker could not begin: {type(error).__name__}: {error}")
+    raise ResultsError(LOST)

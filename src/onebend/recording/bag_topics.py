@@ -1,0 +1,565 @@
+"""The topics of a bag, and which of them are probably the force and the film."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from io import BytesIO
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from onebend.errors import RecordingError
+from onebend.recording.bags import Bag, Topic, decoder, is_bag, listed, messages, open_bag, raw_messages, topic_of
+from onebend.recording.entries import ForceEntry, Recording, VideoEntry
+from onebend.recording.force_log import remark, whole_log
+from onebend.recording.schema import Mistakes
+from onebend.recording.signals import missing, step
+from onebend.records import Array, ForceLog, Remark
+from onebend.text_files import ascii_only, quoted
+
+# The times of a bag's messages: the stamps of their headers, or the times of receipt where these are empty.
+
+FIRST = 100  # messages that are searched for a stamp
+
+
+@dataclass(frozen=True)
+class TopicClock:
+    """Where a topic's times come from, and the first of them."""
+
+    by: Literal["header", "receipt"]
+    origin: int  # ns
+
+
+def clock_of(bag: Bag, topic: Topic, definitions: Path | None = None) -> TopicClock:
+    """By the headers' stamps if one of the first messages has any, else by receipt.
+
+    Raises:
+        RecordingError: as `messages` does, or no message of the topic can be read.
+    """
+    received = None
+    for time, message in islice(messages(bag, topic, definitions), FIRST):
+        received = time if received is None else received
+        if stamp := stamp_of(message):
+            return TopicClock("header", stamp)
+    if received is None:
+        raise RecordingError(f"{bag.path}: no message of {topic.channel.topic} can be read.")
+    return TopicClock("receipt", received)
+
+
+def stamp_of(message: Any) -> int:
+    """ns of the header's stamp; 0 where there is none."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def timed(bag: Bag, topic: Topic, clock: TopicClock, definitions: Path | None = None) -> Iterator[tuple[float, Any]]:
+    """Time since the clock's origin, s, and message; NaN where a stamp is missing among others that are there."""
+    for received, message in messages(bag, topic, definitions):
+        time = received if clock.by == "receipt" else stamp_of(message)
+        yield (time - clock.origin) * 1e-9 if time else float("nan"), message
+
+
+# The film in a bag: images of one topic, packed or not, with the times of their headers.
+
+Pixels = NDArray[np.uint8]
+
+RAW, PACKED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+LUMA = np.array([299, 587, 114], dtype=np.uint32)  # parts in 1000 of red, green and blue (ITU-R BT.601)
+# Bytes a pixel; where red, green and blue stand.
+COLOURS = {"rgb8": (3, (0, 1, 2)), "bgr8": (3, (2, 1, 0)), "rgba8": (4, (0, 1, 2)), "bgra8": (4, (2, 1, 0))}
+COLOURS |= {"8UC3": (3, (2, 1, 0)), "8UC4": (4, (2, 1, 0))}  # OpenCV's order
+GREYS = {"mono8": 1, "8UC1": 1, "mono16": 2, "16UC1": 2}
+LUMA_AT = {"uyvy": 1, "yuv422": 1, "yuyv": 0, "yuv422_yuy2": 0}  # of two bytes a pixel, which one is luma
+MOSAICS = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
+
+
+def bag_film(video: VideoEntry) -> tuple[Bag, Topic]:
+    """The bag and its image topic.
+
+    Raises:
+        RecordingError: no such topic, or it holds no images.
+    """
+    bag = open_bag(video.file, keep=video.damaged == "keep")
+    topic = topic_of(bag, video.topic, "[video] topic")
+    if topic.channel.type not in (RAW, PACKED):
+        raise RecordingError(
+            f"[video] topic: {topic.channel.topic} of {video.file} is {topic.channel.type}, not images. Name one of "
+            f"{RAW} or {PACKED}."
+        )
+    return bag, topic
+
+
+def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
+    """Time since the first, s, and message of every image, in order.
+
+    Raises:
+        RecordingError: as `bag_film`, or a time that is missing or does not rise.
+    """
+    bag, topic = bag_film(video)
+    clock = clock_of(bag, topic, video.definitions)
+    last, first = -math.inf, 0.0
+    for count, (time, message) in enumerate(timed(bag, topic, clock, video.definitions)):
+        first = time if count == 0 else first
+        if not time > last:
+            what = "has no stamp" if math.isnan(time) else f"({time:.6f} s) does not come after the one before"
+            raise RecordingError(f"{video.file}: image {count} of {topic.channel.topic} {what}. Write the bag anew.")
+        last = time
+        yield time - first, message
+
+
+def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
+    """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message.
+
+    Raises:
+        RecordingError: an encoding that is not known, or fewer bytes than the size asks for.
+    """
+    if not hasattr(message, "encoding"):
+        return unpacked(message, place, colour)
+    height, width, name = int(message.height), int(message.width), str(message.encoding)
+    data = np.asarray(message.data, dtype=np.uint8)
+    size = COLOURS[name][0] if name in COLOURS else 2 if name in LUMA_AT else GREYS.get(name, 1)
+    if name not in (*COLOURS, *GREYS, *LUMA_AT, *MOSAICS):
+        known = ", ".join((*GREYS, *COLOURS, *MOSAICS, *LUMA_AT))
+        raise RecordingError(f"{place}: images encoded as {name!r} cannot be read; {known} can.")
+    step = int(message.step) or size * width
+    least = (height - 1) * step + size * width
+    if height < 1 or width < 1 or not size * width <= step <= len(data) or len(data) < least:
+        raise RecordingError(f"{place}: an image of {width} x {height} {name} has {len(data)} bytes. Is it cut off?")
+    padded = np.zeros(height * step, dtype=np.uint8)  # some drivers leave out the last row's padding
+    padded[: min(len(data), len(padded))] = data[: len(padded)]
+    rows = padded.reshape(height, step)[:, : size * width].reshape(height, width, size)
+    if name in COLOURS:
+        rgb = rows[..., list(COLOURS[name][1])]
+        return rgb if colour else luma(rgb)
+    if name in MOSAICS:
+        grey = smooth_mosaic(rows[..., 0])
+    elif name in LUMA_AT:
+        grey = rows[..., LUMA_AT[name]]
+    else:
+        grey = rows[..., 0 if size == 1 or message.is_bigendian else 1]  # of 16 bits the upper ones
+    return np.stack([grey] * 3, axis=-1) if colour else np.ascontiguousarray(grey)
+
+
+def luma(rgb: Pixels) -> Pixels:
+    """(H, W) brightness of (H, W, 3)."""
+    return np.asarray((rgb @ LUMA + 500) // 1000, dtype=np.uint8)
+
+
+def smooth_mosaic(raw: Pixels) -> Pixels:
+    """Brightness (R + 2 G + B) / 4 of a Bayer mosaic at every pixel: a 1-2-1 mean each way holds these parts at each
+    place of the pattern, whichever it is."""
+    wide = np.pad(raw.astype(np.uint16), 1, mode="reflect")
+    across = wide[:, :-2] + 2 * wide[:, 1:-1] + wide[:, 2:]
+    return np.asarray((across[:-2] + 2 * across[1:-1] + across[2:] + 8) // 16, dtype=np.uint8)
+
+
+def unpacked(message: Any, where: str, colour: bool) -> Pixels:
+    """A JPEG or PNG in a message."""
+    try:
+        with Image.open(BytesIO(bytes(message.data))) as image:
+            return np.array(image.convert("RGB" if colour else "L"))
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as wrong:
+        kind = str(getattr(message, "format", ""))
+        raise RecordingError(f"{where}: an image packed as {kind!r} cannot be read ({wrong}).") from None
+
+
+# The calibration of a camera in a bag: `sensor_msgs/CameraInfo`, as it stands there.
+
+INFO = "sensor_msgs/msg/CameraInfo"
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What the messages of one topic say; all of them say the same."""
+
+    topic: str
+    width: int  # px, of the whole sensor's picture
+    height: int  # px
+    model: str  # of the lens
+    lens: Array  # (n,)
+    matrix: Array  # (3, 3) px
+    rectified: Array  # (3, 3) px, of pictures that the driver has rectified
+    binning: tuple[int, int]  # across, down; 1: none
+    corner: tuple[int, int]  # px, where the part of the picture that was recorded begins
+    part: tuple[int, int]  # px, width and height of that part
+
+
+def bag_camera(video: VideoEntry, name: str) -> CameraInfo:
+    """The calibration on topic `name` of the film's bag.
+
+    Raises:
+        RecordingError: no such topic, another type, numbers that are none, or messages that differ.
+    """
+    bag, _ = bag_film(video)
+    topic = topic_of(bag, name, "[camera] camera_info")
+    place = f"[camera] camera_info: {ascii_only(topic.channel.topic)} of {video.file}"
+    if topic.channel.type != INFO:
+        raise RecordingError(f"{place} is {ascii_only(topic.channel.type)}, no calibration. Name one of type {INFO}.")
+    first: Any = None
+    for count, (_, message) in enumerate(messages(bag, topic, video.definitions)):
+        said = fields_of(message, place)
+        if first is None:
+            first = said
+        elif any(not np.array_equal(one, other) for one, other in zip(first, said, strict=True)):
+            raise RecordingError(
+                f"{place} changes at message {count}: the camera was zoomed or set anew. Keep it as it is in a film."
+            )
+    width, height, model, lens, matrix, projection, binning, corner, part = first
+    whole = (part[0] or width, part[1] or height)
+    return CameraInfo(
+        topic.channel.topic, width, height, model, lens, matrix, projection[:, :3], binning, corner, whole
+    )
+
+
+def fields_of(message: Any, place: str) -> tuple[Any, ...]:
+    """Size, lens, matrices and part of the sensor in one message; ROS 1 writes D, K and P, ROS 2 d, k and p."""
+
+    def numbers(name: str) -> Array:
+        value = getattr(message, name.upper(), getattr(message, name, ()))
+        read = np.asarray(value, dtype=float).ravel()
+        if not np.isfinite(read).all():
+            raise RecordingError(f"{place}: {name.upper()} holds what is no number. Calibrate the camera.")
+        return read
+
+    roi = message.roi
+    return (
+        int(message.width),
+        int(message.height),
+        str(message.distortion_model),
+        numbers("d"),
+        numbers("k").reshape(3, 3),
+        numbers("p").reshape(3, 4),
+        (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
+        (int(roi.x_offset), int(roi.y_offset)),
+        (int(roi.width), int(roi.height)),
+    )
+
+
+def picture_size(video: VideoEntry) -> tuple[int, int]:
+    """Width and height of the film's first image, px."""
+    for _, message in bag_frames(video):
+        height, width = picture_of(message, f"{video.file}, image 0 of {quoted(video.topic)}").shape
+        return width, height
+    raise RecordingError(f"{video.file} holds no image of {quoted(video.topic)}.")
+
+
+# The force log in a bag: a wrench topic, or a field of a robot's state.
+
+FIELDS = {
+    "geometry_msgs/msg/WrenchStamped": "wrench.force",
+    "geometry_msgs/msg/Wrench": "force",
+    "franka_msgs/msg/FrankaState": "O_F_ext_hat_K",
+    "franka_msgs/msg/FrankaRobotState": "o_f_ext_hat_k",
+}
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def read_bag_force(entry: ForceEntry) -> ForceLog:
+    """The force along `entry.axes` of every message of `entry.topic`, on the headers' clock; its zero is the first one.
+
+    Raises:
+        RecordingError: no such topic or field, a damaged bag, too few messages, forces in several frames, or zero
+            throughout.
+    """
+    bag = open_bag(entry.file, keep=entry.damaged == "keep")
+    topic = topic_of(bag, entry.topic, "[force] topic")
+    field = entry.field or default_field(topic, entry)
+    clock = clock_of(bag, topic, entry.definitions)
+    rows: list[tuple[float, float, float]] = []
+    frames: dict[str, None] = {}
+    picks = [(AXES[axis[-1]], -1.0 if axis.startswith("-") else 1.0) for axis in entry.axes]
+    for time, message in timed(bag, topic, clock, entry.definitions):
+        force, frame = force_of(message, field, f"{entry.file}: {topic.channel.topic}")
+        frames[frame] = None
+        (first, sign), (second, other) = picks
+        rows.append((time, sign * force[first], other * force[second]))
+    named = [frame for frame in frames if frame]
+    if len(named) > 1:
+        raise RecordingError(
+            f"{entry.file}: the forces of {topic.channel.topic} are in several frames ({', '.join(named)}). Record one."
+        )
+    read = np.array(rows)
+    order = np.argsort(read[:, 0], kind="stable")
+    early = int(np.sum(np.diff(read[:, 0]) < 0))
+    remarks = (*remark(early, len(read), "messages of the force log lie out of order and are sorted"),)
+    if clock.by == "receipt":
+        text = (
+            f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
+            "stamps."
+        )
+        remarks = (*remarks, Remark("warning", text, about="no stamps"))
+    remarks = (*remarks, *frame_remarks(entry, field, named))
+    return whole_log(f"{entry.file}, {topic.channel.topic}", read[order], remarks)
+
+
+def default_field(topic: Topic, entry: ForceEntry) -> str:
+    """Where the force stands in the types that are known."""
+    field = FIELDS.get(topic.channel.type)
+    if field is None:
+        raise RecordingError(
+            f"{entry.file}: {ascii_only(topic.channel.topic)} is {ascii_only(topic.channel.type)}; where "
+            'its force stands is not known. Write field = "NAME" (or "NAME.NAME") in [force], or name a wrench topic.'
+        )
+    return field
+
+
+def force_of(message: Any, field: str, where: str) -> tuple[Array, str]:
+    """(3,) N at `field` of the message, and the frame it is in ("" where nothing says).
+
+    Raises:
+        RecordingError: there is no such field, or it holds no force.
+    """
+    value, frame = message, frame_of(message)
+    for name in (*field.split("."), "wrench", "force"):
+        inside = getattr(value, name, None) if name in field_names(value) else None
+        if inside is None and name in ("wrench", "force"):
+            continue  # the field may be the force itself, a wrench or a stamped wrench
+        if inside is None:
+            names = ", ".join(field_names(value)) or "no fields"
+            raise RecordingError(f"{where}: there is no field {name} (of {field}); there are {names}. Correct field.")
+        value = inside
+        frame = frame_of(value) or frame
+    if all(hasattr(value, axis) for axis in AXES):
+        return np.array([value.x, value.y, value.z], dtype=float), frame
+    numbers = np.asarray(value) if isinstance(value, np.ndarray | list | tuple) else np.empty(0)
+    if numbers.ndim != 1 or len(numbers) < 3 or numbers.dtype.kind not in "fiu":
+        raise RecordingError(f"{where}: the field {field} holds no force of three numbers. Correct field in [force].")
+    return numbers[:3].astype(float), frame
+
+
+def frame_of(message: Any) -> str:
+    return str(getattr(getattr(message, "header", None), "frame_id", "") or "")
+
+
+def field_names(message: Any) -> Iterator[str]:
+    """The names of a message's fields."""
+    return (name for name in getattr(message, "__dataclass_fields__", {}) if not name.startswith("__"))
+
+
+def frame_remarks(entry: ForceEntry, field: str, named: list[str]) -> tuple[Remark, ...]:
+    """Which axes the force was taken along, and a warning where they turn with the tool."""
+    frame = f"the frame {named[0]}" if named else "a frame that the bag does not name"
+    across = " and ".join(entry.axes)
+    remarks = [
+        Remark(
+            "note",
+            f"The force is along {across} of {frame}; rotation_deg = {np.rad2deg(entry.rotation):.4g} says how they "
+            f"lie to the beam, and acts_on that it is on the {entry.acts_on}.",
+        )
+    ]
+    if field.split(".")[0].lower().startswith("k_f_ext") or (named and named[0].endswith(("_K", "_EE", "_hand"))):
+        text = (
+            "These axes turn with the tool: the force is right only if the tool kept its direction. Log it in axes "
+            "that stand still."
+        )
+        remarks.append(Remark("warning", text, about="tool axes"))
+    return tuple(remarks)
+
+
+LIKELY: dict[str, tuple[str, ...]] = {"force": tuple(FIELDS), "image": (RAW, PACKED)}
+
+
+@dataclass(frozen=True)
+class TopicRow:
+    """One topic."""
+
+    topic: str
+    type: str
+    count: int
+    rate: float  # Hz, the median; NaN where there are fewer than two messages
+    start: float  # s since 1970 on the clock of `by`; NaN without messages
+    end: float  # s
+    by: Literal["header", "receipt"]
+    gaps: int  # messages that are missing by the rate
+
+
+@dataclass(frozen=True)
+class BagContents:
+    """A bag as `onebend topics` shows it."""
+
+    path: Path
+    rows: tuple[TopicRow, ...]
+    force: str  # the likeliest topic of the force, "" where there is none
+    image: str
+    fault: str  # where the bag breaks off, "" where it does not
+
+
+def bag_contents(path: Path | str, definitions: Path | None = None) -> BagContents:
+    """Every topic with its type, count, rate and span; a damaged bag up to the damage.
+
+    Raises `RecordingError` where nothing can be read.
+    """
+    path = Path(path)
+    try:
+        bag = open_bag(path)
+        rows = tuple(row_of(bag, topic, definitions) for _, topic in sorted(bag.topics.items()))
+    except RecordingError:
+        bag = open_bag(path, keep=True)
+        if not bag.fault or not bag.count:
+            raise
+        rows = tuple(row_of(bag, topic, definitions) for _, topic in sorted(bag.topics.items()))
+    return BagContents(path, rows, guess(bag, "force"), guess(bag, "image"), bag.fault)
+
+
+def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
+    """The topic's times, by its headers where they have stamps and their type is known."""
+    try:
+        decode = decoder(bag.path, topic.channel, definitions)
+    except RecordingError:
+        decode = None
+    received, stamps = [], []
+    for time_received, data in raw_messages(bag, topic):
+        received.append(time_received)
+        if decode is not None:
+            try:
+                stamps.append(stamp_of(decode(data)))
+            except Exception:  # a message that does not fit its type, in whichever way: its receipt remains
+                decode = None
+    stamped = decode is not None and len(stamps) > 0 and all(stamps)
+    time = np.sort(np.array(stamps if stamped else received, dtype=np.int64))
+    since = np.asarray((time - time[:1]) * 1e-9, dtype=np.float64)
+    spacing = step(since) if len(since) > 1 else np.nan
+    return TopicRow(
+        topic.channel.topic,
+        topic.channel.type,
+        topic.count,
+        1 / spacing if spacing > 0 else np.nan,
+        float(time[0]) * 1e-9 if len(time) else np.nan,
+        float(time[-1]) * 1e-9 if len(time) else np.nan,
+        "header" if stamped else "receipt",
+        missing(since),
+    )
+
+
+def guess(bag: Bag, what: Literal["force", "image"]) -> str:
+    """The topic of a fitting type with the most messages, the better type first; "" where there is none."""
+    fitting = [
+        (LIKELY[what].index(topic.channel.type), -topic.count, name)
+        for name, topic in bag.topics.items()
+        if topic.channel.type in LIKELY[what] and topic.count
+    ]
+    return min(fitting)[2] if fitting else ""
+
+
+# Bags in a recording: that their topics are there, and when the film starts on the force log's clock.
+
+HEADERS_DOUBT = 0.1  # s: exposure, transfer and filters between an event and the stamp of its message
+RECEIPT_DOUBT = 0.3  # s: queues besides
+BAG_KEYS = ("topic", "field", "axes", "definitions", "damaged")  # only for bags
+TEXT_KEYS = ("columns", "time_unit", "frame_times")  # not for bags
+
+
+def check_bag(name: str, entry: VideoEntry | ForceEntry, written: Mapping[str, Any], mistakes: Mistakes) -> None:
+    """Add mistakes: of the bag that `entry` names, and of keys of its table, as `written`, that do not fit a bag."""
+    bag = is_bag(entry.file)
+    for key in TEXT_KEYS if bag else BAG_KEYS:
+        if key in written:
+            kind = "a bag, whose messages have types" if bag else "no bag"
+            mistakes.add((name, key), f"[{name}] {key}: {entry.file} is {kind}. Remove {key}.")
+    if isinstance(entry, ForceEntry) and len({axis[-1] for axis in entry.axes}) < 2:
+        mistakes.add((name, "axes"), f"[{name}] axes names one axis twice. Name the two of the plane of bending.")
+    if not bag:
+        return
+    try:
+        contents = open_bag(entry.file, keep=entry.damaged == "keep")
+        if not entry.topic:
+            mistakes.add((name, "file"), f"[{name}] lacks topic: {asked(contents, name)}")
+        else:
+            topic_of(contents, entry.topic, f"[{name}] topic")
+    except RecordingError as wrong:
+        mistakes.add((name, "topic"), str(wrong))
+
+
+def asked(bag: Bag, name: str) -> str:
+    """Advice where a bag is named without its topic."""
+    likely = guess(bag, "image" if name == "video" else "force")
+    hint = f' Add `topic = "{likely}"`.' if likely else ""
+    return f"{bag.path} is a bag that holds {listed(bag)}.{hint}"
+
+
+def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
+    """The recording with the start of its film taken from the bag where film and force share one, and with remarks.
+
+    `written` is recording.toml as data: a start that stands there is kept.
+
+    Raises:
+        RecordingError: a bag cannot be read.
+    """
+    video = rec.video if rec.video is not None and rec.video.topic else None
+    force = rec.force if rec.force is not None and rec.force.topic else None
+    remarks = [*rec.remarks]
+    for name, entry in (("video", video), ("force", force)):
+        if entry is not None:
+            remarks += bag_remarks(name, entry)
+    if force is not None:
+        silent = [key for key in ("rotation_deg", "acts_on", "axes") if key not in written["force"]]
+        if silent:
+            text = f"recording.toml does not say {', '.join(silent)} of [force]: their defaults are assumed."
+            text += " A bag does not know how the robot stands to the beam."
+            remarks.append(Remark("warning", text, about="bag's axes"))
+    if video is None or force is None or not same(video, force) or "start_s" in written["video"]:
+        return replace(rec, remarks=tuple(remarks))
+    film_clock, force_clock = clock(video), clock(force)
+    start = (film_clock.origin - force_clock.origin) * 1e-9
+    doubt = HEADERS_DOUBT if film_clock.by == force_clock.by == "header" else RECEIPT_DOUBT
+    doubt = float(written["video"].get("start_uncertainty_s", doubt))
+    stamps = (
+        "their headers' stamps" if film_clock.by == force_clock.by == "header" else "when their messages were received"
+    )
+    text = f"Film and force share the bag's clock: the film starts at {start:.4f} s by {stamps}, to {doubt:g} s."
+    remarks = [remark for remark in remarks if "when the video starts" not in remark.text]
+    remarks.append(Remark("note", text))
+    return replace(rec, video=replace(video, start=start, start_uncertainty=doubt), remarks=tuple(remarks))
+
+
+def same(video: VideoEntry, force: ForceEntry) -> bool:
+    return video.file.resolve() == force.file.resolve()
+
+
+def clock(entry: VideoEntry | ForceEntry) -> TopicClock:
+    """The clock of the entry's topic."""
+    bag, topic = opened_topic(entry)
+    return clock_of(bag, topic, entry.definitions)
+
+
+def opened_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
+    if isinstance(entry, VideoEntry):
+        return bag_film(entry)
+    bag = open_bag(entry.file, keep=entry.damaged == "keep")
+    return bag, topic_of(bag, entry.topic, "[force] topic")
+
+
+def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
+    """Remarks on damage of the bag and on its topic's clock."""
+    bag, topic = opened_topic(entry)
+    remarks = []
+    if bag.fault:
+        text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
+        remarks.append(
+            Remark(
+                "warning", f"{text} are used, those before that. Check that the push is in them.", about="damaged bag"
+            )
+        )
+    elif bag.scanned and entry.damaged == "refuse":
+        text = f"[{name}] {entry.file.name} has no index (its recorder was not closed): read from front to back."
+        remarks.append(Remark("note", text))
+    if isinstance(entry, VideoEntry) and clock(entry).by == "receipt":
+        text = (
+            f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
+            "stamps."
+        )
+        remarks.append(Remark("warning", text, about="no stamps"))
+    return remarks
+
+
+def bag_span(video: VideoEntry) -> tuple[int, float]:
+    """How many images the topic holds, and the time from the first to the last that was received, s."""
+    bag, topic = bag_film(video)
+    times = [received for received, _ in raw_messages(bag, topic)]
+    return topic.count, (times[-1] - times[0]) * 1e-9 if times else math.nan

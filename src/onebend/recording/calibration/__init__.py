@@ -1,1 +1,0 @@
-"""A camera's intrinsic parameters from a film of a calibration board."""

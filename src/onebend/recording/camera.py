@@ -1,0 +1,774 @@
+"""From corners in pixels to poses of the tags in metres and radians, with covariance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import inf
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from onebend.errors import ObservationError, RecordingError
+from onebend.recording.entries import CameraEntry, Recording, TagEntry
+from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
+
+# The camera's geometry: points of the tags' plane <--> pixels, with OpenCV's lens model.
+
+MOST_ITERATIONS = 50
+CONVERGED = 1e-10  # of the normalised image, far below a thousandth of a pixel
+
+
+def project(view: View, xy: Array) -> Array:
+    """Pixels (..., 2) of points `xy` (..., 2) [m] of the plane."""
+    inside = xy @ view.rotation[:, :2].T + view.translation
+    ray = inside[..., :2] / inside[..., 2:]
+    return distort(ray, view.dist) @ view.matrix[:2, :2].T + view.matrix[:2, 2]
+
+
+def to_plane(view: View, px: Array) -> Array:
+    """Points (..., 2) [m] of the plane that are seen at pixels `px` (..., 2). NaN where no such point exists."""
+    ray = undistort((px - view.matrix[:2, 2]) @ np.linalg.inv(view.matrix[:2, :2]).T, view.dist)
+    direction = np.concatenate([ray, np.ones_like(ray[..., :1])], axis=-1) @ view.rotation  # in the plane's axes
+    origin = -view.translation @ view.rotation  # the camera, in the plane's axes
+    reach = -origin[2] / direction[..., 2:]
+    return np.where(reach > 0, origin[:2] + reach * direction[..., :2], np.nan)
+
+
+def distort(ray: Array, dist: Array) -> Array:
+    """What the lens does to a normalised image point (x/z, y/z): radial k1, k2, k3 and tangential p1, p2."""
+    k1, k2, p1, p2, k3 = dist
+    x, y = ray[..., 0], ray[..., 1]
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(distorted: Array, dist: Array) -> Array:
+    """The inverse of `distort`, by fixed-point iteration. NaN where it does not converge: there the lens model folds
+    over and means nothing."""
+    ray = distorted
+    for _ in range(MOST_ITERATIONS):
+        error = distorted - distort(ray, dist)
+        if not np.nanmax(np.abs(error), initial=0.0) > CONVERGED:
+            return ray
+        ray = ray + error
+        ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
+    return np.where(np.abs(distorted - distort(ray, dist)).max(axis=-1, keepdims=True) <= 1e-6, ray, np.nan)
+
+
+# Lenses of other models as ours: the nearest k1, k2, p1, p2 and k3 over the picture, and how far they stay from it.
+
+Lens = Callable[[Array], Array]  # rays (..., 2) as (x / z, y / z) to where the lens shows them
+DIRECTIONS, STEPS = 72, 400  # in which rays are followed from the middle to the picture's edge
+WIDEST = np.deg2rad(80.0)  # from the optical axis; what is seen farther off has no place in a plane's picture
+
+
+def rational(dist: Array) -> Lens:
+    """OpenCV's rational model: k1, k2, p1, p2, k3, k4, k5, k6."""
+
+    def lens(ray: Array) -> Array:
+        square = np.sum(ray**2, axis=-1, keepdims=True)
+        below = 1.0 + square * (dist[5] + square * (dist[6] + square * dist[7]))
+        bare, k1, k2, k3 = np.zeros(5), dist[0], dist[1], dist[4]
+        bare[2:4] = dist[2:4]
+        above = 1.0 + square * (k1 + square * (k2 + square * k3))
+        return np.asarray(distort(ray, bare) + ray * (above / below - 1.0))
+
+    return lens
+
+
+def equidistant(dist: Array) -> Lens:
+    """Kannala and Brandt's fisheye model, as OpenCV and ROS write it: k1 to k4 of the angle from the optical axis."""
+
+    def lens(ray: Array) -> Array:
+        radius = np.linalg.norm(ray, axis=-1, keepdims=True)
+        angle = np.arctan(radius)
+        square = angle**2
+        bent = angle * (1.0 + square * (dist[0] + square * (dist[1] + square * (dist[2] + square * dist[3]))))
+        return np.asarray(ray * np.divide(bent, radius, out=np.ones_like(radius), where=radius > 0.0))
+
+    return lens
+
+
+def nearest_lens(lens: Lens, matrix: Array, size: tuple[int, int]) -> tuple[Array, float]:
+    """k1, k2, p1, p2, k3 (5,) by least squares over a picture of `size` (width, height), and the largest error, px.
+
+    Infinite where the lens shows no ray in a part of the picture, or ours has no inverse there.
+    """
+    rays, complete = rays_in_picture(lens, matrix, size)
+    if not complete:
+        return np.zeros(5), inf
+    square = np.sum(rays**2, axis=-1, keepdims=True)
+    x, y = rays[..., :1], rays[..., 1:]
+    columns = [
+        rays * square,
+        rays * square**2,
+        np.concatenate([2.0 * x * y, square + 2.0 * y**2], axis=-1),
+        np.concatenate([square + 2.0 * x**2, 2.0 * x * y], axis=-1),
+        rays * square**3,
+    ]
+    wanted = lens(rays)
+    design = np.stack([column.ravel() for column in columns], axis=1)
+    dist = np.linalg.lstsq(design, (wanted - rays).ravel(), rcond=None)[0]
+    focal = np.diag(matrix)[:2]
+    error = np.linalg.norm((distort(rays, dist) - wanted) * focal, axis=-1)
+    back = np.linalg.norm((undistort(wanted, dist) - rays) * focal, axis=-1)
+    worst = float(np.maximum(error, back).max())
+    return dist, worst if np.isfinite(worst) else inf
+
+
+def rays_in_picture(lens: Lens, matrix: Array, size: tuple[int, int]) -> tuple[Array, bool]:
+    """Rays (N, 2) that the lens shows in the picture, and whether they reach its edge everywhere."""
+    turn = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
+    ways = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    rays = ways[:, None] * np.tan(np.linspace(0.0, WIDEST, STEPS))[:, None]
+    shown = lens(rays)
+    px = shown * np.diag(matrix)[:2] + matrix[:2, 2]
+    outside = np.any((px < -0.5) | (px > np.array(size) - 0.5), axis=-1)
+    rising = np.diff(np.linalg.norm(shown, axis=-1), axis=1) > 0.0
+    left = np.argmax(outside, axis=1)  # the first step out of the picture
+    inside = np.arange(STEPS) < left[:, None]
+    complete = outside.any(axis=1) & np.all(rising | ~inside[:, :-1], axis=1)
+    return rays[inside], bool(complete.all())
+
+
+# The camera's view of the plane of the tags, fitted to the tags: squares of one known size in one plane.
+#
+# For a trial camera and plane every sighting is projected into the plane, and a square of the known size is fitted to
+# it in closed form. The residuals are the distances between the corners of this square and the detected ones, in
+# pixels. The poses of the tags are no unknowns of the search: three numbers (tilt, tilt, distance) are fitted where
+# the camera is calibrated, seven where focal length, one lens term and the principal point (2) must be inferred too.
+
+FACING: Array = np.diag(
+    [1.0, -1.0, -1.0]
+)  # the plane's axes when it faces the camera: x right, y up, z towards the camera
+TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
+ENOUGH_TO_START = 60  # sightings, evenly chosen, with which the starts are improved
+SURE = 3.0  # sd: larger residuals have less weight (soft L1)
+# Priors of the plane, and of a camera without calibration: one sd about the simplest value.
+TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
+PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
+FOCAL_SD = 0.5  # of its logarithm
+LENS_SD = 0.1  # k1
+CENTRE_SD = 0.02  # principal point off the picture's middle, over the longer side
+NORMAL_MEDIAN = 0.67449  # median of |x|, x normal with unit variance
+DEGREES_OF_FREEDOM = 5  # a tag's eight coordinates less the three of its pose
+LEAST_NOISE, MOST_NOISE = 1e-6, 0.1  # of a corner: px, and in sides of a tag
+OUT_OF_SIGHT = 1e3  # px, residual of a corner that a trial camera cannot see
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """The fitted unknowns and their covariance."""
+
+    unknowns: Array  # (3,) or (7,), see `view_from`
+    covariance: Array  # of the unknowns
+    camera: CameraEntry | None
+    picture: tuple[int, int]
+
+    @property
+    def view(self) -> View:
+        return view_from(self.unknowns, self.camera, self.picture)
+
+    def variations(self) -> list[View]:
+        """Views one standard deviation away along each principal direction of the unknowns' uncertainty."""
+        variance, direction = np.linalg.eigh(self.covariance)
+        shifts = direction * np.sqrt(np.maximum(variance, 0.0))
+        return [view_from(self.unknowns + shift, self.camera, self.picture) for shift in shifts.T]
+
+
+def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
+    """Camera and plane that make all sightings squares of the known size.
+
+    The plane's frame has its origin on the optical axis and x towards the picture's right.
+
+    Args:
+        corners: (K, 4, 2) px, in the order of `records.Detections`, from any frames; all finite.
+        size: m, side of the tags.
+        camera: the calibration, or None.
+        picture: px, width and height.
+
+    Raises:
+        ObservationError: no camera in front of the plane explains the sightings.
+    """
+    side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
+    focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
+    few = corners[:: max(1, len(corners) // ENOUGH_TO_START)]
+    tries = [
+        solve(start, few, size, camera, picture, sd=1.0)
+        for start in starts(math.log(focal * size / side_px), camera is None)
+    ]
+    best = min(tries, key=lambda fit: float(fit.cost))
+    rough = float(np.median(np.abs(best.fun[: few.size]))) / NORMAL_MEDIAN * math.sqrt(8 / DEGREES_OF_FREEDOM)
+    sd = max(rough, LEAST_NOISE)
+    final = solve(solve(best.x, few, size, camera, picture, sd=sd).x, corners, size, camera, picture, sd=sd)
+    normal = final.jac.T @ final.jac
+    known = np.linalg.cond(normal) < 1 / np.finfo(float).eps
+    fit = PlaneFit(final.x, np.linalg.inv(normal) if known else np.full_like(normal, np.nan), camera, picture)
+    if not known or not np.isfinite(to_plane(fit.view, corners)).all() or rough > MOST_NOISE * side_px:
+        raise ObservationError(
+            "No flat plane in front of the camera explains the tags' shapes. Check size_m and [camera] in "
+            "recording.toml, and that all tags lie flat in one plane.",
+            about="no plane",
+        )
+    return fit
+
+
+def starts(log_distance: float, uncalibrated: bool) -> list[Array]:
+    """First guesses: facing the camera, and tilted each way."""
+    none, tilt = TILTS
+    tilts = [(none, none), (tilt, none), (-tilt, none), (none, tilt), (none, -tilt)]
+    return [np.array([a, b, log_distance, *([0.0] * 4 if uncalibrated else [])]) for a, b in tilts]
+
+
+def solve(
+    start: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
+) -> OptimizeResult:
+    """Robust least squares of `residuals` from `start`; `sd` is the corners' noise, px."""
+    return least_squares(
+        lambda unknowns: residuals(unknowns, corners, size, camera, picture, sd=sd),
+        start,
+        loss="soft_l1",
+        f_scale=SURE,
+        x_scale="jac",
+    )
+
+
+def residuals(
+    unknowns: Array, corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int], *, sd: float
+) -> Array:
+    """Detected corners less those of the fitted squares, and the unknowns, each divided by its sd."""
+    view = view_from(unknowns, camera, picture)
+    flat = to_plane(view, corners)
+    xy, angle = lay_square(flat)
+    residual = (corners - project(view, square(xy, angle, size))) / sd
+    residual = np.nan_to_num(residual, nan=OUT_OF_SIGHT, posinf=OUT_OF_SIGHT, neginf=-OUT_OF_SIGHT)
+    wide = np.array([TILT_SD, TILT_SD, np.inf, FOCAL_SD, LENS_SD, CENTRE_SD, CENTRE_SD])
+    return np.concatenate([residual.ravel(), unknowns / wide[: len(unknowns)]])
+
+
+def view_from(unknowns: Array, camera: CameraEntry | None, picture: tuple[int, int]) -> View:
+    """The unknowns as a view: two tilts [rad], log distance [log m]; then, where the camera is not calibrated, log of
+    the focal length over its plain value, k1, and the principal point's shift over the longer side."""
+    tilt_x, tilt_y, log_distance = unknowns[:3]
+    if camera:
+        matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+        dist = np.array([*camera.dist, 0.0][:5])
+    else:
+        log_focal, k1, shift_x, shift_y = unknowns[3:]
+        long, (width, height) = max(picture), picture
+        focal = PLAIN_FOCAL * long * math.exp(log_focal)
+        centre = (width - 1) / 2 + shift_x * long, (height - 1) / 2 + shift_y * long
+        matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
+        dist = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+    return View(
+        matrix=matrix,
+        dist=dist,
+        rotation=Rotation.from_rotvec([tilt_x, tilt_y, 0.0]).as_matrix() @ FACING,
+        translation=np.array([0.0, 0.0, math.exp(log_distance)]),
+        calibrated=camera is not None,
+        corner_sd=math.nan,
+    )
+
+
+def square(xy: Array, angle: Array, size: float) -> Array:
+    """Corners (..., 4, 2) [m] of tags at `xy` (..., 2) turned by `angle` (...)."""
+    half = size / 2
+    own = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    turned = np.stack([cos * own[:, 0] - sin * own[:, 1], sin * own[:, 0] + cos * own[:, 1]], axis=-1)
+    return turned + xy[..., None, :]
+
+
+def lay_square(flat: Array) -> tuple[Array, Array]:
+    """Place (..., 2) and angle (...) of the square nearest to corners `flat` (..., 4, 2), whatever its size."""
+    xy = flat.mean(axis=-2)
+    own = square(np.zeros(2), np.zeros(()), 1.0)
+    off = flat - xy[..., None, :]
+    dot = (off * own).sum(axis=(-2, -1))
+    cross = (own[:, 0] * off[..., 1] - own[:, 1] * off[..., 0]).sum(axis=-1)
+    return xy, np.arctan2(cross, dot)
+
+
+# Pose of every sighting of a tag in the tags' plane, with its covariance; functions of planar poses.
+
+REFINEMENTS = 3  # Gauss-Newton steps of a tag's pose; the first is already within a hundredth of a pixel
+END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
+STEP = 1e-6  # m and rad, of the pose's numerical derivative
+MEDIAN_CHI2 = 4.35146  # median of chi-squared with 5 degrees of freedom
+GRID_ERROR = 0.03  # px, one sd: shift of a whole tag that leaves its shape as it is (pixel grid, compression)
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Planar poses with their covariance; leading dimensions are free."""
+
+    xy: Array  # (..., 2) m
+    angle: Array  # (...) rad
+    covariance: Array  # (..., 3, 3) of (x, y, angle)
+
+
+def part(poses: Poses, tags: slice) -> Poses:
+    """Some of the tags (T, m) of `poses`."""
+    return Poses(poses.xy[:, tags], poses.angle[:, tags], poses.covariance[:, tags])
+
+
+def measure_poses(
+    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = REFINEMENTS
+) -> tuple[Poses, Array, View]:
+    """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
+
+    The noise is that of the residuals, or `noise` [px, one sd] where it is known from other frames.
+
+    `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Generalised least squares by Gauss-Newton on the eight
+    coordinates of each tag. The misfit is the RMS residual, px, comparable with the view's `corner_sd`.
+    """
+    xy, angle = lay_square(to_plane(view, corners))
+    weight = corner_weight(corners)
+    for _ in range(refinements):
+        jacobian, residual = linearise(view, xy, angle, corners, size)
+        step = weighted_step(jacobian, residual, weight)
+        xy, angle = xy + step[..., :2], angle + step[..., 2]
+    jacobian, residual = linearise(view, xy, angle, corners, size)
+    squares = np.einsum("...i,...ij,...j->...", residual, weight, residual)
+    sd = float(np.sqrt(np.nanmedian(squares) / MEDIAN_CHI2)) if noise is None else noise
+    variance = np.maximum(squares / DEGREES_OF_FREEDOM, sd**2)
+    normal = np.swapaxes(jacobian, -1, -2) @ weight @ jacobian
+    covariance = variance[..., None, None] * np.linalg.inv(normal) + grid_covariance(jacobian)
+    poses = Poses(xy, angle, covariance)
+    return poses, np.sqrt(squares / DEGREES_OF_FREEDOM), replace(view, corner_sd=sd)
+
+
+def grid_covariance(jacobian: Array) -> Array:
+    """Covariance (..., 3, 3) of a pose for a shift of all four corners together by `GRID_ERROR`."""
+    place = jacobian[..., :2].reshape(*jacobian.shape[:-2], 4, 2, 2).mean(axis=-3)  # px per metre
+    metre = np.linalg.inv(place)
+    covariance = np.zeros((*jacobian.shape[:-2], 3, 3))
+    covariance[..., :2, :2] = GRID_ERROR**2 * metre @ np.swapaxes(metre, -1, -2)
+    return covariance
+
+
+def weighted_step(jacobian: Array, residual: Array, weight: Array) -> Array:
+    """The generalised least-squares solution (..., 3) of `jacobian @ step = left`."""
+    across = np.swapaxes(jacobian, -1, -2) @ weight
+    return np.asarray(np.linalg.solve(across @ jacobian, across @ residual[..., None])[..., 0])
+
+
+def corner_weight(corners: Array) -> Array:
+    """Inverse covariance (..., 8, 8) of the corners' errors, for errors of unit variance along each edge's normal.
+
+    A detector fits straight lines to noisy edge points; the corners are their crossings. So the errors are those of
+    edges, along their normals, and the errors at the two ends of an edge have the correlation -1/2: a line through
+    many equally noisy points has the variance 4 at its ends and 1 in its middle.
+    """
+    covariance = np.zeros((*corners.shape[:-2], 8, 8))
+    for start, end in ((0, 1), (1, 2), (2, 3), (3, 0)):
+        along = corners[..., end, :] - corners[..., start, :]
+        normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+        normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        outer = normal[..., :, None] * normal[..., None, :]
+        a, b = slice(2 * start, 2 * start + 2), slice(2 * end, 2 * end + 2)
+        covariance[..., a, a] += outer
+        covariance[..., b, b] += outer
+        covariance[..., a, b] += END_CORRELATION * outer
+        covariance[..., b, a] += END_CORRELATION * outer
+    return np.asarray(np.linalg.inv(covariance))
+
+
+def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) -> tuple[Array, Array]:
+    """Jacobian (..., 8, 3) of the projected corners by (x, y, angle), and the residual (..., 8) of `corners`, px."""
+
+    def projected(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0) -> Array:
+        flat = project(view, square(xy + np.array([dx, dy]), angle + turn, size))
+        return flat.reshape(*flat.shape[:-2], 8)
+
+    columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
+    return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
+
+
+def drop(poses: Poses, wrong: BoolArray) -> Poses:
+    """The poses, NaN where `wrong`."""
+    return Poses(
+        np.where(wrong[..., None], np.nan, poses.xy),
+        np.where(wrong, np.nan, poses.angle),
+        np.where(wrong[..., None, None], np.nan, poses.covariance),
+    )
+
+
+def relative_to(origin: Poses, poses: Poses) -> Poses:
+    """`poses` (T, m) in the frame of `origin` (T, 1), with the uncertainty of both."""
+    cos, sin = np.cos(origin.angle), np.sin(origin.angle)
+    off = poses.xy - origin.xy
+    x, y = cos * off[..., 0] + sin * off[..., 1], -sin * off[..., 0] + cos * off[..., 1]
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    turn = np.stack([cos + zero, sin + zero, zero, -sin + zero, cos + zero, zero, zero, zero, one], axis=-1)
+    back = np.stack([-cos + zero, -sin + zero, y, sin + zero, -cos + zero, -x, zero, zero, -one], axis=-1)
+    turn, back = turn.reshape(*x.shape, 3, 3), back.reshape(*x.shape, 3, 3)
+    covariance = turn @ poses.covariance @ np.swapaxes(turn, -1, -2)
+    covariance += back @ origin.covariance @ np.swapaxes(back, -1, -2)
+    return Poses(np.stack([x, y], axis=-1), poses.angle - origin.angle, covariance)
+
+
+def unwrap(angle: Array) -> Array:
+    """Angles (T, ...) made continuous in time, the first one in (-pi, pi]; NaN stays NaN and is skipped."""
+    flat = np.array(angle, dtype=float).reshape(len(angle), -1)
+    for column in flat.T:
+        known = np.isfinite(column)
+        if known.any():
+            continuous = np.unwrap(column[known])
+            column[known] = continuous - 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
+    return flat.reshape(angle.shape)
+
+
+# The base's pose from the tags on it: one place where it stands still, one a frame where it moves.
+
+MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
+RUNNING = 5  # frames of that running median
+SHAKES = 2.0  # sd: places that scatter by more show a camera that shakes
+
+
+def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
+    """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
+
+    The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
+    all frames. The error that is left in it is the same in every frame: it moves and turns the beam's whole frame, as
+    the mounting does, and is no noise of the tags, so that its covariance is zero. Place and angle are judged apart: a
+    camera that shakes or drifts on its tripod shifts the picture, and an angle that is followed without need would
+    carry its noise out to the tip.
+    """
+    pose = together(poses, [tag.s * length for tag in tags])
+    state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
+    known = np.isfinite(state).all(axis=1)
+    middle, typical = np.median(state[known], axis=0), np.median(pose.covariance[known, 0], axis=0)
+    turns = _moves(state[known, 2:], middle[2:], typical[2:, 2:])
+    if turns:
+        return pose, True
+    shifts = _moves(state[known, :2], middle[:2], typical[:2, :2])
+    shakes = bool(np.any(np.std(state[known, :2], axis=0) > SHAKES * np.sqrt(np.diag(typical)[:2])))
+    frames, covariance, xy = len(state), np.zeros((3, 3)), np.broadcast_to(middle[:2], (len(state), 2))
+    if frames == 1:  # a picture alone: other pictures have other errors
+        covariance = typical
+    elif shifts or shakes:
+        xy, covariance[:2, :2] = np.where(known[:, None], state[:, :2], np.nan), typical[:2, :2]
+    every = np.broadcast_to(covariance, (frames, 1, 3, 3))
+    return Poses(xy[:, None], np.broadcast_to(middle[2:], (frames, 1)), every), shifts
+
+
+def _moves(state: Array, middle: Array, covariance: Array) -> bool:
+    """Whether places or angles (T, n) leave their median (n,) by more than their covariance (n, n) explains."""
+    deviation = running_median(state, RUNNING) - middle
+    chi2 = np.einsum("ti,ij,tj->t", deviation, np.linalg.inv(covariance), deviation)
+    return bool((chi2 > MOVED**2).any())
+
+
+def together(poses: Poses, places: Sequence[float]) -> Poses:
+    """The base's pose (T, 1) from all its tags, `places` [m] on its x axis.
+
+    Other tags are related to the first by their measured relative pose, not by their stated place.
+    """
+    first = behind(column(poses, 0), places[0])
+    others = [behind(column(poses, i), s) for i, s in enumerate(places) if i > 0]
+    return average([first, *(aligned(other, first) for other in others)])
+
+
+def column(poses: Poses, i: int) -> Poses:
+    """The poses (T, 1) of one tag, its angle continuous in time."""
+    return Poses(poses.xy[:, i : i + 1], unwrap(poses.angle[:, i : i + 1]), poses.covariance[:, i : i + 1])
+
+
+def behind(pose: Poses, along: float) -> Poses:
+    """Pose (T, 1) of a frame on whose x axis the given pose sits at `along` [m]."""
+    cos, sin = np.cos(pose.angle), np.sin(pose.angle)
+    jacobian = np.broadcast_to(np.eye(3), (*pose.angle.shape, 3, 3)).copy()
+    jacobian[..., 0, 2], jacobian[..., 1, 2] = along * sin, -along * cos
+    covariance = jacobian @ pose.covariance @ np.swapaxes(jacobian, -1, -2)
+    return Poses(pose.xy - along * np.stack([cos, sin], axis=-1), pose.angle, covariance)
+
+
+def aligned(poses: Poses, first: Poses) -> Poses:
+    """`poses` moved by the constant pose that, in the frames that show both, brings it onto `first`."""
+    difference = relative_to(poses, first)
+    both = np.isfinite(difference.angle[:, 0])
+    if not both.any():
+        return poses  # never seen together: its stated place is used
+    x, y = np.median(difference.xy[both, 0], axis=0)
+    turn = float(np.median(difference.angle[both, 0]))
+    cos, sin = np.cos(poses.angle), np.sin(poses.angle)
+    moved = poses.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    return Poses(moved, poses.angle + turn, poses.covariance)
+
+
+def average(poses: Sequence[Poses]) -> Poses:
+    """Mean of several poses (T, 1) of one thing, weighted by their covariances; NaN only where all are."""
+    if len(poses) == 1:
+        return poses[0]
+    weights, sums = np.zeros((len(poses[0].angle), 1, 3, 3)), np.zeros((len(poses[0].angle), 1, 3))
+    for pose in poses:
+        state = np.concatenate([pose.xy, pose.angle[..., None]], axis=-1)
+        known = np.isfinite(state).all(axis=-1)
+        weight = np.linalg.inv(np.where(known[..., None, None], pose.covariance, np.eye(3))) * known[..., None, None]
+        weights += weight
+        sums += (weight @ np.where(known[..., None], state, 0.0)[..., None])[..., 0]
+    none = np.asarray(~weights.any(axis=(-1, -2)))
+    covariance = np.where(none[..., None, None], np.nan, np.linalg.inv(weights + none[..., None, None] * np.eye(3)))
+    state = (covariance @ sums[..., None])[..., 0]
+    return Poses(state[..., :2], state[..., 2], covariance)
+
+
+def running_median(values: Array, count: int) -> Array:
+    """Median over `count` rows around each row of `values` (T, n); the ends repeat."""
+    padded = np.pad(values, ((count // 2, count // 2), (0, 0)), mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, count, axis=0), axis=-1))
+
+
+def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
+    """A remark where the base moves and nothing in recording.toml says that it should."""
+    if not moving or expected:
+        return []
+    distance = 1000 * float(np.nanmax(np.linalg.norm(pose.xy - np.nanmedian(pose.xy, axis=0), axis=-1)))
+    turn = float(np.degrees(np.nanmax(pose.angle) - np.nanmin(pose.angle)))
+    return [
+        Remark(
+            "warning",
+            f"The base moves in the picture, by up to {distance:.2f} mm and {turn:.2f} deg: clamp or camera was not "
+            "still. It was followed from frame to frame. Fix both.",
+            about="base moves",
+        )
+    ]
+
+
+# Corners in pixels to the pose of every beam tag in the base tag's frame, in metres and radians, with covariance.
+
+CALIBRATION_FRAMES = 150  # frames for the fit of the plane, spread evenly over the tags' travel
+RESTING = 0.1  # of the mean travel per frame: a frame without travel counts as this
+WRONG = 10.0  # sd: a tag whose corners are further (RMS) from any square in the plane is not used
+LEAST_SD = 0.02  # px, least noise of the corners for that test
+TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the arc between two tags: their largest distance lies between these
+FARTHEST = 99.0  # percentile of the distances that counts as the largest
+
+
+def measure_markers(detections: Detections, recording: Recording) -> Markers:
+    """Pose of every beam tag relative to the base, per frame.
+
+    Assumes that all tags lie in one plane and that the camera stands still. A tag's pose is that of the square of the
+    known size whose projected corners are nearest to the detected ones. The noise of a corner comes from the residuals
+    of the whole recording; it is larger where a tag's own residuals are.
+
+    Raises:
+        RecordingError: the calibration is of another picture size.
+        ObservationError: no plane explains the tags, or their distances contradict the beam's length.
+    """
+    tags, base = recording.tags, len(recording.tags.on_base)
+    check_picture(detections, recording.camera)
+    plane = fit_plane(spread(detections.corners), tags.size, recording.camera, (detections.width, detections.height))
+    poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
+    wrong = misfit > WRONG * max(view.corner_sd, LEAST_SD)
+    poses = drop(poses, wrong)
+    poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
+    if not np.isfinite(poses.angle[:, :base]).any():
+        raise ObservationError(
+            f"{recording.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
+            "Check that all tags have the same size and lie flat in one plane.",
+            about="no plane",
+        )
+    origin, moving = base_pose(part(poses, slice(base)), tags.on_base, recording.beam.length)
+    relative = relative_to(origin, part(poses, slice(base, None)))
+    check_lengths(relative.xy, recording)
+    first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
+    return Markers(
+        time=detections.time,
+        tag_id=detections.tag_id[base:],
+        s=np.array([tag.s for tag in tags.on_beam]),
+        xy=relative.xy,
+        angle=unwrap(relative.angle),
+        covariance=relative.covariance,
+        base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
+        view=view_of(view, origin.xy[first, 0], float(origin.angle[first, 0])),
+        remarks=(
+            *detections.remarks,
+            *wrong_remarks(detections, wrong),
+            *motion_remarks(origin, moving, recording.gravity is not None),
+        ),
+        by_camera=by_camera(plane, detections.corners, base),
+    )
+
+
+def check_picture(detections: Detections, camera: CameraEntry | None) -> None:
+    """An error where the calibration belongs to another picture size."""
+    if camera and (camera.width, camera.height) != (detections.width, detections.height):
+        raise RecordingError(
+            f"[camera] is calibrated for pictures of {camera.width} x {camera.height}, the video has "
+            f"{detections.width} x {detections.height}. Calibrate at the video's size, or remove [camera]."
+        )
+
+
+def spread(corners: Array) -> Array:
+    """Sightings (K, 4, 2) of frames spread evenly over the tags' travel, so that a long rest does not outweigh the
+    push; a rest has a small weight."""
+    centre = corners.mean(axis=2)
+    travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
+    travelled = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
+    frames = np.unique(
+        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(CALIBRATION_FRAMES, len(travelled))))
+    )
+    chosen = corners[frames].reshape(-1, 4, 2)
+    return chosen[np.isfinite(chosen).all(axis=(1, 2))]
+
+
+def by_camera(plane: PlaneFit, corners: Array, base: int) -> Array:
+    """(T, m, 3, n) m, m, rad: how the beam tags' poses relative to the first base tag move with one sd of each of the n
+    unknowns of the plane and, without a calibration, of the camera. A hidden base counts as where it was seen nearest
+    in time; zero for tags that were not seen."""
+    corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
+
+    def relative(view: View) -> Array:
+        xy, angle = lay_square(to_plane(view, corners))
+        none = np.zeros((*angle.shape, 3, 3))
+        own = relative_to(Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, 1:], angle[:, 1:], none[:, 1:]))
+        return np.concatenate([own.xy, own.angle[..., None]], axis=-1)
+
+    middle = relative(plane.view)
+    shifts = np.stack([relative(view) - middle for view in plane.variations()], axis=-1)
+    shifts[:, :, 2] = np.angle(np.exp(1j * shifts[:, :, 2]))
+    return np.nan_to_num(shifts)
+
+
+def lasting_base(corners: Array) -> Array:
+    """(T, 1, 4, 2) corners of the first base tag that is ever seen, in every frame, from those of all (T, b, 4, 2)."""
+    visible = np.asarray(np.isfinite(corners).all(axis=(2, 3)))
+    tag = int(np.argmax(visible.any(axis=0)))
+    shown = np.flatnonzero(visible[:, tag])
+    frames = np.arange(len(corners))
+    after = np.clip(np.searchsorted(shown, frames), 0, len(shown) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(shown[before] - frames) < np.abs(shown[after] - frames), shown[before], shown[after])
+    return np.asarray(corners[nearest, tag : tag + 1])
+
+
+def chord_fits(farthest: float, arc: float, slack: float) -> bool:
+    """Whether `farthest` [m] can be the largest distance of two places on a beam with `arc` [m] between them.
+
+    A chord is never longer than its arc, and it is 0.6 of it only where the beam turns by 200 degrees in between.
+    """
+    return TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack
+
+
+def check_lengths(xy: Array, recording: Recording) -> None:
+    """An error where neighbouring tags are farther apart than the beam between them, or always much nearer.
+
+    `xy` (T, m, 2) m in the base's frame.
+    """
+    tags, length = recording.tags, recording.beam.length
+    places = [(0.0, "the base", np.zeros((len(xy), 2)))]
+    places += [(tag.s, f"tag {tag.id}", xy[:, i]) for i, tag in enumerate(tags.on_beam)]
+    places.sort(key=lambda place: place[0])
+    ratios, worst = [], ""
+    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
+        distance = np.linalg.norm(next_position - position, axis=1)
+        arc, slack = (next_s - s) * length, 3 * np.sqrt(2) * tags.placement_sd
+        if not np.isfinite(distance).any() or arc == 0.0:
+            continue
+        farthest = float(np.nanpercentile(distance, FARTHEST))
+        ratios.append(farthest / arc)
+        if not worst and not chord_fits(farthest, arc, slack):
+            worst = (
+                f"{name} and {next_name} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
+                f"{1000 * arc:.3g} mm of beam between them"
+            )
+    if worst:
+        fitting = 1000 * tags.size / float(np.median(ratios))
+        raise ObservationError(
+            f"{recording.name}: {worst}.{order_hint(xy, recording)} Correct size_m (now {1000 * tags.size:g} mm; about "
+            f"{fitting:.3g} mm would fit), length_m (now {1000 * length:g} mm) or the tags' s.",
+            about="tag places",
+        )
+
+
+def order_hint(xy: Array, recording: Recording) -> str:
+    """The order in which the beam's tags (T, m, 2) [m] stand, where it is not that of their s: a sentence, or ""."""
+    tags = recording.tags.on_beam
+    if not np.isfinite(xy).all(axis=-1).any(axis=0).all():
+        return ""
+    reach = np.nanpercentile(np.linalg.norm(xy, axis=-1), FARTHEST, axis=0)
+    stand = [tags[i].id for i in np.argsort(reach, kind="stable")]
+    written = [tag.id for tag in sorted(tags, key=lambda tag: tag.s)]
+    if stand == written:
+        return ""
+    said = ", ".join(map(str, stand))
+    return f" From the base on they stand in the order {said}, by their s in the order {', '.join(map(str, written))}."
+
+
+def view_of(view: View, origin: Array, angle: float) -> View:
+    """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return replace(
+        view,
+        rotation=view.rotation @ turn,
+        translation=view.rotation[:, :2] @ origin + view.translation,
+    )
+
+
+def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
+    """A remark for each tag whose shape contradicts the plane in some frames."""
+    return [
+        Remark("note", f"Tag {tag} was left out in {count} frames: its shape does not fit a flat square in the plane.")
+        for tag, count in zip(detections.tag_id.tolist(), wrong.sum(axis=0).tolist(), strict=True)
+        if count
+    ]
+
+
+# Whether the tags are turned on the beam as recording.toml says; a wrong turn_deg is off by a quarter turn or more.
+
+OFF = np.deg2rad(60.0)  # between a tag and the beam there: bending does not make that in most frames
+NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
+
+
+def check_turns(markers: Markers, recording: Recording) -> None:
+    """An error where a tag points across the beam, or backwards, in most frames.
+
+    The beam's direction at a tag is that of the chords to its neighbours; the base tag stands at the clamp.
+    """
+    order = np.argsort(markers.s, kind="stable")
+    order = order[markers.s[order] > NEAREST]
+    ids = [recording.tags.on_base[0].id, *markers.tag_id[order].tolist()]
+    places = np.concatenate([np.zeros((len(markers.time), 1, 2)), markers.xy[:, order]], axis=1)
+    s = np.concatenate([[0.0], markers.s[order]])
+    complete = np.isfinite(places).all(axis=(1, 2))
+    if not complete.any() or len(s) < 2 or np.any(np.diff(s) < NEAREST):
+        return
+    tag_angle = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[complete]
+    off = np.angle(np.exp(1j * (tag_angle - directions(places[complete]))))
+    wrong = np.median(np.cos(off), axis=0) < np.cos(OFF)
+    if not wrong.any():
+        return
+    written = {tag.id: tag.turn for tag in (*recording.tags.on_base, *recording.tags.on_beam)}
+    wrong_tags = []
+    for i in np.flatnonzero(wrong):
+        quarter = 90 * round(float(np.rad2deg(np.angle(np.mean(np.exp(1j * off[:, i]))))) / 90)
+        fits = 180 - (180 - round(float(np.rad2deg(written[ids[i]]))) - quarter) % 360
+        wrong_tags.append(f"tag {ids[i]} (turn_deg = {np.rad2deg(written[ids[i]]):.4g}; {fits} would fit)")
+    raise ObservationError(
+        f"{recording.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
+        f"{', '.join(wrong_tags)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction.",
+        about="tag places",
+    )
+
+
+def directions(places: Array) -> Array:
+    """(T, n) rad, of the line through places (T, n, 2): from the chords beside each, straight on at the ends."""
+    chord = np.diff(places, axis=1)
+    angle = np.unwrap(np.arctan2(chord[..., 1], chord[..., 0]), axis=1)
+    bend = np.diff(angle, axis=1) if angle.shape[1] > 1 else np.zeros((len(angle), 1))
+    first, last = angle[:, :1] - 0.5 * bend[:, :1], angle[:, -1:] + 0.5 * bend[:, -1:]
+    return np.concatenate([first, 0.5 * (angle[:, 1:] + angle[:, :-1]), last], axis=1)

@@ -1,1 +1,0 @@
-"""The offset between the film's clock and the force log's, with its posterior."""

@@ -1,0 +1,602 @@
+"""The force log: read, checked, cleaned, and where in it the beam is touched."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpotrf, dtbtrs, dtrtrs
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize
+from scipy.special import chdtri
+
+from onebend.recording.signals import MAD_TO_SD, at_times, bridged, low_pass, outliers, runs, step
+from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, IntArray, Markers, Remark
+
+# Contact and rest: when the beam is pushed and when it is free, from the markers and the force.
+#
+# The film must begin with a free beam (the camera starts before the push). The beam is free where its markers stand
+# still at their first places, and where it swings about that rest with no more force than before the push. All else
+# is contact.
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """Thresholds between contact and rest."""
+
+    window: int = 5  # frames averaged
+    first: int = 10  # frames that must show the beam at rest
+    chance: float = 1e-6  # of a false contact in one frame, were the noise as estimated
+    returned: float = 0.005  # of the largest displacement: nearer to the first rest than this is back at rest
+    shortest_rest: float = 0.25  # s
+    margin: float = 0.1  # s, taken off a rest where it borders on contact: the tool touches before markers show it
+    released: float = 0.05  # of the largest force: less than this, to the end, is no force
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The film divided into rest and contact; times on the video's clock."""
+
+    loaded: BoolArray  # (T,)
+    rests: tuple[tuple[float, float], ...]  # s, spans with a free beam, margin taken off; usable for the force's tare
+    still: BoolArray  # (T,) free and standing still: the rest shape can be read
+    begin: float  # s, first contact; NaN where there is none
+    end: float  # s, end of the last contact; infinite where it outlasts the film; NaN where there is none
+    remarks: tuple[Remark, ...] = ()
+
+
+def find_contact(
+    markers: Markers,
+    log: ForceLog | None = None,
+    *,
+    offset: float = 0.0,
+    settings: ContactSettings = ContactSettings(),
+) -> Contact:
+    """Rest and contact of a film, with the force log (own clock = video clock + `offset`) where there is one."""
+    time = markers.time
+    departed, threshold = departure(markers, settings)
+    if not departed[0] <= threshold:
+        text = (
+            "The beam moves from the first frame on: no rest before contact is seen, so the force has no zero. "
+            "Record three still seconds before the push."
+        )
+        loaded = np.full(len(time), log is not None)
+        remark = Remark("warning", text, about="no rest")
+        return Contact(loaded, (), np.zeros(len(time), dtype=bool), float(time[0]), np.inf, (remark,))
+    first = int(np.argmax(departed > threshold)) if np.any(departed > threshold) else len(time)
+    returned = departed < max(threshold, settings.returned * float(departed.max()))
+    returned[:first] = True
+    still = long_enough(returned, time, settings.shortest_rest)
+    free = still.copy()
+    remarks: list[Remark] = []
+    if log is not None and not free[-1]:
+        released = release(log, time[free & (time < time[min(first, len(time) - 1)])] + offset, settings) - offset
+        if released < time[-1]:
+            free |= time >= released
+            if np.any(~still & free):
+                remarks.append(Remark("note", f"The beam swings freely from {released:.2f} s of the film on."))
+    if not free[: max(first, 1)].any():
+        text = "The rest before contact is too short to use: the force has no zero. Record three still seconds."
+        remarks.append(Remark("warning", text, about="no rest"))
+    spans = tuple(shrunk(time, start, stop, settings) for start, stop in runs(free))
+    rests = tuple((low, high) for low, high in spans if high - low >= 0.5 * settings.shortest_rest)
+    touched = np.flatnonzero(~free)
+    begin = float(time[touched[0]]) if len(touched) else np.nan
+    end = np.nan if not len(touched) else np.inf if touched[-1] == len(time) - 1 else float(time[touched[-1]])
+    return Contact(~free, rests, still & free, begin, end, tuple(remarks))
+
+
+def departure(markers: Markers, settings: ContactSettings) -> tuple[Array, float]:
+    """(T,) distance of every frame from the first frames in sd of the noise, and how far noise alone would go.
+
+    The noise of each coordinate is the larger of what second differences say and the scatter of the first frames;
+    the first frames are taken anew, up to the first departure, once that is known.
+    """
+    count = len(markers.time)
+    flat = np.concatenate([markers.xy.reshape(count, -1), markers.angle], axis=1)
+    measured = np.isfinite(flat).sum(axis=0) > settings.window
+    filled = bridged(markers.time, flat[:, measured])
+    if not filled.size:
+        return np.full(count, np.inf), 0.0
+    bends = np.abs(np.diff(filled, n=2, axis=0)) / np.sqrt(6)
+    # Tracks rounded to a few digits jump seldom but far: the mean square sees that, the median does not.
+    early = np.sqrt(np.mean(bends[: settings.first] ** 2, axis=0))
+    floor = 1e-5 * float(np.abs(filled).max()) + np.finfo(float).tiny
+    quick = floor + np.maximum(np.median(bends, axis=0) * MAD_TO_SD, early)
+    smooth = uniform_filter1d(filled, settings.window, axis=0, mode="nearest")
+    first_frames = min(count, settings.first)
+    threshold = 2.0 * float(np.sqrt(chdtri(filled.shape[1], settings.chance) / settings.window))
+    distance = np.zeros(count)
+    for _ in range(3):
+        rest = filled[:first_frames]
+        noise = np.maximum(quick, np.minimum(np.std(rest, axis=0), 3 * quick))
+        distance = np.linalg.norm((smooth - np.median(rest, axis=0)) / noise, axis=1)
+        if np.ptp(smooth[:first_frames] / noise, axis=0).max() > 2 * threshold:
+            distance[0] = np.inf
+            return distance, threshold
+        beyond = distance > threshold
+        steady = uniform_filter1d(beyond.astype(float), settings.window, mode="nearest") > 0.9
+        first_frames = max(int(np.argmax(steady)) - settings.window, first_frames) if steady.any() else count
+    return distance, threshold
+
+
+def release(log: ForceLog, rest: Array, settings: ContactSettings) -> float:
+    """Time on the log's clock from which the force stays what it was in `rest` [s, log's clock]; infinite if never."""
+    good = ~outliers(log.force, spacing=step(log.time))
+    time, force = log.time[good], log.force[good]
+    before = (time >= rest.min(initial=np.inf)) & (time <= rest.max(initial=-np.inf))
+    width = 0.1
+    if before.sum() < 10:
+        return float("inf")
+    change = force - np.median(force[before], axis=0)
+    span = max(1, round(width / float(np.median(np.diff(time)))))
+    size = np.linalg.norm(uniform_filter1d(change, span, axis=0, mode="nearest"), axis=1)
+    noise = float(np.sqrt(np.mean(size[before] ** 2)))
+    pushed = np.flatnonzero(size > max(6 * noise, settings.released * size.max()))
+    if not len(pushed) or time[-1] - time[pushed[-1]] < 2 * settings.shortest_rest:
+        return float("inf")
+    return float(time[pushed[-1]] + width / 2)
+
+
+def long_enough(mask: BoolArray, time: Array, shortest: float) -> BoolArray:
+    """`mask` without runs of True shorter than `shortest` [s]."""
+    kept_runs = np.zeros_like(mask)
+    for start, stop in runs(mask):
+        if time[stop - 1] - time[start] >= shortest:
+            kept_runs[start:stop] = True
+    return kept_runs
+
+
+def shrunk(time: Array, start: int, stop: int, settings: ContactSettings) -> tuple[float, float]:
+    """The span of the frames [start, stop), less the margin on the sides that border on contact, and open where the
+    film begins or ends: the log may show more of the same rest."""
+    low = -np.inf if start == 0 else float(time[start]) + settings.margin
+    high = np.inf if stop == len(time) else float(time[stop - 1]) - settings.margin
+    return low, high
+
+
+# When a load begins, reverses and ends, from the tags: a sensor's error may change then.
+#
+# Robots that estimate forces from joint torques have friction in the joints: the error of the estimate is nearly
+# constant while the load grows or falls, and changes when the load begins, reverses or ends. These times are read
+# from the tags, as the log itself contains the error.
+
+TURN = 0.05  # of the largest displacement: a beam that comes back by less has not reversed
+CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
+BEFORE = 0.03  # of the same: within this of a turning point the load may be reversing
+EARLY = 0.1  # s, by which contact may begin before the tags show it
+
+
+@dataclass(frozen=True)
+class LoadChange:
+    """A span of time in which the load begins, reverses or ends."""
+
+    begin: float  # s
+    end: float  # s
+    release: bool  # it ends
+
+    def fraction(self, time: Array) -> Array:
+        """(N,) 0 before it, 1 after it, evenly between."""
+        return np.clip((time - self.begin) / max(self.end - self.begin, 1e-9), 0.0, 1.0)
+
+
+def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[LoadChange]:
+    """Changes of the load in order, from the tags' displacement (T,) at `time` (T,) [s] and contact (T,)."""
+    largest = float(np.max(size, initial=0.0))
+    changes: list[LoadChange] = []
+    for first, last in runs(loaded) if largest > 0.0 else ():
+        part, when = size[first:last], time[first:last]
+        moved = np.flatnonzero(part > CLEAR * largest)
+        if not len(moved):
+            continue
+        turns = turning_points(part, TURN * largest)
+        changes.append(LoadChange(float(when[0]) - EARLY, float(when[moved[0]]), release=False))
+        ends = [0, *turns, len(part) - 1]
+        for before, turn, after in zip(ends, ends[1:], ends[2:], strict=False):
+            from_turn = np.abs(part - part[turn])
+            earlier, later = (
+                from_turn[before : turn + 1][::-1] > BEFORE * largest,
+                from_turn[turn : after + 1] > CLEAR * largest,
+            )
+            low = turn - int(np.argmax(earlier))
+            high = turn + int(np.argmax(later)) if later.any() else after
+            changes.append(LoadChange(float(when[low]), float(when[high]), release=False))
+        if last < len(time):
+            changes.append(LoadChange(float(when[moved[-1]]), float(when[-1]) + EARLY, release=True))
+    return changes
+
+
+def turning_points(size: Array, margin: float) -> list[int]:
+    """Indices at which `size` (T,) stops growing or falling, and then goes back by more than `margin`."""
+    turns: list[int] = []
+    rising, extreme = True, 0
+    for i, now in enumerate(size):
+        if (now >= size[extreme]) if rising else (now <= size[extreme]):
+            extreme = i
+        elif abs(now - size[extreme]) > margin:
+            turns.append(extreme)
+            rising, extreme = not rising, i
+    return turns
+
+
+def displacement(time: Array, xy: Array, rest: Array) -> Array:
+    """(T,) m, root mean square way of tags (T, m, 2) from where they rest (m, 2); from the first frame where that is
+    not known."""
+    filled = bridged(time, xy.reshape(len(time), -1))
+    start = np.where(np.isfinite(rest).ravel(), rest.ravel(), filled[0])
+    return np.asarray(np.sqrt(np.mean((filled - start) ** 2, axis=1)))
+
+
+# The covariance of a force sensor's noise, factored: a dense one of few rows, a band of many.
+#
+# Row i of one axis is `x_i + w_i + e_i`: an Ornstein-Uhlenbeck process x and a random walk w, both Markov processes,
+# and white noise e. So the precision P of the states (x_0, w_0, x_1, w_1, ...) is a band, and by the matrix inversion
+# lemma
+#
+# C^-1 = (1 - H (W P + H' H)^-1 H') / W
+#
+# with W the variance of e and H the sum of the two states of a row: one banded Cholesky factor instead of a dense
+# one.
+
+_NEGLIGIBLE = 1e-14  # of the white variance: a step of a process below it is taken for it
+_FEW = 150  # rows, up to which the dense factor is the quicker one
+
+
+@dataclass(frozen=True)
+class NoiseFactor:
+    """`C` (N, N) N^2, the covariance of the noise of one axis at N rows."""
+
+    root: Array  # (N, N) N, its lower Cholesky factor; or that of W P + H' H as a band (3, 2 N)
+    white: float  # W, N^2, of the band; NaN: `root` is the dense one
+    log_root: float  # half of the log of the determinant of C
+
+    def inner(self, columns: Array) -> Array:
+        """(c, c): `columns' C^-1 columns` for `columns` (N, c)."""
+        if np.isnan(self.white):
+            half, _ = dtrtrs(self.root, columns, lower=1)
+            return np.asarray(half.T @ half)
+        summed = np.repeat(columns, 2, axis=0)
+        summed[1] = 0.0  # the walk begins at zero
+        half, _ = dtbtrs(self.root, summed, uplo="L")
+        return np.asarray((columns.T @ columns - half.T @ half) / self.white)
+
+
+def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
+    """Of the covariance of `noise` at rising `time` (N,) [s]; with `walked` (N,) [N^2], the variance that a second walk
+    has gathered so far, counted from the first row.
+
+    Raises:
+        numpy.linalg.LinAlgError: the covariance is not positive definite.
+    """
+    return dense_factor(noise, time, walked) if len(time) <= _FEW else banded_factor(noise, time, walked)
+
+
+def dense_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
+    """As `noise_factor`, in a time that goes with the cube of the rows."""
+    covariance = noise.covariance(time)
+    if walked is not None:
+        covariance += np.minimum(walked[:, None], walked) - walked[0]
+    root, info = dpotrf(covariance, lower=1)
+    _check(info)
+    return NoiseFactor(np.asarray(root), np.nan, float(np.sum(np.log(np.diag(root)))))
+
+
+def banded_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
+    """As `noise_factor`, in a time that goes with the rows."""
+    n, gaps = len(time), np.diff(time)
+    coloured, walk = noise.coloured**2, noise.walk**2
+    white = noise.white**2 + 1e-12 * (coloured + walk * (time[-1] - time[0])) + float(np.finfo(float).tiny)
+    of_x, of_w = np.full(n, coloured), np.ones(n)  # variances of the steps; w_0 is none
+    of_x[1:] = -coloured * np.expm1(-2.0 * gaps / noise.tau)
+    of_w[1:] = walk * gaps if walked is None else walk * gaps + np.diff(walked)
+    of_x, of_w = np.maximum(of_x, _NEGLIGIBLE * white), np.maximum(of_w, _NEGLIGIBLE * white)
+    decay, x, w = np.exp(-gaps / noise.tau), white / of_x, white / of_w
+    w[0] = 1.0
+    band = np.zeros((3, 2 * n))
+    band[0, ::2] = 1.0 + x
+    band[0, :-2:2] += decay**2 * x[1:]
+    band[0, 1::2] = w
+    band[0, 3::2] += 1.0
+    band[0, 3:-2:2] += w[2:]
+    band[1, 2::2] = 1.0
+    band[2, :-2:2] = -decay * x[1:]
+    band[2, 3:-2:2] = -w[2:]
+    root, info = dpbtrf(band, lower=1)
+    _check(info)
+    steps = float(np.sum(np.log(of_x)) + np.sum(np.log(of_w[1:])))
+    log_root = float(np.sum(np.log(root[0]))) + 0.5 * (steps - (n - 1) * np.log(white))
+    return NoiseFactor(np.asarray(root), white, log_root)
+
+
+def _check(info: int) -> None:
+    if info:
+        raise np.linalg.LinAlgError("the covariance of the force's noise is not positive definite")
+
+
+# The noise of a force sensor, white, coloured and a random walk; its sizes from the data.
+#
+# The error of a force estimate from joint torques changes slowly, with friction, temperature and filters. The model
+# has three parts, equal and independent on the two axes: white noise, an Ornstein-Uhlenbeck process (exponential
+# correlation) and a random walk.
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """`values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise; each column stands but once: many
+    are of one axis alone, and the same for every axis."""
+
+    columns: Array  # (N, c)
+    coefficients: int  # p
+    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q + 1,) of each axis: its coefficients, and p; its columns
+
+
+@dataclass(frozen=True)
+class ColumnLayout:
+    """Which columns of a design (N, a, p) are not zero, and which of them differ."""
+
+    axis: IntArray  # (d,) of those that differ
+    coefficient: IntArray  # (d,)
+    of_axis: tuple[tuple[IntArray, IntArray], ...]  # (q,) of each axis: its coefficients; which of the d they are
+
+
+def layout_of(design: Array) -> ColumnLayout:
+    """Of `design` (N, a, p)."""
+    number: dict[bytes, int] = {}
+    first: list[tuple[int, int]] = []
+    of_axis = []
+    for a in range(design.shape[1]):
+        used = np.flatnonzero(np.any(design[:, a], axis=0))
+        for i in used.tolist():
+            if number.setdefault(design[:, a, i].tobytes(), len(first)) == len(first):
+                first.append((a, i))
+        of_axis.append((used, np.array([number[design[:, a, i].tobytes()] for i in used], dtype=np.int64)))
+    axis, coefficient = np.array(first, dtype=np.int64).reshape(-1, 2).T
+    return ColumnLayout(axis, coefficient, tuple(of_axis))
+
+
+def linear_model(design: Array, values: Array, layout: ColumnLayout | None = None) -> LinearModel:
+    """Of `design` (N, a, p) and `values` (N, a); `layout`: of designs of which this one is a part."""
+    layout = layout or layout_of(design)
+    differing, p = len(layout.axis), design.shape[2]
+    of_axis = tuple(
+        (np.append(used, p), np.append(at, differing + axis)) for axis, (used, at) in enumerate(layout.of_axis)
+    )
+    return LinearModel(np.concatenate([design[:, layout.axis, layout.coefficient], values], axis=1), p, of_axis)
+
+
+def log_evidence(factor: NoiseFactor, model: LinearModel) -> float:
+    """Log probability of the model's values, less a constant.
+
+    The coefficients are shared by the axes and integrated out (Bayesian linear model; the p x p form of the matrix
+    inversion lemma); the noise of the axes is independent, each one's covariance is that of `factor`.
+    """
+    products = factor.inner(model.columns)
+    p = model.coefficients
+    inner = np.eye(p + 1)
+    for rows, at in model.of_axis:
+        inner[rows[:, None], rows] += products[at[:, None], at]
+    square = float(inner[p, p]) - 1.0
+    root, _ = dpotrf(inner[:p, :p], lower=1)
+    explained, _ = dtrtrs(root, inner[:p, p], lower=1)
+    spread = len(model.of_axis) * factor.log_root + float(np.sum(np.log(np.diag(root))))
+    return float(-0.5 * (square - explained @ explained) - spread)
+
+
+def first_guess(values: Array, spacing: float) -> ForceNoise:
+    """A noise of plausible size for `values` (N, a) sampled every `spacing` [s]."""
+    jumps = np.diff(values, n=2, axis=0)
+    white = float(np.median(np.abs(jumps))) * MAD_TO_SD / np.sqrt(6) if len(jumps) else 0.0
+    size = max(white, 1e-3 * float(np.ptp(values, axis=0).max(initial=0.0)), np.finfo(float).tiny ** 0.25)
+    return ForceNoise(white=size, coloured=size, tau=max(0.2, spacing), walk=0.5 * size, spacing=spacing)
+
+
+def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
+    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow.
+
+    A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5.
+    """
+    spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
+    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+
+    def negative_log_posterior(z: Array) -> float:
+        noise = _sized(start, centre + spread * z)
+        return 0.5 * float(z @ z) - log_evidence(noise_factor(noise, time), model)
+
+    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
+    options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    optimum = minimize(negative_log_posterior, np.zeros(4), method="Nelder-Mead", options=options)
+    return _sized(start, centre + spread * optimum.x)
+
+
+def _sized(start: ForceNoise, logs: Array) -> ForceNoise:
+    """`start` with white, coloured, tau and walk of these logarithms."""
+    white, coloured, tau, walk = np.exp(logs).tolist()
+    return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
+
+
+# Cleaning the force log: sign, frame, outliers, zero, zero-phase low-pass, and the noise that remains.
+
+_DRIFTED = 0.2  # of the largest force: a zero that changes by more between two rests is warned of
+_LOST = 0.5  # by more than this, the log hardly tells the force
+
+
+@dataclass(frozen=True)
+class ForceSettings:
+    """How the log is cleaned."""
+
+    overtone: float = 2.0  # cut-off over the bandwidth of the markers' motion: see `choose_cutoff`
+    tare_span: float = (
+        3.0  # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
+    )
+    outlier_sd: float = 6.0
+    longest_gap: float = 0.1  # s, or as long as the filter's memory where that is longer: a longer gap stays a gap
+
+
+@dataclass(frozen=True)
+class Zero:
+    """The log's zero at each rest, beam's frame, and its sd."""
+
+    time: Array  # (r,) s, log's clock
+    value: Array  # (r, 2) N
+    sd: float  # N, of each value
+
+    def at(self, time: Array) -> Array:
+        """(N, 2) N: straight in time between rests, constant beyond; zero where no rest is known."""
+        if not len(self.time):
+            return np.zeros((len(time), 2))
+        return np.stack([np.interp(time, self.time, column) for column in self.value.T], axis=1)
+
+
+def choose_cutoff(motion: float, settings: ForceSettings) -> float:
+    """Cut-off of the low-pass from the bandwidth `motion` [Hz] of the markers; infinite where that is not known.
+
+    A beam that moves slowly is in equilibrium with the force, so the force is a function of the markers'
+    displacements. The function is nonlinear: its square terms double the bandwidth. Hence twice that of the markers.
+    """
+    return settings.overtone * motion if np.isfinite(motion) and motion > 0 else math.inf
+
+
+def clean_force(
+    log: ForceLog,
+    rests: Sequence[tuple[float, float]],
+    *,
+    rotation: float = 0.0,
+    acts_on: Literal["beam", "robot"] = "beam",
+    cutoff: float = math.inf,
+    noise: ForceNoise | None = None,
+    settings: ForceSettings = ForceSettings(),
+) -> CleanForce:
+    """Force on the beam in the beam's frame, F = +-R(rotation) F_log, without outliers, zeroed at `rests` and filtered.
+
+    `rests` are spans of the log's clock with a free beam. With rests on both sides of the contact the zero runs
+    straight between them, which takes most of the sensor's drift off; with one it is constant; with none the force
+    keeps its bias, its noise is unknown (NaN) and a warning says so. `noise` is what is known of the sensor's noise
+    (from the clock search); without it the scatter at rest stands for it, and drift is not in `noise_sd`.
+    """
+    bad = outliers(log.force, spacing=step(log.time), threshold=settings.outlier_sd)
+    force = log.force @ to_beam(rotation)
+    if acts_on == "robot":
+        force = -force
+    force[bad] = np.stack([np.interp(log.time[bad], log.time[~bad], column[~bad]) for column in force.T], axis=1)
+    smooth = low_pass(log.time, force, cutoff, longest_gap=gap_limit(log.time, cutoff, settings))
+    zero = zero_of(log.time, force, rests, noise, settings)
+    clean = smooth - zero.at(log.time)
+    remarks = zero_remarks(zero, float(np.abs(clean).max()), cutoff)
+    drift = np.full(2, np.nan)
+    if len(zero.time) > 1:
+        drift = (zero.value[-1] - zero.value[0]) / (zero.time[-1] - zero.time[0])
+    return CleanForce(
+        time=log.time,
+        force=clean,
+        push_s=log.push_s,
+        noise_sd=remaining_sd(log.time, smooth, rests, zero, cutoff, noise),
+        tare=zero.value[0] if len(zero.time) else np.zeros(2),
+        drift=drift,
+        cutoff=cutoff,
+        outliers=int(bad.sum()),
+        noise=None if noise is None else _with_white(noise, log.time, force),
+        zero_time=zero.time,
+        zero=zero.value,
+        remarks=(*log.remarks, *remarks),
+    )
+
+
+def _with_white(noise: ForceNoise, time: Array, force: Array) -> ForceNoise:
+    """`noise` with its white part as the log's own samples show it: there it stands out from all that is slower."""
+    spacing = step(time)
+    return replace(noise, white=first_guess(force, spacing).white, spacing=spacing)
+
+
+def to_beam(rotation: float) -> Array:
+    """(2, 2) matrix that turns rows of force in the log's axes into the beam's: F_beam = R(rotation) F_log."""
+    cos, sin = math.cos(rotation), math.sin(rotation)
+    return np.array([[cos, sin], [-sin, cos]])
+
+
+def within(time: Array, span: tuple[float, float]) -> BoolArray:
+    return np.asarray((time >= span[0]) & (time <= span[1]))
+
+
+def zero_of(
+    time: Array, force: Array, rests: Sequence[tuple[float, float]], noise: ForceNoise | None, settings: ForceSettings
+) -> Zero:
+    """Mean force over each rest, of the part nearest to contact where the rest is long."""
+    times, values, sizes = [], [], []
+    for i, span in enumerate(rests):
+        rows = np.flatnonzero(within(time, span))
+        if len(rows) < 2:
+            continue
+        # The first rest is followed by contact, later ones are preceded by it.
+        distance = time[rows[-1]] - time[rows] if i == 0 else time[rows] - time[rows[0]]
+        rows = rows[distance <= settings.tare_span]
+        if len(rows) >= 2:
+            times.append(float(np.mean(time[rows])))
+            values.append(np.mean(force[rows], axis=0))
+            sizes.append(float(np.ptp(time[rows])))
+    shortest = min(sizes, default=math.nan)
+    sd = math.nan
+    if noise is not None and sizes:
+        # Mean of a process of correlation time tau over a span; the walk within the span.
+        sd = math.sqrt(min(1.0, 2 * noise.tau / shortest) * noise.coloured**2 + noise.walk**2 * shortest / 3)
+    return Zero(np.array(times), np.array(values).reshape(-1, 2), sd)
+
+
+def remaining_sd(
+    time: Array,
+    smooth: Array,
+    rests: Sequence[tuple[float, float]],
+    zero: Zero,
+    cutoff: float,
+    noise: ForceNoise | None,
+) -> Array:
+    """(2,) N, sd of the clean force's error in mid-contact: the filtered noise, the error of the zero, and the drift
+    beside the zero (a random walk: a bridge between two rests, free after one). NaN without a rest."""
+    if not len(zero.time):
+        return np.full(2, math.nan)
+    at_rest = np.any([within(time, span) for span in rests], axis=0)
+    scatter = np.sqrt(np.mean((smooth - zero.at(time))[at_rest] ** 2, axis=0))
+    if noise is None:
+        return np.asarray(scatter)
+    if len(zero.time) > 1:
+        wander = noise.walk**2 * float(np.diff(zero.time).max()) / 6
+    else:
+        wander = noise.walk**2 * (time[-1] - zero.time[0]) / 2
+    filtered = np.maximum(noise.passed(cutoff), scatter)
+    return np.asarray(np.sqrt(filtered**2 + zero.sd**2 + wander))
+
+
+def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...]:
+    """Remarks on the zero and the filter; `largest`: N, of the clean force's two parts."""
+    remarks = []
+    change = float(np.abs(np.diff(zero.value, axis=0)).max(initial=0.0))
+    if not len(zero.time):
+        text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."
+        remarks.append(Remark("warning", text, about="no rest"))
+    elif len(zero.time) == 1:
+        text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
+        remarks.append(Remark("note", text))
+    elif change > _DRIFTED * largest:
+        text = f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up."
+        if doubt := change > _LOST * largest:
+            text = (
+                f"The force's zero drifted by {change:.2g} N between the rests, and the push is {largest:.2g} N: how "
+                "the zero ran during the push is a guess. Push harder, or let the sensor warm up."
+            )
+        remarks.append(Remark("warning", text, doubt=doubt, about="drift"))
+    if not math.isfinite(cutoff):
+        remarks.append(Remark("note", "The force is not low-passed: no motion tells its bandwidth."))
+    return tuple(remarks)
+
+
+def gap_limit(time: Array, cutoff: float, settings: ForceSettings = ForceSettings()) -> float:
+    """Longest span between two rows that may be interpolated, s."""
+    memory = 1 / (2 * math.pi * cutoff) if math.isfinite(cutoff) and cutoff > 0 else 0.0
+    return max(settings.longest_gap, memory, 3 * step(time))
+
+
+def force_at(clean: CleanForce, time: Array, *, settings: ForceSettings = ForceSettings()) -> Array:
+    """(T, 2) N at the times `time` [s, log's clock]; NaN outside the log and in its gaps."""
+    return at_times(clean.time, clean.force, time, longest_gap=gap_limit(clean.time, clean.cutoff, settings))

@@ -1,1 +1,0 @@
-"""The force log: read, checked, cleaned, and where in it the beam is touched."""

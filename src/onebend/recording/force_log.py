@@ -1,0 +1,328 @@
+"""A force log on disk, read and checked: a CSV file with one row per sample."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from onebend.errors import ObservationError, RecordingError
+from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, within_noise
+from onebend.records import Array, ForceLog, Remark
+from onebend.text_files import csv_rows, is_number, listed_columns, quoted
+
+# Text logs of Franka robots: which columns hold the force, and what to write in recording.toml.
+
+# libfranka's own log of the last commands (franka::logToCSV): joints and commands, no force.
+JOINTS_ONLY = "state.tau_ext_hat_filtered[0]"
+# O_F_ext_hat_K[0], field.O_F_ext_hat_K0, state.K_F_ext_hat_K_0, .../wrench/force/x, field.wrench.force.x, ...
+ESTIMATE = re.compile(r"^(?:.*[./ ])?([OK]_F_ext_hat_K)[\[_.]?(\d)\]?$", re.IGNORECASE)
+VECTOR = re.compile(r"^(.*force[./_ ]?)([xyz])$", re.IGNORECASE)
+TIMES = {"%time": "ns", "field.header.stamp": "ns", "time": "ms", "timestamp": "", "stamp": "", "t": "", "__time": "s"}
+
+
+def franka_hint(header: Sequence[str]) -> str:
+    """What to write in [force] where the header of a text log is one of a robot's; "" where it is not."""
+    if JOINTS_ONLY in header and not any(ESTIMATE.match(name) for name in header):
+        return (
+            " This is libfranka's log of the last commands: it holds the joints' torques and no force. Log "
+            "O_F_ext_hat_K of the robot's state, or record a bag."
+        )
+    forces = likely_forces(header)
+    time = next((name for name in header if name.lower() in TIMES), None)
+    if forces is None or time is None:
+        return ""
+    unit = TIMES[time.lower()]
+    units = {"": "", "ms": ' and, as libfranka counts in milliseconds, time_unit = "ms"', "s": ""}
+    unit_hint = units.get(unit, f' and time_unit = "{unit}"')
+    return f' For x and y of this log: columns = ["{time}", "{forces[0]}", "{forces[1]}"]{unit_hint}.'
+
+
+def likely_forces(header: Sequence[str]) -> tuple[str, str] | None:
+    """The columns of the force along x and y, the base's axes before the tool's."""
+    sets: dict[str, dict[str, str]] = {}
+    for name in header:
+        if match := ESTIMATE.match(name):
+            sets.setdefault("0" if match[1][0] in "Oo" else "1", {})[match[2]] = name
+        elif match := VECTOR.match(name):
+            sets.setdefault(f"2{match[1]}", {})[str("xyz".index(match[2].lower()))] = name
+    for _, columns in sorted(sets.items()):
+        if "0" in columns and "1" in columns:
+            return columns["0"], columns["1"]
+    return None
+
+
+# Mistakes that a force log shows by itself: a channel not connected, a sensor at its limit, another unit.
+
+AXES = ("first", "second")
+AT_END, MORE_THAN_NEXT, FEWEST = 0.01, 3.0, 5  # share of rows at an extreme value; times those at the next; rows
+LARGEST, SMALLEST = (
+    100.0,
+    5e-3,
+)  # N: less than the first bends a soft beam, and sensors for it do not resolve the second
+TOO_LARGE = 500.0  # N: what a person could not hold bends no soft beam
+TOO_MANY_WEIGHTS, TOO_FEW_WEIGHTS = 700.0, 0.01  # a rod of carbon fibre bends under some hundred times its weight
+OF_WEIGHT = 50.0  # times the beam's weight; the force that bends a soft beam is near its weight
+OTHER_UNIT = re.compile(r"[_\s\[(/](mN|kN|uN|g|gf|kg|kgf|lbf?|ozf?|counts|V|mV)[\])]?$")
+OTHER_TIME = re.compile(r"[_\s\[(/](ms|us|ns)[\])]?$")
+
+
+def still_columns(force: Array) -> tuple[Remark, ...]:
+    """A warning for each column of the forces (N, 2) that never changes."""
+    sentence = "force of the log never changes ({:g} N): is its channel connected? Check columns."
+    constant = np.ptp(force, axis=0) == 0.0
+    return tuple(
+        Remark("warning", f"The {axis} {sentence.format(value)}", about="constant force")
+        for axis, value, unchanged in zip(AXES, force[0], constant, strict=True)
+        if unchanged
+    )
+
+
+def at_its_end(force: Array) -> tuple[Remark, ...]:
+    """A warning for each column of the forces (N, 2) that often takes its own largest or smallest value.
+
+    A sensor at the end of its range repeats one number; a measured force scatters about its largest one. Columns
+    without visible noise, or written with few digits, repeat numbers anyway and are not judged.
+    """
+    remarks = []
+    for axis, column in zip(AXES, force.T, strict=True):
+        values, counts = np.unique(column, return_counts=True)
+        for end, index, inward in (("largest", -1, -2), ("smallest", 0, 1)):
+            if len(values) < 3 or counts[index] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward], FEWEST):
+                continue
+            at_extreme = column == values[index]
+            after, before = np.append(False, at_extreme[:-1]), np.append(at_extreme[1:], False)
+            alone = at_extreme & ~after & ~before
+            if 2 * alone.sum() < counts[index] and within_noise(column[~at_extreme]):  # spikes are alone
+                share = 100 * counts[index] / len(column)
+                text = (
+                    f"The {axis} force of the log stands at exactly its {end} value, {values[index]:g} N, in "
+                    f"{share:.0f} % of its rows: the sensor is at the end of its range, and the force was larger. k(s) "
+                    "comes out wrong; push less, or take a wider range."
+                )
+                remarks.append(Remark("warning", text, doubt=True, about="sensor's end"))
+    return tuple(remarks)
+
+
+def refuse_other_unit(force: Array, mass: float, where: str) -> None:
+    """Raise where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are a thousand times off: no soft
+    beam bends under as much, or under as little, of what its weight is.
+
+    Raises:
+        ObservationError: with the unit that would fit.
+    """
+    largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
+    weights = largest / (9.81 * mass) if mass > 0 else math.nan
+    times = f", {weights:.3g} times its weight" if mass > 0 else ""
+    if largest > TOO_LARGE or weights > TOO_MANY_WEIGHTS:
+        said, units = "is", "millinewtons, grams or counts"
+    elif 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS:
+        said, units = "is only", "kilonewtons"
+    else:
+        return
+    raise ObservationError(
+        f"{where}: the largest force on the beam {said} {largest:.3g} N{times}. Is the log in {units}? Convert it to "
+        "newtons; else all of k(s) is wrong by the same factor. If it is right, correct mass_kg.",
+        about="force unit",
+    )
+
+
+def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
+    """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are as large, or as small, as if
+    they stood in another unit."""
+    largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
+    heavy = largest / (9.81 * mass) if mass > 0 else 0.0
+    if largest > LARGEST or heavy > OF_WEIGHT:
+        times = f", {heavy:.0f} times its weight" if heavy > OF_WEIGHT else ""
+        text = f"The largest force on the beam is {largest:.3g} N{times}"
+    elif 0.0 < largest < SMALLEST:
+        text = f"The largest force on the beam is only {largest:.2g} N"
+    else:
+        return ()
+    text += ": is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."
+    return (Remark("warning", text, about="force unit"),)
+
+
+def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
+    """What to do about columns (time, two forces) whose own names give another unit; "" where none does."""
+    time, *forces = columns
+    if (match := OTHER_TIME.search(time)) and match[1] != time_unit:
+        return f'the column {time} is in {match[1]} by its name: write time_unit = "{match[1]}" in [force]'
+    for name in forces:
+        if match := OTHER_UNIT.search(name):
+            return f"the column {name} is in {match[1]} by its name: convert it to newtons, and name it so"
+    return ""
+
+
+FEWEST_ROWS = 10
+STRONGEST = 1e6  # N, or counts: more no sensor says
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TWICE = "rows of the force log repeat a time; their mean is taken"
+LOST = (
+    "rows of the force log are exactly zero amid others (a robot that did not stream, or near a singularity) and are "
+    "left out"
+)
+HUNG = "rows of the force log only repeat the row before, for long (the sensor or the logger hung), and are left out"
+MANY = 0.1  # of the rows: if more are left out or share a time, it is a warning
+
+
+def read_force_log(
+    path: Path | str,
+    columns: Sequence[str],
+    push_column: str = "",
+    *,
+    time_unit: Literal["s", "ms", "us", "ns"] = "s",
+) -> ForceLog:
+    """Read a CSV force log: a header, then one row a sample.
+
+    `columns` names time [`time_unit`] and two forces [N]; `push_column`, where not empty, the place of the push.
+    Rows with an empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how
+    many.
+
+    Raises:
+        RecordingError: unreadable, a missing column (those found are listed), text instead of a number, times that
+            fall, too few rows, a force that is zero throughout; with the line.
+    """
+    path = Path(path)
+    if unit_advice := unit_in_name(columns, time_unit):
+        raise RecordingError(f"{path}: {unit_advice}.")
+    wanted = [*columns, *([push_column] if push_column else [])]
+    lines: list[int] = []
+    table: list[list[float]] = []
+    for line, values in numbers(path, wanted):
+        lines.append(line)
+        table.append(values)
+    read = np.array(table).reshape(-1, len(wanted))
+    for name, column in zip(wanted, read.T, strict=True):
+        if len(read) and not np.isfinite(column).any():
+            raise RecordingError(f"{path}: the column {name} holds no number in any row. Is it the right one?")
+    read[:, 0] *= TIME_UNITS[time_unit]
+    refuse_absurd(path, wanted, read, lines)
+    full = np.isfinite(read).all(axis=1)
+    check_times(path, read[full, 0], np.array(lines, dtype=int)[full])
+    return whole_log(str(path), read)
+
+
+def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: Sequence[int]) -> None:
+    """Raise where a number of the rows (N, c) is finite, but neither a time nor a force of this world."""
+    for i, (name, most) in enumerate(zip(wanted, (LATEST, STRONGEST, STRONGEST, STRONGEST), strict=False)):
+        absurd = np.isfinite(read[:, i]) & (np.abs(read[:, i]) > most)
+        if absurd.any():
+            row = int(np.argmax(absurd))
+            said = f"{name} is {read[row, i]:.3g}, more than {most:g}"
+            raise RecordingError(f"{path}, line {lines[row]}: {said}. Correct or remove the line.")
+
+
+def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:
+    """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall.
+
+    Raises:
+        RecordingError: too few rows are left, or every force is zero.
+    """
+    full = np.isfinite(read).all(axis=1)
+    zeros = false_zeros(read[full, 1:3])
+    measured = read[full][~zeros]
+    hung = held(measured[:, 0], measured[:, 1:3])
+    data = one_row_a_time(measured[~hung])
+    if len(data) < FEWEST_ROWS:
+        raise RecordingError(
+            f"{where} holds {len(data)} rows of numbers with times of their own; at least {FEWEST_ROWS} are needed. "
+            "Was the log cut short?"
+        )
+    check_span(data[:, 0], where)
+    if not np.any(data[:, 1:3]):
+        raise RecordingError(f"{where}: every force is zero: the sensor was not streaming. Record the push again.")
+    if not np.ptp(data[:, 1:3], axis=0).any():
+        raise RecordingError(
+            f"{where}: neither force ever changes: the sensor was not streaming. Record the push again."
+        )
+    remarks = (
+        *remarks,
+        *remark(int(np.sum(~full)), len(read), "rows of the force log hold no number (empty or NaN) and are left out"),
+        *remark(int(np.sum(zeros)), len(read), LOST),
+        *remark(int(np.sum(hung)), len(read), HUNG),
+        *missing_remarks(data[:, 0], "rows of the force log"),
+        *remark(len(hung) - int(np.sum(hung)) - len(data), len(read), TWICE),
+        *still_columns(data[:, 1:3]),
+        *at_its_end(data[:, 1:3]),
+    )
+    push_s = data[:, 3] if data.shape[1] > 3 else None
+    return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
+
+
+def numbers(path: Path, wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
+    """Line number and the wanted numbers of every row that is not empty; NaN for an empty cell."""
+    rows = csv_rows(path, RecordingError)
+    header = [name.strip() for name in next(rows, (1, []))[1]]
+    if not header:
+        raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
+    twice = [name for name in wanted if header.count(name) > 1]
+    if twice:
+        raise RecordingError(f"{path}, line 1: the column {twice[0]} is there twice. Remove or rename one.")
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        hint_of_robot = franka_hint(header)
+        hint = header_hint(header, wanted)
+        there = listed_columns(path, header)
+        raise RecordingError(
+            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}.{hint} "
+            f"Name the columns with columns in [force], or column in [push], of recording.toml.{hint_of_robot}"
+        )
+    places = [header.index(name) for name in wanted]
+    for line, row in rows:
+        values = []
+        for name, index in zip(wanted, places, strict=True):
+            cell = row[index].strip() if index < len(row) else ""
+            try:
+                values.append(float(cell) if cell else math.nan)
+            except ValueError:
+                raise RecordingError(
+                    f"{path}, line {line}: {name} is {quoted(cell)}, not a number. Correct or remove the line."
+                ) from None
+        yield line, values
+
+
+def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
+    """The probable mistake of a header that lacks wanted columns: a sentence after a space, or ""."""
+    if len(header) == 1 and set(header[0]) & set(";\t"):
+        return " Columns must be separated by commas, and decimals written with a point."
+    if all(is_number(name) for name in header if name):
+        return f" The first line holds numbers: write the header {','.join(wanted)} above it."
+    if header[0].startswith("#"):
+        return " The header must be the first line: remove the lines above it."
+    return ""
+
+
+def check_times(path: Path, time: Array, lines: Array) -> None:
+    """Raise where a time falls."""
+    wrong = np.flatnonzero(np.diff(time) < 0)
+    if not len(wrong):
+        return
+    i = int(wrong[0])
+    count = f" ({len(wrong)} such lines)" if len(wrong) > 1 else ""
+    raise RecordingError(
+        f"{path}, line {lines[i + 1]}: the time {time[i + 1]:.6g} s is before that of line {lines[i]} "
+        f"({time[i]:.6g} s){count}. Times must rise: sort the file, or cut it where a second log begins."
+    )
+
+
+def one_row_a_time(data: Array) -> Array:
+    """The mean of the rows (N, c) that share a time; times do not fall."""
+    begins = np.flatnonzero(np.diff(data[:, 0], prepend=-np.inf) > 0)
+    if len(begins) == len(data):
+        return data
+    count = np.diff(np.append(begins, len(data)))
+    return np.asarray(np.add.reduceat(data, begins, axis=0) / count[:, None])
+
+
+def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
+    """Nothing, a note or a warning on `count` of the rows."""
+    if not count:
+        return ()
+    if count <= MANY * rows:
+        return (Remark("note", f"{count} of {rows} {what}.", about="bad rows"),)
+    return (Remark("warning", f"{count} of {rows} {what}. Check the logger, and record again.", about="bad rows"),)

@@ -1,0 +1,675 @@
+"""Tables of static poses to observations: loads that are known, no clock; points may be missing in any pose."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from onebend.errors import ObservationError, RecordingError
+from onebend.progress import Progress, Silent, track
+from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
+from onebend.recording.camera import measure_markers
+from onebend.recording.entries import Axes, PosesEntry, Recording
+from onebend.recording.schema import lines_of_keys
+from onebend.recording.stated import stated_in
+from onebend.recording.tables import Columns, read_columns
+from onebend.recording.tag_finder import Finder
+from onebend.recording.tags import track_block
+from onebend.recording.tracks import chord_angles
+from onebend.recording.video import FilmFrame, Picture
+from onebend.records import (
+    UNKNOWN_ANGLE_SD,
+    Array,
+    BenchPoses,
+    BoolArray,
+    Detections,
+    KnownLoads,
+    Markers,
+    Observations,
+    Readings,
+    Remark,
+    Source,
+    View,
+    covariance_with_camera,
+)
+from onebend.text_files import MOST_TOML, read_text
+
+# The loads of static poses: a table with one row per load, weights along gravity, forces, moments.
+
+WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
+AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
+CAME_BY = ("turned_from_deg", "order")  # how the beam came into the pose
+LARGEST = 1e6  # N, N m or kg: no beam that is bent by hand or by weights bears more
+MOST_TURNED = 720.0  # degrees: two turns are more than any beam needs to come back to itself
+
+
+@dataclass(frozen=True)
+class PoseLoads:
+    """The clamp, gravity and the loads of P poses, in the order of the table."""
+
+    names: tuple[str, ...]
+    clamp: Array  # (P,) rad, the beam's x axis in the room; NaN where nothing says it
+    gravity: Array  # (P, 2) m/s^2 in the beam's frame; zeros where the beam's weight acts across the plane
+    force: Array  # (P, 2) N, the first force of each pose, beam's frame
+    push_s: Array  # (P,) where it acts; the tip where there is none
+    others: KnownLoads | None  # further forces, and moments
+    held: BoolArray  # (P,) the end s = 1 is held, nobody knows with what force and moment
+    turned_from: Array  # (P,) rad, `clamp` before the base was turned into the pose; NaN where nothing says it
+    order: Array  # (P,) in which the poses were come to, one from another; NaN where nothing says it
+
+    @property
+    def poses(self) -> BenchPoses:
+        """The poses' names, and how the beam came into each."""
+        return BenchPoses(self.names, self.clamp, self.turned_from, self.order)
+
+
+def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
+    """The loads of every pose that the table names; a row without a load names a pose of the bare beam.
+
+    Raises:
+        RecordingError: a load without a place, a weight or a room axis without the clamp's angle, angles that differ
+            within a pose.
+    """
+    columns = ("s", "clamp_deg", *AMOUNTS, *CAME_BY)
+    table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
+    held_rows = _held(table)
+    amounts = {name: np.where(held_rows, np.nan, table.get(name)) for name in AMOUNTS}
+    too_much = np.any([np.abs(np.nan_to_num(values)) > LARGEST for values in amounts.values()], axis=0)
+    table.refuse(too_much, f"a load of more than {LARGEST:g} is none. Check its unit.")
+    table.refuse(np.nan_to_num(amounts["mass_kg"]) < 0.0, "mass_kg is negative. A pull upwards is a weight_N below 0.")
+    loaded = np.any([np.nan_to_num(values) != 0.0 for values in amounts.values()], axis=0)
+    s = table.get("s")
+    table.refuse(loaded & ~((s >= 0.0) & (s <= 1.0)), "a load needs its place: s between 0 at the clamp and 1.")
+    table.refuse(np.isfinite(amounts["weight_N"]) & np.isfinite(amounts["mass_kg"]), "both weight_N and mass_kg.")
+    names = tuple(dict.fromkeys(table.labels["pose"]))
+    pose = np.array([names.index(name) for name in table.labels["pose"]])
+    clamp = _clamps(table, rec, pose, len(names))
+    hung = np.nan_to_num(amounts["weight_N"]) + np.nan_to_num(amounts["mass_kg"]) * _magnitude(rec)
+    table.refuse(
+        ((hung != 0.0) | (loaded & (axes == "room"))) & ~np.isfinite(clamp[pose]),
+        "a weight, or a force in the room's axes, needs the clamp's angle. Give clamp_deg in the table, or "
+        "base_angle_deg in [gravity].",
+    )
+    given = np.stack([np.nan_to_num(amounts["fx_N"]), np.nan_to_num(amounts["fy_N"])], axis=1)
+    force = turned(given, clamp[pose]) if axes == "room" else given
+    down = np.full(len(pose), rec.gravity.direction if rec.gravity else -math.pi / 2) - np.nan_to_num(clamp[pose])
+    force = force + hung[:, None] * np.stack([np.cos(down), np.sin(down)], axis=1)
+    moment = np.nan_to_num(amounts["moment_N_m"])
+    gravity = np.zeros((len(names), 2))
+    if rec.gravity is not None:
+        fall = rec.gravity.direction - clamp
+        if not np.isfinite(fall).all():
+            pose_name = names[int(np.argmax(~np.isfinite(fall)))]
+            raise RecordingError(
+                f"{path}: nothing says how the clamp is turned in pose {pose_name}. Give clamp_deg there, or "
+                "base_angle_deg in [gravity] for all poses."
+            )
+        gravity = rec.gravity.magnitude * np.stack([np.cos(fall), np.sin(fall)], axis=1)
+    first, push_s, others = _shared(pose, len(names), force, moment, s)
+    held = np.array([bool(np.any(held_rows[pose == i])) for i in range(len(names))])
+    turned_from, order = _history(table, pose, clamp, held)
+    return PoseLoads(names, clamp, gravity, first, push_s, others, held, turned_from, order)
+
+
+def turned(vectors: Array, clamp: Array) -> Array:
+    """Room vectors (..., 2) in the frame of a clamp turned by `clamp` (...) [rad]; a missing coordinate spoils only
+    what depends on it."""
+    cos, sin = np.cos(np.nan_to_num(clamp)), np.sin(np.nan_to_num(clamp))
+    cos, sin = (np.where(np.abs(part) < 1e-9, 0.0, part) for part in (cos, sin))
+
+    def times(share: Array, value: Array) -> Array:
+        return np.where(share == 0.0, 0.0, share * value)
+
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([times(cos, x) + times(sin, y), times(cos, y) - times(sin, x)], axis=-1)
+
+
+def _held(table: Columns) -> BoolArray:
+    """(N,) rows of an end that is held with an unknown force and moment."""
+    unknown = np.isinf(np.stack([table.get(name) for name in WRENCH]))
+    table.refuse(
+        np.any(unknown, axis=0) & ~np.all(unknown, axis=0),
+        f"a held end has an unknown force and moment: write unknown for all of {', '.join(WRENCH)}, or numbers.",
+    )
+    held = np.all(unknown, axis=0)
+    table.refuse(held & (table.get("s") != 1.0), "only the end can be held with an unknown load: give s = 1 there.")
+    table.refuse(
+        held & (np.isfinite(table.get("weight_N")) | np.isfinite(table.get("mass_kg"))),
+        "a load that is unknown and a weight: give the weight a row of its own.",
+    )
+    return np.asarray(held)
+
+
+def _magnitude(rec: Recording) -> float:
+    return rec.gravity.magnitude if rec.gravity is not None else 9.81
+
+
+def _clamps(table: Columns, rec: Recording, pose: np.ndarray, count: int) -> Array:
+    """(P,) rad: the table's, else recording.toml's."""
+    default = rec.gravity.base_angle if rec.gravity is not None else math.nan
+    stated = np.radians(_one_each(table, "clamp_deg", pose, count))
+    return np.where(np.isfinite(stated), stated, default)
+
+
+def _one_each(table: Columns, column: str, pose: np.ndarray, count: int) -> Array:
+    """(P,) a column that says one number of each pose; NaN where it says none."""
+    out, values = np.full(count, np.nan), table.get(column)
+    for i in range(count):
+        stated = values[(pose == i) & np.isfinite(values)]
+        if len(stated):
+            table.refuse((pose == i) & (np.ptp(stated) > 0.0), f"{column} differs within the pose. Give one.")
+            out[i] = stated[0]
+    return out
+
+
+def _history(table: Columns, pose: np.ndarray, clamp: Array, held: BoolArray) -> tuple[Array, Array]:
+    """(P,) rad and (P,): whence the base was turned into each pose, and in which order the poses were come to."""
+    turned_from, order = (_one_each(table, column, pose, len(clamp)) for column in CAME_BY)
+    far = np.abs(np.nan_to_num(turned_from)) > MOST_TURNED
+    table.refuse(
+        far[pose], f"turned_from_deg is beyond {MOST_TURNED:g} degrees. Give the angle that it was turned from."
+    )
+    turned, ordered = np.isfinite(turned_from)[pose], np.isfinite(order)[pose]
+    table.refuse(turned & ordered, "both turned_from_deg and order: how the beam came into a pose is said once.")
+    table.refuse(
+        (turned | ordered) & held[pose], "how a beam came into a pose says nothing where an unknown load holds its end."
+    )
+    table.refuse(
+        turned & ~np.isfinite(clamp)[pose],
+        "turned_from_deg needs the clamp's angle in the pose, too. Give clamp_deg, or base_angle_deg in [gravity].",
+    )
+    known, count = np.unique(order[np.isfinite(order)], return_counts=True)
+    table.refuse(np.isin(order[pose], known[count > 1]), "order is the same in two poses. Number them 1, 2, 3...")
+    return np.radians(turned_from), order
+
+
+def _shared(
+    pose: np.ndarray, count: int, force: Array, moment: Array, s: Array
+) -> tuple[Array, Array, KnownLoads | None]:
+    """The largest force of each pose and its place, and all the rest; rows of a pose at one place are one load."""
+    first, push_s = np.zeros((count, 2)), np.ones(count)
+    further: list[list[tuple[Array, float]]] = [[] for _ in range(count)]
+    turns: list[list[tuple[float, float]]] = [[] for _ in range(count)]
+    for i in range(count):
+        rows = np.flatnonzero(pose == i)
+        sums = [
+            (sum((force[r] for r in rows if s[r] == place), np.zeros(2)), place)
+            for place in sorted({*s[rows].tolist()})
+        ]
+        pushes = [(f, place) for f, place in sums if np.any(f != 0.0)]
+        pushes.sort(key=lambda load: -float(np.linalg.norm(load[0])))
+        if pushes:
+            first[i], push_s[i] = pushes[0]
+        further[i] = pushes[1:]
+        turns[i] = [(float(moment[r]), float(s[r])) for r in rows if moment[r] != 0.0]
+    a, b = max(map(len, further)), max(map(len, turns))
+    if a == 0 and b == 0:
+        return first, push_s, None
+    others = KnownLoads(np.zeros((count, a, 2)), np.ones((count, a)), np.zeros((count, b)), np.ones((count, b)))
+    for i in range(count):
+        for j, (f, place) in enumerate(further[i]):
+            others.force[i, j], others.force_s[i, j] = f, place
+        for j, (m, place) in enumerate(turns[i]):
+            others.moment[i, j], others.moment_s[i, j] = m, place
+    return first, push_s, others
+
+
+# How points of poses were read: their errors along and across the beam, gauges that were zeroed, rulers that stand.
+
+GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
+ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
+SDS = ("sd_m", "along_sd_m", "across_sd_m")
+LEVEL = 1e-9  # sine of the angle of a clamp that is level
+
+
+def readings_of(rec: Recording, loads: PoseLoads, table: Columns) -> Readings:
+    """How the points of the table were read.
+
+    Raises:
+        RecordingError: the pose of the zero is not there, or was read itself; rulers without their x; what rulers and
+            zeroed gauges cannot read.
+    """
+    entry = rec.poses
+    assert entry is not None
+    if entry.read_at == "x":
+        table.refuse(np.isfinite(table.get("along_sd_m")), "along_sd_m is of marks. A ruler that stands reads y alone.")
+        table.refuse(~np.isfinite(table.get("x_m")), 'a ruler stands at its x_m (read_at = "x"): give it.')
+        if math.isfinite(entry.along_sd):
+            _refuse(rec, "along_sd_m", 'is of marks, and rulers stand (read_at = "x"): placement_sd_m is of their x_m.')
+        if entry.axes == "room" and np.any(np.abs(np.sin(np.nan_to_num(loads.clamp))) > LEVEL):
+            _refuse(rec, "read_at", "in the room's axes needs a level clamp. Measure in the beam's (axes = \"beam\").")
+    bare = -1
+    if entry.relative_to:
+        if entry.relative_to not in loads.names:
+            known = ", ".join(loads.names[:8])
+            _refuse(rec, "relative_to", f"names no pose of {entry.loads.name}. It has {known}. Add a row for it there.")
+        bare = loads.names.index(entry.relative_to)
+        zero = np.array([name == entry.relative_to for name in table.labels["pose"]])
+        table.refuse(zero, f"the gauges were zeroed in pose {entry.relative_to} (relative_to): take the row out.")
+        table.refuse(np.isfinite(table.get("angle_deg")), "an angle has no zero (relative_to). Take it out.")
+        if entry.axes == "room" and np.ptp(np.nan_to_num(loads.clamp)) > LEVEL:
+            _refuse(rec, "relative_to", "needs a clamp that stays as it is (clamp_deg): gauges do not turn with it.")
+        if entry.read_at == "x":
+            _refuse_moved(table)
+    if np.any(loads.held) and (bare >= 0 or entry.read_at == "x"):
+        name = "relative_to" if bare >= 0 else "read_at"
+        _refuse(rec, name, "needs a free end: where an unknown load holds it, the points say where the beam is.")
+    return Readings(entry.read_at, bare, entry.error_length)
+
+
+def reading_remarks(loads: PoseLoads, readings: Readings) -> tuple[Remark, ...]:
+    """Notes on what the points count from, where that is not the clamp, and on what stands still."""
+    notes = []
+    if readings.bare >= 0:
+        notes.append(f"The readings count from pose {loads.names[readings.bare]}, where each is 0.")
+    if readings.at == "x":
+        notes.append("The points are rulers that stand at their x_m: y is of what passes there.")
+    return tuple(Remark("note", text) for text in notes)
+
+
+def with_zero(readings: Readings, xy: Array, covariance: Array) -> tuple[Array, Array]:
+    """Points (P, m, 2) and covariances (P, m, 3, 3), in the pose of the zero too: each gauge shows 0 there, and is
+    zeroed as exactly as it is read."""
+    if readings.bare < 0:
+        return xy, covariance
+    seen = np.isfinite(xy)
+    zero = np.where(np.any(seen, axis=0), 0.0, np.nan)
+    if readings.at == "x":  # a ruler stands where it stands
+        zero[:, 0] = np.nanmax(np.where(np.any(seen, axis=0), xy, -np.inf), axis=0)[:, 0]
+        zero[~np.isfinite(zero[:, 0])] = np.nan
+    xy, covariance = xy.copy(), covariance.copy()
+    xy[readings.bare] = zero
+    for i in range(xy.shape[1]):
+        rows = np.any(seen[:, i], axis=1)
+        if rows.any():
+            covariance[readings.bare, i] = np.median(covariance[rows, i], axis=0)
+    return xy, covariance
+
+
+def point_covariances(
+    entry: PosesEntry, length: float, s: Array, xy: Array, angle: Array, grids: Mapping[str, Array]
+) -> tuple[Array, bool]:
+    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether somebody says them all.
+
+    What is said of one point goes before what is said of all, and what is said of a direction before what is said of
+    both. `grids`: (P, m) m of each of `SDS`.
+    """
+    sds = []
+    for name, whole in (("along_sd_m", entry.along_sd), ("across_sd_m", entry.across_sd)):
+        sd = np.where(np.isfinite(grids[name]), grids[name], grids["sd_m"])
+        sds.append(np.where(np.isfinite(sd), sd, whole if math.isfinite(whole) else entry.sd))
+    along, across = sds
+    asked = np.isfinite(xy).any(axis=-1)
+    alone = asked & ~np.isfinite(xy).all(axis=-1)  # a ruler's reading is across
+    known = np.isfinite(across) & (np.isfinite(along) | alone)
+    guess = GUESSED_SD * length
+    along, across = (np.where(np.isfinite(sd), sd, guess) for sd in (along, across))
+    turn = np.where(along == across, 0.0, _directions(xy, s, angle))
+    if entry.read_at == "x":
+        along, turn = across, np.zeros_like(turn)
+    cos, sin = np.cos(turn), np.sin(turn)
+    axes = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+    out = np.zeros((*angle.shape, 3, 3))
+    sizes = np.stack([along, across], axis=-1)[..., None, :] ** 2
+    out[..., :2, :2] = (axes * sizes) @ np.swapaxes(axes, -1, -2)
+    out[..., 2, 2] = np.where(np.isfinite(angle), ANGLE_SD, UNKNOWN_ANGLE_SD) ** 2
+    return out, bool(np.all(known[asked]))
+
+
+def _directions(xy: Array, s: Array, angle: Array) -> Array:
+    """(P, m) rad, of the beam at the points: as measured, else of the chords between those of which x and y are; 0
+    where neither is known, so that across is y."""
+    out = np.zeros(angle.shape)
+    for pose, points in enumerate(xy):
+        whole = np.isfinite(points).all(axis=-1)
+        if whole.any():
+            out[pose, whole] = chord_angles(points[whole][None], s[whole])[0]
+    return np.where(np.isfinite(angle), angle, out)
+
+
+def check_rulers(rec: Recording, loads: PoseLoads, xy: Array) -> None:
+    """Raises `ObservationError` where a ruler stands where no part of the beam can be."""
+    wrong = (xy[..., 0] <= 0.0) | (xy[..., 0] > rec.beam.length)
+    if np.any(wrong):
+        pose, i = np.argwhere(wrong)[0].tolist()
+        raise ObservationError(
+            f"{rec.name}: in pose {loads.names[pose]} the ruler of point {rec.tags.on_beam[i].id} stands at x = "
+            f"{1000 * xy[pose, i, 0]:.4g} mm, where no beam of {1000 * rec.beam.length:.4g} mm passes. Is x_m in "
+            "metres, and from the clamp?",
+            about="unit",
+        )
+
+
+def _refuse_moved(table: Columns) -> None:
+    """Raises `RecordingError` where a gauge that was zeroed stands elsewhere in another pose."""
+    ids, x = table.get("id"), table.get("x_m")
+    first = np.array([x[int(np.argmax(ids == i))] for i in ids])
+    table.refuse(np.abs(x - first) > LEVEL, "the gauge was zeroed at another x_m (relative_to): zero it anew.")
+
+
+def _refuse(rec: Recording, name: str, text: str) -> NoReturn:
+    """Raises `RecordingError` at the line of a key of [poses]."""
+    path = rec.folder / "recording.toml"
+    line = lines_of_keys(read_text(path, RecordingError, most=MOST_TOML)).get(("poses", name), 1)
+    raise RecordingError(f"{path}:{line}: {name} {text}")
+
+
+NEAR = 0.02  # of the arc length: if every point is nearer to the clamp than this, the unit is wrong
+FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
+FAR = 1.05  # of the arc length: a point's distance from the clamp cannot be larger
+
+
+@dataclass(frozen=True)
+class PosePoints:
+    """Where the points were, in the beam's frame; NaN where not measured."""
+
+    xy: Array  # (P, m, 2) m
+    angle: Array  # (P, m) rad
+    covariance: Array  # (P, m, 3, 3)
+    sd_known: bool
+    clamp_sd: float  # rad
+    readings: Readings = field(default_factory=Readings)
+    view: View | None = None
+    remarks: tuple[Remark, ...] = ()
+
+
+def pose_observations(rec: Recording) -> Observations:
+    """Observations from a table of poses and a table of loads.
+
+    Raises:
+        RecordingError: a table cannot be used.
+        ObservationError: no point of any loaded pose, or a point farther from the clamp than the beam reaches.
+    """
+    assert rec.poses is not None
+    loads = read_loads(rec.poses.loads, rec, rec.poses.axes)
+    return static(rec, loads, read_points(rec, loads), rec.poses.load_sd)
+
+
+def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float) -> Observations:
+    """Poses and loads as observations; every pose is a frame, also one of the bare beam."""
+    check_reach(rec, loads, points)
+    _check_held(rec, loads, points)
+    count, m = points.angle.shape
+    marker_s = np.array([tag.s for tag in rec.tags.on_beam])
+    turns = np.round((points.angle - chord_angles(points.xy, marker_s)) / (2.0 * np.pi))  # read without full turns
+    nothing = not (np.any(loads.force) or np.any(loads.gravity) or loads.others is not None or np.any(loads.held))
+    if nothing or not np.isfinite(points.xy).any():
+        raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
+    return Observations(
+        source=Source(rec.name, view=points.view, remarks=(*rec.remarks, *points.remarks)),
+        stated=replace(stated_in(rec), clamp_sd=points.clamp_sd),
+        length=rec.beam.length,
+        time=np.arange(count, dtype=float),
+        frame=np.arange(count, dtype=np.int64),
+        tag_id=np.array([tag.id for tag in rec.tags.on_beam], dtype=np.int64),
+        marker_s=marker_s,
+        xy=points.xy,
+        angle=points.angle - 2.0 * np.pi * np.nan_to_num(turns),
+        covariance=points.covariance,
+        force=loads.force,
+        force_sd=np.full(2, load_sd),
+        push_s=loads.push_s,
+        loaded=np.ones(count, dtype=bool),
+        rest_xy=np.full((m, 2), np.nan),
+        rest_angle=np.full(m, np.nan),
+        rest_covariance=np.full((m, 3, 3), np.nan),
+        gravity=loads.gravity,
+        readings=points.readings,
+        static=True,
+        sd_known=points.sd_known,
+        known_loads=loads.others,
+        held=loads.held if np.any(loads.held) else None,
+        poses=loads.poses,
+    )
+
+
+def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
+    """The table of points, on a grid of poses and points, in the beam's frame."""
+    entry = rec.poses
+    assert entry is not None
+    known = ("x_m", "angle_deg", *SDS)
+    table = read_columns(entry.file, ("id", "y_m"), known, labels=("pose",), kind="table of poses", strict=True)
+    ids = [tag.id for tag in rec.tags.on_beam]
+    strange = np.array([name not in loads.names for name in table.labels["pose"]])
+    table.refuse(strange, f"the pose is not in {entry.loads.name}. Name it there, without a load if it has none.")
+    table.refuse(~np.isin(table.get("id"), ids), f"id is none of the points in recording.toml ({ids}).")
+    for name in SDS:
+        table.refuse(table.get(name) <= 0.0, f"{name} must be above zero.")
+    readings = readings_of(rec, loads, table)
+    cells = [
+        (loads.names.index(name), ids.index(int(i)))
+        for name, i in zip(table.labels["pose"], table.get("id"), strict=True)
+    ]
+    table.refuse(
+        np.array([cells.index(cell) < k for k, cell in enumerate(cells)]), "the point is there twice in its pose."
+    )
+    room, shape = entry.axes == "room", (len(loads.names), len(ids))
+    if room and not np.isfinite(loads.clamp).all():
+        raise ObservationError(
+            f'{rec.name}: axes = "room" needs the clamp\'s angle. Give base_angle_deg in [gravity], or clamp_deg with '
+            "the loads."
+        )
+    grids = {name: np.full(shape, np.nan) for name in ("x_m", "y_m", "angle_deg", *SDS)}
+    for name, grid in grids.items():
+        grid[tuple(np.array(cells).T)] = table.get(name)
+    given = np.stack([grids["x_m"], grids["y_m"]], axis=-1)
+    xy = turned(given, loads.clamp[:, None]) if room else given
+    unusable = np.isfinite(given).any(axis=-1) & ~np.isfinite(xy).any(axis=-1)
+    if unusable.any():
+        raise ObservationError(
+            f"{rec.name}: pose {loads.names[int(np.argwhere(unusable)[0, 0])]} gives one coordinate in the room's axes "
+            'of a clamp that is neither level nor upright. Measure both, or in the beam\'s axes (axes = "beam").'
+        )
+    angle = np.radians(grids["angle_deg"]) - (loads.clamp[:, None] if room else 0.0)
+    s = np.array([tag.s for tag in rec.tags.on_beam])
+    covariance, sd_known = point_covariances(entry, rec.beam.length, s, xy, angle, grids)
+    xy, covariance = with_zero(readings, xy, covariance)
+    remarks = reading_remarks(loads, readings)
+    remarks += () if sd_known else (Remark("note", "How exactly the points were measured is estimated from the fit."),)
+    return PosePoints(xy, angle, covariance, sd_known, entry.clamp_sd, readings, remarks=remarks)
+
+
+def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
+    """An error where a pose with a held end has too few points."""
+    complete = np.sum(np.isfinite(points.xy).all(axis=2), axis=1)
+    poor = loads.held & (complete < FEWEST_HELD)
+    if poor.any():
+        raise ObservationError(
+            f"{rec.name}: pose {loads.names[int(np.argmax(poor))]} has {int(complete[np.argmax(poor)])} points with "
+            f"both coordinates. Where an unknown force and moment hold the end, give {FEWEST_HELD} or more: they say "
+            "which way the beam goes."
+        )
+
+
+def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
+    """An error where a point is farther from the clamp than the beam up to it is long: millimetres for metres.
+
+    A deflection alone may be as small as it likes, and what counts from a bent pose may go twice as far.
+    """
+    if points.readings.at == "x":
+        return check_rulers(rec, loads, points.xy)
+    distance = np.linalg.norm(np.nan_to_num(points.xy), axis=-1)
+    if points.readings.bare >= 0:
+        distance = 0.5 * distance
+    relative = distance / np.array([max(tag.s, 1e-9) * rec.beam.length for tag in rec.tags.on_beam])
+    whole = np.isfinite(points.xy).all(axis=-1)
+    if points.readings.bare < 0 and np.any(distance[whole] > 0.0) and np.max(relative) < NEAR:
+        raise ObservationError(
+            f"{rec.name}: every point is within {100 * np.max(relative):.2g} % of the beam's length of the clamp. Is "
+            f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?",
+            about="unit",
+        )
+    sd = np.sqrt(np.trace(points.covariance[..., :2, :2], axis1=-2, axis2=-1))
+    reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd + 3 * sd
+    if np.any(distance > reach):
+        pose, i = np.argwhere(distance > reach)[0].tolist()
+        raise ObservationError(
+            f"{rec.name}: in pose {loads.names[pose]} point {rec.tags.on_beam[i].id} is {1000 * distance[pose, i]:.4g} "
+            f"mm from the clamp, and only {1000 * rec.tags.on_beam[i].s * rec.beam.length:.4g} mm of beam lead there. "
+            "Are x_m and y_m in metres, and from the clamp? Check length_m and the points' s.",
+            about="unit",
+        )
+
+
+# Photos of the tags to observations, one static pose a photo. Times in the files are not used.
+
+HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
+
+
+def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
+    """Observations from a folder of photos and a table of loads.
+
+    Raises:
+        RecordingError: a picture or the table cannot be used.
+        ObservationError: tags that are not seen, or that no flat plane explains.
+    """
+    assert rec.photos is not None
+    loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
+    detections = detect_in_photos(rec, loads.names, progress)
+    markers = measured(detections, rec)
+    rough = chord_angles(markers.xy, markers.s)
+    turns = np.round(np.nan_to_num(rough - markers.angle) / (2 * np.pi))  # from photo to photo an angle may jump
+    markers = replace(markers, angle=markers.angle + 2 * np.pi * turns)
+    markers, clamp_sd, remarks = in_beam_frame(rec, markers, loads)
+    points = PosePoints(
+        xy=markers.xy,
+        angle=markers.angle,
+        covariance=markers.covariance,
+        sd_known=True,
+        clamp_sd=clamp_sd,
+        view=markers.view,
+        remarks=(*markers.remarks, *remarks),
+    )
+    return static(rec, loads, points, rec.photos.load_sd)
+
+
+def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress = Silent()) -> Detections:
+    """Corners of the tags in every picture, in the order of `names`."""
+    assert rec.photos is not None
+    ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    finder, base = Finder(rec.tags.family), len(rec.tags.on_base)
+    corners, sizes, remarks = [], [], []
+    for i, name in track(progress, "Finding the tags", list(enumerate(names)), len(names)):
+        picture = read_photo(rec, name)
+        block = track_block([FilmFrame(i, float(i), picture)], ids, finder)
+        is_found = np.isfinite(block.corners[0]).all(axis=(1, 2))
+        if block.doubles:
+            raise ObservationError(f"{name}: tag {block.doubles[0][1]} is in the picture twice. Cover one of them.")
+        if not is_found[:base].any():
+            raise ObservationError(
+                f"{name}: no base tag (id {', '.join(map(str, ids[:base]))}) is found in it. Check [tags] in "
+                "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide.",
+                about="unseen tag",
+            )
+        hidden = [str(tag) for tag, shown in zip(ids[base:], is_found[base:].tolist(), strict=True) if not shown]
+        remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []
+        corners.append(block.corners[0])
+        sizes.append(picture.shape)
+    if len(set(sizes)) > 1:
+        other_size = next(name for name, size in zip(names, sizes, strict=True) if size != sizes[0])
+        raise ObservationError(
+            f"{other_size} is not as large as {names[0]}. Take all pictures at one size, without zooming."
+        )
+    height, width = sizes[0]
+    time = np.arange(len(names), dtype=float)
+    return Detections(time, np.array(ids), np.stack(corners), width, height, tuple(remarks))
+
+
+def read_photo(rec: Recording, name: str) -> Picture:
+    """The picture's brightness, upright as its EXIF orientation says.
+
+    Raises `RecordingError` where it is missing or no picture.
+    """
+    assert rec.photos is not None
+    path = rec.photos.folder / name
+    if not path.is_file():
+        files = ", ".join(sorted(item.name for item in rec.photos.folder.iterdir())[:5]) or "nothing"
+        raise RecordingError(
+            f"{rec.photos.loads}: the pose {name} has no picture {path}. The folder holds {files}. Write the file's "
+            "name, with its ending, in the column pose."
+        )
+    try:
+        with Image.open(path) as image:
+            return np.asarray(ImageOps.exif_transpose(image).convert("L"))
+    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as wrong:
+        if is_heic(path):
+            raise RecordingError(_heic_words(path)) from None
+        raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
+
+
+def is_heic(path: Path) -> bool:
+    """Whether a file begins as an HEIC picture does (ISO 23008-12), whatever its name."""
+    with path.open("rb") as stream:
+        first = stream.read(64)
+    size = min(int.from_bytes(first[:4], "big"), len(first))
+    brands = {first[8:12], *(first[i : i + 4] for i in range(16, size - 3, 4))}
+    return first[4:8] == b"ftyp" and not brands.isdisjoint(HEIC_BRANDS)
+
+
+def _heic_words(path: Path) -> str:
+    """How to convert a picture. (The programs that read HEIC come with the systems; their licences, LGPL and GPL, are
+    not those of a library to ask for.)"""
+    other = path.with_name(f"{path.stem}-converted.jpg" if path.suffix == ".jpg" else f"{path.stem}.jpg")
+    old, new = shlex.quote(str(path)), shlex.quote(str(other))
+    return (
+        f"{path} is an HEIC picture, as telephones take them; JPEG and PNG are read. Convert it with "
+        f"`sips -s format jpeg {old} --out {new}` on a Mac or `heif-convert -q 100 {old} {new}` on Linux (from the "
+        "package libheif-examples), and write the new name in the column pose. An iPhone takes JPEG by itself with "
+        "Settings, Camera, Formats, Most Compatible."
+    )
+
+
+def measured(detections: Detections, rec: Recording) -> Markers:
+    """The tags' poses: one plane for all pictures, or one plane each where the camera was moved."""
+    assert rec.photos is not None
+    if not rec.photos.camera_moves:
+        return with_camera_as_noise(measure_markers(detections, rec))
+    per_photo = []
+    for i in range(len(detections.time)):
+        photo = replace(detections, time=detections.time[i : i + 1], corners=detections.corners[i : i + 1], remarks=())
+        per_photo.append(with_camera_as_noise(measure_markers(photo, rec)))
+    return replace(
+        per_photo[0],
+        time=detections.time,
+        xy=np.concatenate([photo.xy for photo in per_photo]),
+        angle=np.concatenate([photo.angle for photo in per_photo]),
+        covariance=np.concatenate([photo.covariance for photo in per_photo]),
+        base_angle=np.zeros(len(per_photo)),
+        remarks=(
+            *detections.remarks,
+            *{remark.text: remark for photo in per_photo for remark in photo.remarks}.values(),
+        ),
+    )
+
+
+def with_camera_as_noise(markers: Markers) -> Markers:
+    """The doubt about camera and plane in every picture's covariance, for fits that have no unknowns of the camera."""
+    return replace(markers, covariance=covariance_with_camera(markers), by_camera=None)
+
+
+def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:
+    """The markers with x along the bare beam where a picture shows it, else along the base tag; and one sd of that
+    direction, rad (NaN: not stated)."""
+    assert rec.photos is not None
+    stated = rec.photos.clamp_sd
+    bare: BoolArray = np.asarray(~np.any(loads.force != 0.0, axis=1))
+    if loads.others is not None:
+        bare &= ~np.any(loads.others.force != 0.0, axis=(1, 2)) & ~np.any(loads.others.moment != 0.0, axis=1)
+    bare &= ~np.any(loads.gravity != 0.0, axis=1)
+    if bare.any():
+        turned, _, remarks = to_beam_frame(markers, bare, rec.tags.placement_sd, loads.gravity)
+        reach = rec.beam.length * float(np.linalg.norm(markers.s))
+        # As for a film that shows the beam at rest.
+        from_rest = 2.0 * rec.tags.placement_sd / reach if reach > 0.0 else MOUNTING_SD
+        return turned, stated if math.isfinite(stated) else from_rest, remarks
+    clamp_sd = stated if math.isfinite(stated) else MOUNTING_SD
+    turn = f"{math.degrees(clamp_sd):.2g} deg (sd)"
+    text = f"No picture shows the bare beam: x is along the base tag, which may be turned by {turn}."
+    return markers, clamp_sd, (Remark("note", text),)

@@ -1,0 +1,749 @@
+"""Finding AprilTags in pictures and following them through a film."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import islice
+from queue import SimpleQueue
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onebend.errors import ObservationError
+from onebend.progress import Progress, Silent, available_cores, track
+from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
+from onebend.recording.signals import bridged, runs
+from onebend.recording.tag_finder import (
+    MOST_SHIFT,
+    NEAR,
+    STILL,
+    Finder,
+    Sighting,
+    correct_still,
+    fit_pattern,
+    margin_of,
+    part_around,
+    side_of,
+)
+from onebend.recording.video import (
+    MOST_PIXELS,
+    FilmFrame,
+    Keep,
+    Picture,
+    frame_count,
+    pictures_at,
+    rate_remarks,
+    read_frames,
+)
+from onebend.records import Array, BoolArray, Detections, IntArray, Remark
+
+# Finding tags in pictures, and tracking them through a block of frames near their predicted places.
+
+LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
+MOST_STEP = LOOK_EVERY // 2  # frames between searched ones: at two of them a tag must be seen to be predicted
+BENT = 0.5  # px by which a tag's way may bend between searched frames; an eighth of it is off halfway
+WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
+EachTag = Callable[[Callable[[Finder, int], None], int], object]  # does `work(finder, i)` for every i below a count
+
+
+@dataclass(frozen=True)
+class BlockTracks:
+    """The tags in one block of consecutive frames."""
+
+    time: Array  # (B,) s
+    corners: Array  # (B, m, 4, 2) px, NaN where not seen
+    searched: BoolArray  # (B,)
+    shape: tuple[int, int]  # height, width, px
+    looks: int  # how often the whole picture was searched
+    strangers: tuple[int, ...]  # unexpected ids in those searches, one entry per sighting
+    doubles: tuple[tuple[int, int], ...]  # (frame, id) where one id was read without error at two places
+
+
+def track_block(
+    frames: Sequence[FilmFrame],
+    tag_id: Sequence[int],
+    finder: Finder,
+    *,
+    before: Array | None = None,
+    look: bool = True,
+    step: int = 1,
+    each: EachTag | None = None,
+) -> BlockTracks:
+    """Follow the tags `tag_id` through consecutive frames.
+
+    Each tag is searched near the place that its last two sightings predict. If a tag is missing, the whole picture is
+    searched in the first frame, every `LOOK_EVERY` frames and in the last one. A second pass, backward in time, finds
+    tags that became visible between two such searches. Where only every so manyth frame is searched, those between are
+    searched as well where tags do not move on evenly, or come or go.
+
+    Args:
+        before: (B, m, 4, 2) px, where the tags were in the frames right before; they are followed from there.
+        look: whether the whole first picture is searched even if no tag is missing, for strangers and doubles.
+        step: of the frames' numbers: every so manyth is searched in any case; a power of two, `MOST_STEP` at most.
+        each: works on all tags, with detectors of its own; default: one tag after the other.
+    """
+    known = 0 if before is None else min(len(before), LOOK_EVERY)
+    tracks = np.full((known + len(frames), len(tag_id), 4, 2), np.nan)
+    if before is not None:
+        tracks[:known] = before[-known:]
+    evenly = np.arange(len(tracks), dtype=float)
+    number = np.arange(len(tracks)) - known + frames[0].index
+
+    def followed(rows: Sequence[int], side: int) -> None:
+        def one(searching: Finder, i: int) -> None:
+            own = slice(i, i + 1)
+            for t in rows:
+                follow(tracks[:, own], evenly, t, side, frames[t - known].luma, tag_id[own], searching)
+
+        if each is not None:
+            each(one, len(tag_id))
+        else:
+            for i in range(len(tag_id)):
+                one(finder, i)
+
+    wanted = [t for t in range(known, len(tracks)) if number[t] % step == 0]
+    looks, strangers, doubles, begin = 0, [], [], 0
+    for end in sorted({*range(0, len(wanted), max(LOOK_EVERY // step, 1)), len(wanted) - 1} - {-1}):
+        followed(wanted[begin : end + 1], -1)
+        begin, t = end + 1, wanted[end]
+        if np.isnan(tracks[t]).any() or (look and end == 0):
+            sightings = finder.look(frames[t - known].luma, tag_id)
+            looks += 1
+            strangers += [tag.tag_id for tag in sightings if tag.tag_id not in tag_id]
+            doubles += [(frames[t - known].index, tag) for tag in sure_doubles(sightings) if tag in tag_id]
+            take(tracks[t], sightings, tag_id)
+    followed(wanted[::-1], 1)
+    searched = np.isfinite(tracks).all(axis=(2, 3)).any(axis=1) | (number % step == 0)
+    while step > 1:
+        more = [t for t in uneven(tracks, searched, number % step, step).tolist() if t >= known]
+        followed(more, -1)
+        followed(more, 1)
+        searched[more] = True
+        step //= 2
+    tracks = correct_still(frames, tracks[known:], finder.cells)
+    height, width = frames[0].luma.shape
+    times = np.array([frame.time for frame in frames])
+    return BlockTracks(times, tracks, searched[known:], (height, width), looks, tuple(strangers), tuple(doubles))
+
+
+def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> IntArray:
+    """Rows of `tracks` (T, m, 4, 2) in the middle between rows `step` apart, of which `phase` (T,) is 0, that the tags
+    do not pass evenly. Rows beside what was not `searched` (T,) are passed evenly."""
+    half, centre = step // 2, tracks.mean(axis=2)
+    bent = np.zeros(len(tracks))
+    for t in np.flatnonzero(searched & (phase == 0)).tolist():
+        sides = [u for u in (t - step, t + step) if 0 <= u < len(tracks)]
+        if len(sides) < 2 or not searched[sides].all():
+            continue
+        change = np.linalg.norm(centre[t - step] - 2.0 * centre[t] + centre[t + step], axis=-1)
+        shown = np.isfinite(centre[[t - step, t, t + step]]).all(axis=-1)
+        comes_or_goes = shown.any(axis=0) != shown.all(axis=0)
+        bent[t] = np.inf if comes_or_goes.any() else np.nan_to_num(change).max()
+    out = []
+    for t in np.flatnonzero(phase == half).tolist():
+        sides = [u for u in (t - half, t + half) if 0 <= u < len(tracks)]
+        around = [u for u in (t - half - step, *sides, t + half + step) if 0 <= u < len(tracks)]
+        if searched[sides].all() and bent[around].max() > BENT:
+            out.append(t)
+    return np.array(out, dtype=np.int64)
+
+
+def follow(
+    tracks: Array, time: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: Finder
+) -> None:
+    """Seek in frame `t` every tag not yet found there, around where its sightings on the side of `step` (-1 the past,
+    1 the future) predict it. `time` (T,) is of the frames, in any unit. Fills `tracks[t]`."""
+    for i in np.flatnonzero(np.isnan(tracks[t]).any(axis=(1, 2))).tolist():
+        expected, move = predict(tracks[:, i], time, t, step)
+        if expected is None:
+            continue
+        for margin in (NEAR, WIDE):
+            sightings = finder.look_around(picture, expected, margin_of(expected, margin) + margin * move)
+            take(tracks[t, i : i + 1], sightings, tag_id[i : i + 1])
+            if not np.isnan(tracks[t, i]).any():
+                break
+
+
+def predict(track: Array, time: Array, t: int, step: int) -> tuple[Array | None, float]:
+    """Corners expected in frame `t` from the nearest two sightings within `LOOK_EVERY` frames on one side, moving on
+    evenly in `time` (T,), and how far (px) they have moved since the nearest one. None where there is no sighting."""
+    visible = [
+        k
+        for k in range(t + step, t + step * (LOOK_EVERY + 1), step)
+        if 0 <= k < len(track) and not np.isnan(track[k]).any()
+    ]
+    if not visible:
+        return None, 0.0
+    first, nearest = visible[0], track[visible[0]]
+    if len(visible) == 1:
+        return nearest, 0.0
+    second = visible[1]
+    shift = (nearest - track[second]).mean(axis=0) * (time[t] - time[first]) / (time[first] - time[second])
+    return nearest + shift, float(np.abs(shift).max())
+
+
+def take(row: Array, sightings: Sequence[Sighting], tag_id: Sequence[int]) -> None:
+    """Put the most certain sighting of each id into `row` (m, 4, 2), where it has none yet."""
+    for i, wanted in enumerate(tag_id):
+        if np.isnan(row[i]).any():
+            row[i] = next((tag.corners for tag in sightings if tag.tag_id == wanted), np.nan)
+
+
+def sure_doubles(sightings: Sequence[Sighting]) -> list[int]:
+    """Ids that were read without an error at two places of one picture."""
+    certain = [tag.tag_id for tag in sightings if tag.errors == 0]
+    return sorted({tag for tag in certain if certain.count(tag) > 1})
+
+
+# Corners of tags that stand still, from their whole printed pattern (`pattern.py`), picture by picture.
+
+# Pictures of a tag at one place, after which its pattern is fitted; after the last they are counted anew, and what was
+# fitted before holds until the last again.
+FITS = (8, 32, 64)
+
+
+@dataclass
+class _Window:
+    """The pictures of one tag since it last moved, summed."""
+
+    since: float  # s, of the first of them
+    part: tuple[slice, slice]  # rows and columns of the picture
+    grey: Array  # their sum
+    corners: Array  # (4, 2) px, likewise
+    count: int = 0
+    fitted: int = 0  # pictures that the last fit was made of
+
+
+@dataclass
+class StillTags:
+    """What was seen of each tag since it last moved. At most one pattern is fitted a picture, as each takes some
+    milliseconds; what is kept does not grow."""
+
+    cells: int | None  # along a tag's black square; None for families without a plain rim: nothing is corrected
+    shifts: dict[int, Array] = field(default_factory=dict)  # (4, 2) px, by the tag's place in the list
+    windows: dict[int, _Window] = field(default_factory=dict)
+
+    def correct(self, picture: Picture, corners: Array, time: float) -> tuple[Array, Array]:
+        """`corners` (m, 4, 2) px as the detector found them in the newest picture, at `time` [s], those of tags that
+        stand still moved by what their patterns say; and (m,) s, since when each stands where it is, NaN where it was
+        not seen. What a later picture says of the same stand holds for all of it."""
+        since = np.full(len(corners), np.nan)
+        if self.cells is None:
+            return corners, since
+        corrected, due = corners.copy(), -1
+        for i in np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))).tolist():
+            window = self._with(i, picture, corners[i], time)
+            since[i] = window.since
+            late = next((count for count in FITS if window.fitted < count <= window.count), 0)
+            due = i if due < 0 and late else due
+        if due >= 0:
+            self._fit(due)
+        for i, shift in self.shifts.items():
+            corrected[i] += shift  # a tag that is not seen stays NaN
+        return corrected, since
+
+    def _with(self, i: int, picture: Picture, corners: Array, time: float) -> _Window:
+        """The window of tag `i`, this picture added; a new one where the tag has moved."""
+        window = self.windows.get(i)
+        if window is not None and np.abs(corners - window.corners / window.count).max() > STILL:
+            self.shifts.pop(i, None)
+            window = None
+        if window is None or window.count >= FITS[-1]:
+            part = part_around(corners, picture.shape)
+            shape = tuple(one.stop - one.start for one in part)
+            fitted = 0 if window is None else FITS[-2]
+            window = self.windows[i] = _Window(time, part, np.zeros(shape), np.zeros((4, 2)), 0, fitted)
+        window.grey += picture[window.part]
+        window.corners = window.corners + corners
+        window.count += 1
+        return window
+
+    def _fit(self, i: int) -> None:
+        """Fit the pattern of tag `i` to the mean of its pictures."""
+        assert self.cells is not None
+        window = self.windows[i]
+        mean, corner = window.corners / window.count, [window.part[1].start, window.part[0].start]
+        fitted = fit_pattern(window.grey / window.count, mean - corner, self.cells)
+        self.shifts.pop(i, None)
+        if fitted is not None and np.abs(fitted + corner - mean).max() <= MOST_SHIFT:
+            self.shifts[i] = fitted + corner - mean
+        window.fitted = window.count
+
+
+# Pictures that only repeat the one before while the beam moves on: a camera, or what recorded it, that hung.
+#
+# A film of a beam at rest may repeat pictures rightly: a packed film shows little where nothing changes. So pictures
+# that repeat are left out only where the tags stand elsewhere as soon as the pictures change again.
+
+SHORTEST = 3  # pictures that repeat; fewer are a hiccup of less than the clock's own error
+JUMP, LEAST_PX = 3.0, 1.0  # times the steps before and after, and px, that the tags go when the pictures change again
+COARSE = 4  # px: every so manyth pixel is compared
+SAME = 0.25  # of the usual change from picture to picture, which noise makes: less is a repeat
+
+
+def noting_changes(frames: Iterable[FilmFrame], changes: list[float]) -> Iterator[FilmFrame]:
+    """The frames; how much each differs from the one before (mean of the grey levels) is added to `changes`."""
+    before: NDArray[np.int16] | None = None
+    for frame in frames:
+        coarse = coarse_of(frame.luma)
+        changes.append(change_between(before, coarse))
+        before = coarse
+        yield frame
+
+
+def coarse_of(picture: Picture) -> NDArray[np.int16]:
+    """What of a picture is compared."""
+    return picture[::COARSE, ::COARSE].astype(np.int16)
+
+
+def change_between(before: NDArray[np.int16] | None, coarse: NDArray[np.int16]) -> float:
+    """Mean difference of the grey levels of two pictures (`coarse_of`); infinite where there is none before."""
+    if before is None or before.shape != coarse.shape:
+        return math.inf
+    return float(np.mean(np.abs(coarse - before)))
+
+
+def repeated(changes: Sequence[float]) -> BoolArray:
+    """(T,) pictures that are the one before, but for what packing the film makes of it."""
+    change = np.array(changes)
+    usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
+    return np.asarray((change == 0.0) | (change < SAME * usual))
+
+
+def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
+    """(T,) frames that repeat (T,) the one before, in runs after which the tags (T, m, 4, 2) [px] stand elsewhere."""
+    centre = bridged(np.arange(len(corners), dtype=float), corners.mean(axis=2).reshape(len(corners), -1))
+    centre = centre.reshape(len(corners), -1, 2)
+    step = np.linalg.norm(np.diff(centre, axis=0), axis=-1)  # (T - 1, m)
+    hung = np.zeros(len(corners), dtype=bool)
+    for begin, end in runs(repeats).tolist():
+        if end - begin < SHORTEST or end >= len(corners) or begin < 2:
+            continue
+        around = np.concatenate([step[max(begin - 4, 0) : begin - 1], step[end : end + 3]])
+        usual = np.nan_to_num(np.nanmax(around, axis=0, initial=0.0)) if len(around) else np.zeros(step.shape[1])
+        if np.any(step[end - 1] > np.maximum(LEAST_PX, JUMP * usual)):
+            hung[begin:end] = True
+    return hung
+
+
+def frozen_remarks(hung: BoolArray, time: Array) -> tuple[Remark, ...]:
+    """A warning on each stretch of the film that is left out; `time` (T,) s."""
+    return tuple(
+        Remark(
+            "warning",
+            f"The pictures of frames {begin} to {end - 1} only repeat the one before, and then the beam is elsewhere: "
+            f"the film hung for {time[end] - time[begin - 1]:.2g} s. They are left out.",
+            about="film hung",
+        )
+        for begin, end in runs(hung).tolist()
+    )
+
+
+# A video to the corners of every tag in every frame, on all cores; the result does not depend on threads.
+
+BLOCK = 16  # frames that are followed together; bounds the memory: two blocks are held at a time
+WORTH_FINDER = 4  # tags: for fewer, one more detector is not worth its memory (20 MB) and its start
+LOOK_BLOCKS = 16  # the first picture of every so manyth block is searched whole, whatever is missing
+MOST_THREADS = 8
+LEAST_RATE = 28.0  # searched frames a second at least: the clock search rests on how the tags move between them
+FREQUENT = 0.1  # of the searched pictures: an unexpected tag gets a remark if it is seen more often
+OFTEN_HIDDEN = 0.05  # of the frames: a tag that is missing more often gets a remark
+FAMILY_FRAMES = 5  # frames searched for tags of other families when none was found
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def detect_tags(
+    video: VideoEntry,
+    tags: TagsEntry,
+    *,
+    threads: int | None = None,
+    progress: Progress = Silent(),
+    keep: Keep | None = None,
+) -> Detections:
+    """Find every tag of `tags` in the frames of `video`: in as many as follow their motion, `LEAST_RATE` at least.
+
+    A block of frames is followed, each tag by itself, while the next one is read, so the result does not depend on the
+    number of `threads` (default: one per core) nor on their timing. `keep`: see `read_frames`.
+
+    Raises:
+        RecordingError: the video cannot be read to its end.
+        ObservationError: no tag, no base tag or no beam tag was found, or one id is in the picture twice.
+    """
+    tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
+    threads = threads or min(available_cores(), MOST_THREADS)
+    first, finders = Finder(tags.family), SimpleQueue[Finder]()
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // WORTH_FINDER) - 1))):
+        finders.put(finder)
+
+    def each(work: Callable[[Finder, int], None], count: int) -> None:
+        def one(i: int) -> None:
+            finder = finders.get()
+            try:
+                work(finder, i)
+            finally:
+                finders.put(finder)
+
+        list(pool.map(one, range(count)))
+
+    blocks: list[BlockTracks] = []
+    changes: list[float] = []
+
+    def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
+        look, before = len(blocks) % LOOK_BLOCKS == 0, blocks[-1].corners if blocks else None
+        step = step_of(blocks[0].time if blocks else np.array([frame.time for frame in frames]))
+        blocks.append(track_block(frames, tag_id, first, before=before, look=look, step=step, each=each))
+        return blocks[-1]
+
+    with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
+        frames = noting_changes(read_frames(video, keep), changes)
+        tracked = in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1)
+        for _ in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
+            pass
+    return summary(video, tags, tag_id, blocks, repeated(changes))
+
+
+def step_of(time: Array) -> int:
+    """Every so manyth frame is searched in any case, of a film with frames at `time` (B,) [s]: a power of two."""
+    step = 1
+    while step < MOST_STEP and len(time) > 1 and 2 * step * float(np.median(np.diff(time))) <= 1 / LEAST_RATE:
+        step *= 2
+    return step
+
+
+def in_blocks(items: Iterable[Item], size: int) -> Iterator[tuple[Item, ...]]:
+    """Consecutive items, `size` at a time; the last block may be shorter."""
+    items = iter(items)
+    while block := tuple(islice(items, size)):
+        yield block
+        del block  # not to be held while the next one is read
+
+
+def in_order(
+    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], *, ahead: int
+) -> Iterator[Result]:
+    """`map(work, items)` on the pool, in order, with at most `ahead` + 1 items in work at a time."""
+    waiting: deque[Future[Result]] = deque()
+    for item in items:
+        waiting.append(pool.submit(work, item))
+        del item  # as in `in_blocks`
+        if len(waiting) > ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
+    """Each block once, then None for each further frame in it: one item per frame, for the progress."""
+    for block in blocks:
+        yield block
+        yield from [None] * (len(block.time) - 1)
+
+
+def summary(
+    video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks], repeats: BoolArray
+) -> Detections:
+    """The blocks as one record, with remarks; an error where tags are missing or doubled. `repeats` (T,): pictures
+    that are those before."""
+    time = np.concatenate([block.time for block in blocks])
+    corners = np.concatenate([block.corners for block in blocks])
+    strangers = Counter(tag for block in blocks for tag in block.strangers)
+    doubles = [double for block in blocks for double in block.doubles]
+    searched = np.concatenate([block.searched for block in blocks])
+    share, count = np.isfinite(corners[searched]).all(axis=(2, 3)).mean(axis=0), int(searched.sum())
+    height, width = blocks[0].shape
+    hung = frozen(corners, repeats)
+    corners[hung] = np.nan
+    refuse_doubles(video, doubles)
+    looks = sum(block.looks for block in blocks)
+    often = Counter({tag: count for tag, count in strangers.items() if count > FREQUENT * looks})
+    refuse_unseen(video, tags, share, often, (), len(time))
+    return Detections(
+        time=time,
+        tag_id=np.array(tag_id),
+        corners=corners,
+        width=width,
+        height=height,
+        remarks=(
+            *rate_remarks(video, time),
+            *frozen_remarks(hung, time),
+            *unseen_remarks(tag_id, share, len(time)),
+            *hidden_remarks(tag_id, share, count),
+            *stranger_remarks(strangers, looks),
+        ),
+        searched=None if searched.all() else searched,
+    )
+
+
+def refuse_doubles(video: VideoEntry, doubles: Sequence[tuple[int, int]]) -> None:
+    """An error where one id is in the picture twice."""
+    if doubles:
+        tag = doubles[0][1]
+        frames = [str(frame) for frame, tag_id in doubles if tag_id == tag]
+        raise ObservationError(
+            f"{video.file}: tag {tag} is in the picture twice (frame {', '.join(frames[:5])}"
+            f"{', ...' if len(frames) > 5 else ''}). Cover or replace one of them and film again."
+        )
+
+
+def refuse_unseen(
+    video: VideoEntry,
+    tags: TagsEntry,
+    share: np.ndarray,
+    strangers: Counter[int],
+    pictures: Sequence[Picture],
+    frames: int,
+) -> None:
+    """An error where no tag, no base tag or no beam tag was found in any frame, or one of them is never seen and
+    others are that recording.toml does not name.
+
+    `share` (m,) is the share of the `frames` that show each tag, `pictures` are some of them (empty: they are read).
+    """
+    base = len(tags.on_base)
+    if not share.any():
+        raise ObservationError(
+            f"{video.file}: no tag of recording.toml is in any of the {frames} frames. "
+            f"{what_is_there(video, tags, strangers, pictures, frames)}",
+            about="unseen tag",
+        )
+    every = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
+    missing = [str(tag) for tag, shown in zip(every, share, strict=True) if not shown]
+    if missing and strangers:
+        seen = sorted({*strangers, *(tag for tag, shown in zip(every, share, strict=True) if shown)})
+        raise ObservationError(
+            f"{video.file}: tag {', '.join(missing)} is in none of {frames} frames; seen: {', '.join(map(str, seen))}. "
+            "Correct the ids in recording.toml, or take out those that are not on the beam.",
+            about="unseen tag",
+        )
+    for what, part, entries in (("base", share[:base], tags.on_base), ("beam", share[base:], tags.on_beam)):
+        if not part.any():
+            ids = ", ".join(str(tag.id) for tag in entries)
+            raise ObservationError(
+                f"{video.file}: no {what} tag (id {ids}) is in any of the {frames} frames. Check the ids in "
+                "recording.toml and that the tag is in the picture.",
+                about="unseen tag",
+            )
+
+
+def what_is_there(
+    video: VideoEntry, tags: TagsEntry, strangers: Counter[int], pictures: Sequence[Picture], frames: int
+) -> str:
+    """Advice for a video without any expected tag, from the tags that it does show."""
+    if strangers:
+        return f"The ids seen are {', '.join(map(str, sorted(strangers)))}: correct the ids in recording.toml."
+    wanted = set(np.linspace(0, (len(pictures) or frames) - 1, FAMILY_FRAMES).astype(int).tolist())
+    if pictures:
+        pictures = [picture for i, picture in enumerate(pictures) if i in wanted]
+    else:
+        pictures = [picture for _, picture in pictures_at(video, wanted)]
+    for family in FAMILIES:
+        if family != tags.family:
+            finder = Finder(family)
+            ids_found = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
+            if ids_found:
+                ids = ", ".join(map(str, sorted(ids_found)))
+                return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
+    need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
+    return f"Check that the tags are {tags.family}, {need}."
+
+
+def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
+    """A remark for each tag that is missing in many frames."""
+    remarks = []
+    for tag, visible in zip(tag_id, share, strict=True):
+        if 0 < visible < 1 - OFTEN_HIDDEN:
+            text = f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames."
+            remarks.append(Remark("note", text))
+    return remarks
+
+
+def unseen_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
+    """A warning where tags are in no frame at all."""
+    missing = [str(tag) for tag, visible in zip(tag_id, share, strict=True) if not visible]
+    if not missing:
+        return []
+    seen = ", ".join(str(tag) for tag, visible in zip(tag_id, share, strict=True) if visible)
+    text = f"Tag {', '.join(missing)} is in none of {frames} frames; seen: {seen}."
+    text += " Correct the ids in recording.toml, or take out those that are not on the beam."
+    return [Remark("warning", text, about="unseen tag")]
+
+
+def stranger_remarks(strangers: Counter[int], looks: int) -> list[Remark]:
+    """A remark on tags in the picture that recording.toml does not name."""
+    often = sorted(tag for tag, count in strangers.items() if count > FREQUENT * looks)
+    if not often:
+        return []
+    return [
+        Remark("note", f"The picture also shows tags that recording.toml does not name: {', '.join(map(str, often))}.")
+    ]
+
+
+# Tracking tags picture by picture, for a camera that goes on filming.
+#
+# The same searches as `tracking.py` makes of a block of frames, with what is known by then: a tag is sought near
+# where its last two sightings predict it. Where one is lost, the whole picture is searched again, one part a frame,
+# so that no frame takes much longer than another, and near where the tag beside it, which has moved with the beam,
+# says that it is. What is kept does not grow.
+
+TILE = 160  # px: a lost tag is sought in parts of about this size, one a frame
+SQUARE: Array = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # corners of a tag of side 1
+OVERLAP = 1.6  # sides of a tag: parts overlap by as much, so that one of them shows it whole
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """The tags in one picture of a camera."""
+
+    time: float  # s, the camera's own clock
+    corners: Array  # (m, 4, 2) px, as in `records.Detections`; NaN where not seen
+    detected: Array  # (m, 4, 2) px, the same before the patterns of tags at rest corrected them
+    still_since: Array  # (m,) s, when each tag came to where it stands; NaN where it was not seen
+    shape: tuple[int, int]  # height, width, px
+    change: float = math.inf  # mean difference of the grey levels from the picture before; infinite where unknown
+    looked: bool = False  # the whole picture, or a part of it, was searched
+    strangers: tuple[int, ...] = ()  # unexpected ids that were seen then
+    doubles: tuple[int, ...] = ()  # ids that were read without error at two places
+
+
+class Tracker:
+    """Follows the tags of one camera. Not thread-safe; what it returns of a picture never changes afterwards."""
+
+    def __init__(self, tag_id: Sequence[int], family: str = "tag36h11") -> None:
+        """A tracker that has seen nothing of the tags `tag_id` (m,) of one AprilTag family."""
+        self.tag_id = tuple(tag_id)
+        self._finder = Finder(family)
+        self._still = StillTags(self._finder.cells)
+        self._rows: list[tuple[float, Array]] = []  # time and corners as detected, in order of time
+        m = len(self.tag_id)
+        self._last = np.full((m, m, 4, 2), np.nan)  # by tag: where all of them were when it was seen last
+        self._turn, self._unseen = 0, 0
+        self._coarse: NDArray[np.int16] | None = None
+        self._shape: tuple[int, int] | None = None
+
+    @property
+    def kept(self) -> int:
+        """Count of the pictures whose tags are still kept, to predict the next ones."""
+        return len(self._rows)
+
+    def step(self, picture: Picture, time: float) -> TrackedFrame:
+        """The tags in one more picture, from it and those given before.
+
+        Pictures should come in order of time [s]. One that is late, by up to `LOOK_EVERY` frames, is searched near
+        where the tags were before and after it.
+
+        Args:
+            picture: (H, W) grey, 8 bit.
+            time: s, the camera's clock, the middle of the exposure.
+
+        Raises:
+            ObservationError: not such a picture, or of another size than the first; a time that is no number, that was
+                given before, or that is too late. The tracker stays as it was.
+        """
+        self._check(picture, time)
+        t = sum(one < time for one, _ in self._rows)
+        newest = t == len(self._rows)
+        tracks = np.full((len(self._rows) + 1, len(self.tag_id), 4, 2), np.nan)
+        times = np.insert(np.array([one for one, _ in self._rows]), t, time)
+        for k, (_, corners) in enumerate(self._rows):
+            tracks[k + (k >= t)] = corners
+        for side in (-1, 1):
+            follow(tracks, times, t, side, picture, self.tag_id, self._finder)
+        sightings: list[Sighting] | None = None
+        if newest and np.isnan(tracks).any(axis=(2, 3)).all(axis=0).any():
+            sightings = self._look(picture, tracks[t])
+            take(tracks[t], sightings or [], self.tag_id)
+        self._rows.insert(t, (time, tracks[t]))
+        del self._rows[:-LOOK_EVERY]
+        corners, since, change = tracks[t], np.full(len(self.tag_id), np.nan), math.inf
+        if newest:
+            corners, since = self._still.correct(picture, tracks[t], time)
+            seen = np.isfinite(tracks[t]).all(axis=(1, 2))
+            self._last[seen] = tracks[t]
+            coarse = coarse_of(picture)
+            change, self._coarse = change_between(self._coarse, coarse), coarse
+        found = sightings or []
+        return TrackedFrame(
+            time=time,
+            corners=corners,
+            detected=tracks[t],
+            still_since=since,
+            shape=(picture.shape[0], picture.shape[1]),
+            change=change,
+            looked=sightings is not None,
+            strangers=tuple(tag.tag_id for tag in found if tag.tag_id not in self.tag_id),
+            doubles=tuple(tag for tag in sure_doubles(found) if tag in self.tag_id),
+        )
+
+    def _check(self, picture: Picture, time: float) -> None:
+        if not (isinstance(picture, np.ndarray) and picture.ndim == 2 and picture.dtype == np.uint8):
+            what = f"{picture.dtype} of shape {picture.shape}" if isinstance(picture, np.ndarray) else type(picture)
+            raise ObservationError(f"a picture must be a grey array (H, W) of uint8, not {what}. Convert it to grey")
+        if not 0 < picture.size <= MOST_PIXELS:
+            raise ObservationError(f"a picture of {picture.shape[1]} x {picture.shape[0]} cannot be searched")
+        if self._shape not in (None, picture.shape):
+            raise ObservationError(
+                f"a picture of {picture.shape[1]} x {picture.shape[0]} after some of another size. Keep the camera's "
+                "size as it is"
+            )
+        if not math.isfinite(time):
+            raise ObservationError(f"the time of a picture is no number: {time}")
+        if any(one == time for one, _ in self._rows):
+            raise ObservationError(f"a picture of {time:.6f} s was given before")
+        if len(self._rows) == LOOK_EVERY and time < self._rows[0][0]:
+            raise ObservationError(f"a picture of {time:.6f} s is too late: {LOOK_EVERY} later ones were given")
+        self._shape = (picture.shape[0], picture.shape[1])
+
+    def _look(self, picture: Picture, row: Array) -> list[Sighting] | None:
+        """Sightings in a part of the picture, or in all of it where no tag was seen lately; None where it was not
+        searched this time. `row` (m, 4, 2) px holds what was found near where it was expected."""
+        seen = np.isfinite(row).all(axis=(1, 2))
+        lately = any(np.isfinite(corners).all(axis=(1, 2)).any() for _, corners in self._rows)
+        if not (seen.any() or lately):
+            self._unseen += 1
+            return self._finder.look(picture, self.tag_id) if self._unseen % LOOK_EVERY == 1 else None
+        self._unseen, self._turn = 0, self._turn + 1
+        lost = [i for i in np.flatnonzero(~seen).tolist() if not any(_seen(corners[i]) for _, corners in self._rows)]
+        i = lost[self._turn // 2 % len(lost)]
+        expected = _moved_along(self._last[i], row, i)
+        if self._turn % 2 and expected is not None:
+            return self._finder.look_around(picture, expected, margin_of(expected, WIDE))
+        own = np.diagonal(self._last, axis1=0, axis2=1).transpose(2, 0, 1)  # (m, 4, 2)
+        known = np.isfinite(own).all(axis=(1, 2))
+        side = max(side_of(corners) for corners in own[known])
+        places = _places(picture.shape)
+        last = own[i] if expected is None and known[i] else own[known][0] if expected is None else expected
+        order = np.argsort(np.linalg.norm(places - last.mean(axis=0), axis=1), kind="stable")
+        middle = places[order[self._turn // 2 % len(places)]]
+        found = self._finder.look_around(picture, middle + side * SQUARE, 0.5 * TILE + (OVERLAP - 1.0) * side / 2)
+        return [tag for tag in found if tag.errors <= self._finder.most_errors]
+
+
+def _places(shape: tuple[int, ...]) -> Array:
+    """(P, 2) px, the middles of the parts of a picture of `shape`."""
+    y, x = ((np.arange(count := max(1, math.ceil(size / TILE))) + 0.5) * size / count for size in shape[:2])
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def _seen(corners: Array) -> bool:
+    return bool(np.isfinite(corners).all())
+
+
+def _moved_along(then: Array, now: Array, i: int) -> Array | None:
+    """Corners (4, 2) px expected of tag `i`, hidden since all stood as in `then` (m, 4, 2), where the nearest of those
+    seen `now` (m, 4, 2) has taken it along; None where there is none."""
+    both = np.flatnonzero((np.isfinite(then) & np.isfinite(now)).all(axis=(1, 2)))
+    if not len(both) or not np.isfinite(then[i]).all():
+        return None
+    away = np.linalg.norm(then[both].mean(axis=1) - then[i].mean(axis=0), axis=1)
+    beside = int(both[np.argmin(away)])
+    before, after = then[beside].mean(axis=0), now[beside].mean(axis=0)
+    one, other = then[beside] - before, now[beside] - after
+    turn = math.atan2(float(np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])), float(np.sum(one * other)))
+    cos, sin = math.cos(turn), math.sin(turn)
+    return np.asarray((then[i] - before) @ np.array([[cos, sin], [-sin, cos]]) + after)

@@ -1,1 +1,0 @@
-"""Finding AprilTags in pictures and following them through a film."""

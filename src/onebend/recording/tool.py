@@ -1,0 +1,649 @@
+"""Where the pictures show the tool that pushes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from math import isfinite, isnan, nan, sqrt
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
+
+from onebend.recording.camera import project
+from onebend.recording.entries import Recording
+from onebend.recording.video import KeptFrames, Picture, pictures_at
+from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark, View
+
+# What lies beside the beam, in places along and across it: where something other than the background is.
+
+Pictures = NDArray[np.float32]  # (P, h, w)
+
+BEAM_PIXELS = 230.0  # no longer is the beam in the shrunk pictures: noise averages out, a tool stays some pixels wide
+STEPS = 180  # of the grid, in a beam's length
+S_RANGE = (0.2, 1.4)  # nearer to the clamp the beam hardly moves; beyond the tip a tool's other half may be
+ACROSS = 0.24  # of the length, to each side
+DIFFERS = 5.0  # sds of the background's noise: a pixel that is farther off shows something else
+QUIETEST = 0.1  # of 255: no camera's noise is less, a film without any is a drawing
+THIN = 4  # of rows and columns, for a picture's brightness
+
+
+@dataclass(frozen=True)
+class SideGrid:
+    """Places beside the beam: along its axis, and across it (left is above zero)."""
+
+    s: Array  # (S,)
+    across: Array  # (D,) m
+    length: float  # m
+
+    @property
+    def step(self) -> float:
+        """m, both ways."""
+        return self.length / STEPS
+
+
+def grid_of(length: float) -> SideGrid:
+    """The places that are looked at beside a beam of this length [m]."""
+    half = round(ACROSS * STEPS)
+    count = round((S_RANGE[1] - S_RANGE[0]) * STEPS) + 1
+    return SideGrid(S_RANGE[0] + np.arange(count) / STEPS, np.arange(-half, half + 1) * length / STEPS, length)
+
+
+def shrink_factor(view: View, length: float) -> int:
+    """How many pixels of the film, each way, make one of the shrunk pictures."""
+    ends = project(view, np.array([[0.0, 0.0], [length, 0.0]]))
+    return max(1, math.ceil(float(np.linalg.norm(ends[1] - ends[0])) / BEAM_PIXELS))
+
+
+def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
+    """(h, w), the mean of every `factor` x `factor` pixels; rows and columns that are left over are cut off."""
+    h, w = (side // factor for side in picture.shape)
+    total = np.zeros((h, w), dtype=np.uint32)
+    for row in range(factor):
+        for column in range(factor):
+            total += picture[row : h * factor : factor, column : w * factor : factor]
+    return np.asarray(total.astype(np.float32) / np.float32(factor**2))
+
+
+def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
+    """How far every pixel of `pictures` (P, h, w) is from its background, in sds of its noise.
+
+    The background is the median over the pictures, after each is brought to the same brightness; of those `by` (P,)
+    alone where given. Noise is the median deviation of the pixel from it there, which a camera that shakes makes large
+    at edges; it is nowhere taken to be smaller than the pictures' typical one.
+    """
+    by = np.ones(len(pictures), dtype=bool) if by is None else by
+    background = middle(pictures[by])
+    thin = (slice(None), slice(None, None, THIN), slice(None, None, THIN))
+    ratio = pictures[thin] / np.maximum(background[thin[1:]], 1.0)
+    brightness = np.maximum(np.median(ratio, axis=(1, 2)), 1e-3)[:, None, None].astype(np.float32)
+    even = pictures / brightness
+    away = np.abs(even - middle(even[by]))
+    noise = 1.4826 * middle(away[by])
+    floor = max(float(np.median(noise)), QUIETEST)
+    return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
+
+
+def middle(pictures: Pictures) -> NDArray[np.float32]:
+    """(h, w) the median of `pictures` (P, h, w), as `numpy.median` makes it in six times the time."""
+    ordered, half = np.sort(pictures, axis=0), len(pictures) // 2
+    return np.asarray(ordered[half] if len(pictures) % 2 else (ordered[half - 1] + ordered[half]) * np.float32(0.5))
+
+
+def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Array, Array]:
+    """The beam's axis (P, S, 2) [m] and the unit normals to its left (P, S, 2) in frames `rows`, in the markers' frame.
+
+    A cubic through clamp and tags that has their directions; straight on beyond the last.
+    """
+    centre = np.full((len(rows), len(grid.s), 2), np.nan)
+    tangent = np.full_like(centre, np.nan)
+    for at, row in enumerate(rows):
+        seen = np.isfinite(markers.xy[row]).all(axis=-1) & np.isfinite(markers.angle[row])
+        s = np.concatenate([[0.0], markers.s[seen]])
+        xy = np.concatenate([np.zeros((1, 2)), markers.xy[row, seen]])
+        angle = np.concatenate([[0.0], markers.angle[row, seen]])
+        s, first = np.unique(s, return_index=True)
+        slopes = grid.length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        axis = CubicHermiteSpline(s, xy[first], slopes[first])
+        inside = np.clip(grid.s, s[0], s[-1])
+        along = axis(inside, 1)
+        tangent[at] = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+        centre[at] = axis(inside) + (grid.s - inside)[:, None] * grid.length * tangent[at]
+    return centre, np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
+
+
+def beside_beam(
+    different: Pictures, factor: int, view: View, centre: Array, normal: Array, grid: SideGrid
+) -> NDArray[np.float32]:
+    """(P, S, D) the shrunk pictures `different` beside the beam, whose axis is at `centre` (P, S, 2) [m] with normals
+    `normal` (P, S, 2); NaN outside the picture."""
+    out = np.empty((len(different), len(grid.s), len(grid.across)), dtype=np.float32)
+    for at, picture in enumerate(different):
+        points = centre[at][:, None] + grid.across[:, None] * normal[at][:, None]
+        px = (project(view, points) + 0.5) / factor - 0.5
+        out[at] = map_coordinates(picture, [px[..., 1], px[..., 0]], order=1, mode="constant", cval=np.nan)
+    return out
+
+
+# Strips that come from outside and end on the beam's flank: what a tool looks like beside the beam.
+
+CLOSES = 3  # cells: holes smaller than this are filled
+WIDER = 1.6  # times its usual width: a strip that becomes so wide has run into the beam
+MORE = 3  # cells of width more, for the same
+USUAL = 9  # rows before, of which the usual width is taken
+NEAR = 0.08  # of the length: the strip's last part, which tells where it meets the beam
+LEAST = 0.04  # of the length: a strip that is shorter is no tool
+WIDEST = 0.25  # of the length: a wider strip does not say where it touches
+STEEPEST = 1.0  # along over across: a strip that lies nearer along the beam does not say where it touches
+FLANK_SD = 0.02  # of the length: the beam's shadow may hide its flank by so much
+SOLID = 0.5  # of the places between flank and axis: with fewer covered it is not the beam that a strip runs into
+TIP = 0.98  # s: beyond, it may run past the beam
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A strip in one picture, row by row from outside to the flank."""
+
+    rows: IntArray  # (R,) of the grid's `across`
+    first: IntArray  # (R,) of the grid's `s`
+    last: IntArray  # (R,) likewise, the first one beyond
+    flank: int  # the row in which it has run into the beam
+
+    @property
+    def width(self) -> float:
+        """Cells along the beam, by the beam."""
+        return float(np.median(self.last - self.first))
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where a strip meets the beam."""
+
+    s: float
+    sd: float  # of s: the place at which the tool touches may be anywhere on the strip's end
+    left: bool  # of the beam
+    width: float  # m, along the beam
+
+
+def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
+    """Where things lie against the beam that reach at least `reach` [m] out from its axis, in one picture of what is
+    `covered` (S, D)."""
+    holes = np.ones((CLOSES, CLOSES), dtype=bool)
+    closed = binary_closing(np.pad(covered, CLOSES), holes)[CLOSES:-CLOSES, CLOSES:-CLOSES]
+    out = []
+    for left in (False, True):
+        for strip in strips_in(closed, left=left):
+            far = float(np.max(np.abs(grid.across[strip.rows])))
+            if far < reach or len(strip.rows) * grid.step < LEAST * grid.length:
+                continue
+            found, slope = _meeting(strip, grid)
+            if found.width <= WIDEST * grid.length and slope <= STEEPEST and _on_beam(closed, found.s, strip, grid):
+                out.append(found)
+    return out
+
+
+def _on_beam(covered: BoolArray, s: float, strip: Strip, grid: SideGrid) -> bool:
+    """Whether there is a beam between the strip's end and the axis."""
+    at, middle = int(np.argmin(np.abs(grid.s - min(s, TIP)))), len(grid.across) // 2
+    inside = covered[at, min(strip.flank, middle) : max(strip.flank, middle) + 1]
+    return bool(np.mean(inside) >= SOLID)
+
+
+def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
+    """The strips on one side of the beam that end on it."""
+    middle, beyond = covered.shape[1] // 2, len(covered)
+    rows = range(covered.shape[1] - 1, middle, -1) if left else range(middle)
+    live: list[list[tuple[int, int, int]]] = []
+    ended: list[Strip] = []
+    for row, here in zip(rows, runs_in_rows(covered[:, rows].T), strict=True):
+        taken, going = set[int](), []
+        for strip in live:
+            _, first, last = strip[-1]
+            under = [i for i, (begin, end) in enumerate(here) if begin < last and end > first]
+            taken.update(under)
+            if not under:
+                continue
+            begin, end = here[under[0]][0], here[under[-1]][1]
+            usual = median([b - a for _, a, b in strip[-USUAL:]])
+            if end - begin > WIDER * usual + MORE:
+                ended.append(_strip(strip, row))
+            else:
+                going.append([*strip, (row, begin, end)])
+        # what the edge cuts off has no middle
+        begun = [[(row, a, b)] for i, (a, b) in enumerate(here) if i not in taken and a > 0 and b < beyond]
+        live = [*going, *begun]
+    return ended
+
+
+def runs_in_rows(mask: BoolArray) -> list[list[tuple[int, int]]]:
+    """First and one-past-last index of every run of True in each row of `mask` (R, N)."""
+    edges = np.diff(np.pad(mask.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    (row, first), (_, last) = np.nonzero(edges == 1), np.nonzero(edges == -1)
+    out: list[list[tuple[int, int]]] = [[] for _ in mask]
+    for at, a, b in zip(row.tolist(), first.tolist(), last.tolist(), strict=True):
+        out[at].append((a, b))
+    return out
+
+
+def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:
+    row, first, last = np.array(cells, dtype=np.int64).T
+    return Strip(row, first, last, flank)
+
+
+def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
+    """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
+    count = max(2, round(NEAR * grid.length / grid.step))
+    near = Strip(strip.rows[-count:], strip.first[-count:], strip.last[-count:], strip.flank)
+    middle = 0.5 * (grid.s[near.first] + grid.s[near.last - 1])
+    out = grid.across[near.rows] - grid.across[near.flank]
+    slope, place = (0.0, float(middle[-1])) if len(out) < 2 else np.polyfit(out, middle, 1)
+    scatter = float(np.std(middle - (place + slope * out)))
+    width = near.width * grid.step
+    steep = abs(float(slope)) * grid.length
+    touch = width / grid.length / sqrt(12.0)
+    meeting = Meeting(
+        s=float(place),
+        sd=float(np.linalg.norm([scatter, touch, steep * FLANK_SD])),
+        left=strip.flank > len(grid.across) // 2,
+        width=width,
+    )
+    return meeting, steep
+
+
+# Where along the beam the pictures show the tool that pushes.
+
+FEWEST_LOADED, FEWEST_AT_REST = 8, 3
+PAPER = 0.625 * sqrt(2.0)  # of a tag's side: half the diagonal of its paper, white margin included
+CORE = 0.02  # of the length: so near to its axis is certainly the beam
+TOGETHER = 0.05  # of s: so near to each other are meetings of one tool, which may slide a little
+LEAST_SHOWN = 0.25  # of the loaded frames: in so many something must be seen to lie against the beam
+AGREEING = 0.75  # of the loaded frames that show something so: in so many it is at one place
+AWAY = 0.15  # of the frames at rest: in so many the tool must be off the beam, or it may be fixed to it
+
+
+@dataclass(frozen=True)
+class ToolPlace:
+    """The place at which a tool touches the beam, by the pictures alone."""
+
+    s: float  # NaN where it is not seen
+    sd: float  # of s: from the tool's width, within which it may touch anywhere, and how well it is followed
+    width: float  # m, of the tool along the beam, shadow included
+    left: bool  # of the beam
+    shown: float  # share of the loaded frames in which it is there
+    why: str  # why it is not seen; "" where it is
+
+    @property
+    def seen(self) -> bool:
+        """Whether a place is told."""
+        return self.why == ""
+
+    @property
+    def words(self) -> str:
+        """The place and its tolerance."""
+        return f"{self.s:.2f}, give or take {self.sd:.2f} (sd)"
+
+
+def not_seen(why: str) -> ToolPlace:
+    """That no place is told, and why."""
+    return ToolPlace(nan, nan, nan, False, nan, why)
+
+
+def tool_place(
+    pictures: Pictures, factor: int, markers: Markers, loaded: BoolArray, *, length: float, tag_size: float
+) -> ToolPlace:
+    """Where the tool is that pushes a beam of `length` [m], by `pictures` (P, h, w) shrunk by `factor`.
+
+    A tool is what lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than
+    tags do, is off the beam in some of the pictures at rest, and has no like elsewhere. What is not clear is not seen:
+    no guess is made. `markers` and `loaded` have one row a picture.
+
+    Args:
+        tag_size: m, side of the tags on the beam, whose paper may stand out beside it.
+    """
+    good = enough_tags(markers)
+    if markers.view is None or not np.any(good):
+        return not_seen("no frame shows the beam's tags")
+    if np.ptp(markers.base_angle) > 0.0:
+        return not_seen("the base turns")
+    pushed = loaded[good]
+    if pushed.sum() < FEWEST_LOADED or (~pushed).sum() < FEWEST_AT_REST:
+        return not_seen("too few frames show the push, or the beam at rest")
+    grid = grid_of(length)
+    centre, normal = axes_of(markers, np.flatnonzero(good).tolist(), grid)
+    different = deviations(pictures[good])
+    far = far_ones(markers.xy[good, _outermost(markers)], pushed)
+    some = far | ~pushed
+    different[~pushed] = deviations(pictures[good][some], far[some])[~pushed[some]]
+    beside = beside_beam(different, factor, markers.view, centre, normal, grid)
+    reach = PAPER * tag_size + LEAST * length
+    covered = np.asarray(beside > DIFFERS)
+    found = place_of([meetings(one, grid, reach) for one in covered], pushed)
+    if found.seen and _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
+        return not_seen("the beam at rest is taken for the background")
+    return found
+
+
+def _shows_beam(covered: BoolArray, s: float, grid: SideGrid) -> BoolArray:
+    """(P,) the pictures (P, S, D) in which the beam itself stands out near s: if it does not at rest, nor would what is
+    fixed to it."""
+    here = covered[:, np.abs(grid.s - min(s, 1.0 - TOGETHER)) <= TOGETHER]
+    return np.asarray(here[..., np.abs(grid.across) <= CORE * grid.length].mean(axis=(1, 2)) >= 0.5)
+
+
+def enough_tags(markers: Markers) -> BoolArray:
+    """(P,) the pictures that show all tags, or all but one that is not the outermost; a tag that none shows is none."""
+    seen = np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle)
+    wanted = np.asarray(seen.any(axis=0))
+    if not wanted.any():
+        return np.zeros(len(seen), dtype=bool)
+    return np.asarray((seen.sum(axis=1) >= max(1, wanted.sum() - 1)) & seen[:, _outermost(markers)])
+
+
+def _outermost(markers: Markers) -> int:
+    """Of the tags that are ever seen, the one nearest to the tip."""
+    ever = (np.isfinite(markers.xy).all(axis=-1) & np.isfinite(markers.angle)).any(axis=0)
+    return int(np.argmax(np.where(ever, markers.s, -np.inf)))
+
+
+def far_ones(xy: Array, pushed: BoolArray) -> BoolArray:
+    """(P,) the half of the loaded pictures in which a tag, at `xy` (P, 2) [m], is farthest from where it rests: these
+    show what the beam at rest, and what is fixed to it, lies upon."""
+    away = np.linalg.norm(xy - np.median(xy[~pushed], axis=0), axis=-1)
+    return np.asarray(pushed & (away >= np.median(away[pushed])))
+
+
+def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace:
+    """The one place at which most of the loaded pictures show a thing against the beam.
+
+    `found` are the meetings in each picture, `pushed` (P,) whether the beam is loaded in it.
+    """
+    loaded = [one for one, now in zip(found, pushed, strict=True) if now]
+    every = [(meeting.left, meeting.s) for one in loaded for meeting in one]
+    if not every:
+        return not_seen("nothing lies against the beam")
+    counts = [len(_at(loaded, left, s)) for left, s in every]
+    left, s = every[int(np.argmax(counts))]
+    s = float(np.median([one.s for one in _at(loaded, left, s)]))
+    own, telling = _at(loaded, left, s), sum(len(one) > 0 for one in loaded)
+    shown = len(own) / len(loaded)
+    if shown < LEAST_SHOWN or len(own) < FEWEST_LOADED:
+        return not_seen(f"too few frames show what lies against the beam ({shown:.0%} of those under load)")
+    alone = len(own) - sum(_away_from(one, left, s) for one in loaded if _at([one], left, s))
+    if alone < AGREEING * telling:
+        return not_seen(f"things lie against the beam at several places (at s = {s:.2g} alone in {alone} of {telling})")
+    resting = [one for one, now in zip(found, pushed, strict=True) if not now]
+    if len(_at(resting, left, s)) > (1.0 - AWAY) * len(resting):
+        return not_seen(f"what lies against the beam at s = {s:.2g} is there at rest too")
+    return _weighed(own, shown)
+
+
+def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meeting]:
+    """The nearest meeting to a place in each picture that has one there."""
+    out = []
+    for one in found:
+        near = [meeting for meeting in one if meeting.left == left and abs(meeting.s - s) <= TOGETHER]
+        if near:
+            out.append(min(near, key=lambda meeting: abs(meeting.s - s)))
+    return out
+
+
+def _away_from(one: Sequence[Meeting], left: bool, s: float) -> bool:
+    """Whether a picture shows a meeting far from a place."""
+    return any(meeting.left != left or abs(meeting.s - s) > 2.0 * TOGETHER for meeting in one)
+
+
+def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
+    """The mean. Where on the tool's end it touches is the same in all pictures and does not average out."""
+    s: Array = np.array([one.s for one in own])
+    weight = np.array([one.sd for one in own]) ** -2.0
+    mean = float(np.sum(weight * s) / weight.sum())
+    scatter = float(np.sum(weight * (s - mean) ** 2) / weight.sum())
+    return ToolPlace(
+        s=min(mean, 1.0),
+        sd=sqrt(1.0 / float(weight.mean()) + scatter),
+        width=float(np.median([one.width for one in own])),
+        left=own[0].left,
+        shown=shown,
+        why="",
+    )
+
+
+# The tool looked for in a film, and what to say where it is not where recording.toml says.
+
+LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
+SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
+ACCUSES = 0.5  # of the loaded frames: what fewer show at another place is no reason to doubt the stated one
+
+FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
+
+
+@dataclass(frozen=True)
+class SmallPictures:
+    """Some pictures of a stream, shrunk."""
+
+    time: Array  # (P,) s, in order
+    pictures: tuple[NDArray[np.float32], ...]  # P of (h, w)
+    factor: int  # pixels of the camera, each way, that make one of theirs
+
+
+def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
+    """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
+    `base_angle` (T,) [rad] is of the same frames.
+
+    Raises:
+        RecordingError: the film cannot be read.
+    """
+    if rec.push is None or not isfinite(rec.push.at):
+        return seen
+    markers = Markers(
+        seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle,
+        seen.source.view,
+    )  # fmt: skip
+    tool = find(markers, seen.loaded, seen.frame)
+    remarks, where_stated = tool_remarks(tool, rec), tool.seen and not _tool_elsewhere(tool, rec)
+    source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=where_stated)
+    return replace(seen, source=source)
+
+
+def tool_in_film(
+    rec: Recording,
+    markers: Markers,
+    loaded: BoolArray,
+    frame: IntArray,
+    *,
+    every: int = 1,
+    kept: KeptFrames | None = None,
+) -> ToolPlace:
+    """Where the film of `rec` shows the tool. `markers`, `loaded` and `frame`, the index in the film, have a row a
+    frame.
+
+    Args:
+        every: of the frames that may be `kept`, see `kept_frames.spacing_of`: others are looked at only where these
+            are too few.
+
+    Raises:
+        RecordingError: the film cannot be read.
+    """
+    if rec.video is None or markers.view is None:
+        return not_seen("there is no film")
+    rows = rows_to_look_at(markers.xy, loaded, frame % every == 0 if every else None)
+    factor = shrink_factor(markers.view, rec.beam.length)
+    seek = pictures_at if kept is None else kept.pictures
+    found = dict(seek(rec.video, frame[rows].tolist()))
+    rows = np.array([row for row in rows.tolist() if int(frame[row]) in found], dtype=np.int64)
+    return tool_in([found[int(frame[row])] for row in rows], rec, of_rows(markers, rows), loaded[rows], factor)
+
+
+def tool_in(
+    pictures: Sequence[Picture], rec: Recording, markers: Markers, loaded: BoolArray, factor: int | None = None
+) -> ToolPlace:
+    """Where these pictures show the tool; `markers` and `loaded` have a row a picture."""
+    if markers.view is None or len(pictures) == 0:
+        return not_seen("there is no film")
+    factor = factor or shrink_factor(markers.view, rec.beam.length)
+    small = np.stack([shrunk(picture, factor) for picture in pictures])
+    return tool_place(small, factor, markers, loaded, length=rec.beam.length, tag_size=rec.tags.size)
+
+
+def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
+    """Where the pictures that were kept of a stream show the tool. `markers`, `loaded` and `time` [s], by the clock of
+    the pictures, have a row a frame."""
+    rows = np.flatnonzero(np.isin(time, small.time))
+    rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
+    if not len(rows):
+        return not_seen("no picture was kept")
+    pictures = np.stack([small.pictures[i] for i in np.searchsorted(small.time, time[rows]).tolist()])
+    length, size = rec.beam.length, rec.tags.size
+    return tool_place(pictures, small.factor, of_rows(markers, rows), loaded[rows], length=length, tag_size=size)
+
+
+def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
+    """Some rows of the tags' places `xy` (T, m, 2), loaded and at rest, in order: evenly over time and way together, so
+    that a beam that is held still is not taken for the background. Only of those that are `rather` (T,) looked at,
+    where these are enough."""
+    steps = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[:1]), axis=-1)).sum(axis=1)
+    chosen = []
+    for mask, most in ((loaded, LOADED), (~loaded, AT_REST)):
+        rows = np.flatnonzero(mask if rather is None or np.sum(mask & rather) < most // 2 else mask & rather)
+        if len(rows):
+            gone = np.cumsum(np.where(mask, steps, 0.0))
+            way = gone[rows] / max(float(gone[-1]), 1e-12) + np.linspace(0.0, 1.0, len(rows))
+            chosen.append(rows[np.searchsorted(way, np.linspace(way[0], way[-1], min(most, len(rows))))])
+    return np.unique(np.concatenate(chosen)).astype(np.int64) if chosen else np.zeros(0, dtype=np.int64)
+
+
+def of_rows(markers: Markers, rows: IntArray) -> Markers:
+    """The markers of some frames."""
+    return Markers(
+        time=markers.time[rows],
+        tag_id=markers.tag_id,
+        s=markers.s,
+        xy=markers.xy[rows],
+        angle=markers.angle[rows],
+        covariance=markers.covariance[rows],
+        base_angle=markers.base_angle[rows],
+        view=markers.view,
+    )
+
+
+def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
+    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow, in most of
+    the frames under load."""
+    if rec.push is None or not _tool_elsewhere(tool, rec) or tool.shown < ACCUSES:
+        return ()
+    text = (
+        f"The film shows the tool at s = {tool.words}; recording.toml says at_s = {rec.push.at:.3g}. k(s) follows the "
+        f"place: measure it, and correct at_s in [push] (to {tool.s:.2f} if the film is right)."
+    )
+    return (Remark("warning", text, doubt=True, about="tool place"),)
+
+
+def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
+    """Whether the tool is seen farther from `at_s` than both tolerances allow."""
+    if not tool.seen or rec.push is None or isnan(rec.push.at):
+        return False
+    stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
+    return bool(abs(tool.s - rec.push.at) > SURE * np.hypot(tool.sd, stated_sd))
+
+
+# Small pictures of a stream, kept as it goes on, spread over rest and push: the tool is looked for in them at the
+# end.
+#
+# Which frames are of the push is known only when it is over. A beam at rest is where it was in the beginning, so of
+# the frames that show the tags there some are kept, and of all others more: each evenly over time and way together,
+# as `film.rows_to_look_at` chooses among the frames of a film.
+
+MOST = 2 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
+MOST_PIXELS = 25_000_000  # of all that are kept; a pixel takes 4 bytes
+MOVED = 0.05  # of a tag's side: farther from where it was first, it may be pushed
+SECONDS, WAY = 0.1, 0.1  # s, and sides of a tag: so far apart are the pictures to begin with
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A picture with its tags."""
+
+    time: float  # s
+    middle: Array  # (m, 2) px
+    picture: NDArray[np.float32]
+
+
+@dataclass
+class _Spread:
+    """Pictures evenly over time and way; where there are too many, every other one goes, and so on."""
+
+    share: float  # of all that are kept
+    spacing: float = 1.0
+    kept: list[_Kept] = field(default_factory=list)
+
+    def wants(self, time: float, middle: Array, side: float) -> bool:
+        """Whether a picture is far enough from the last one."""
+        if not self.kept:
+            return True
+        last = self.kept[-1]
+        return (time - last.time) / SECONDS + _farthest(middle - last.middle) / (WAY * side) >= self.spacing
+
+    def add(self, one: _Kept, most: int) -> None:
+        """One more, of at most `most` in both stores."""
+        self.kept.append(one)
+        if len(self.kept) > max(1, int(self.share * most)):
+            self.kept, self.spacing = self.kept[::2], 2.0 * self.spacing
+
+
+class KeptSmall:
+    """The pictures that are kept of a stream."""
+
+    def __init__(self, length: float, tag_size: float, most: int = MOST) -> None:
+        """Nothing is kept yet: of a beam of `length` [m], with tags of `tag_size` [m], at most so many pictures."""
+        self._tags_long = length / tag_size
+        self._most = min(most, MOST)
+        self._factor, self._side = 0, math.nan
+        self._first: Array | None = None  # (m, 2) px, where each tag was seen first
+        self._rest, self._away = (_Spread(part / (AT_REST + LOADED)) for part in (AT_REST, LOADED))
+
+    def __len__(self) -> int:
+        """Count of the pictures that are kept."""
+        return len(self._rest.kept) + len(self._away.kept)
+
+    def __contains__(self, time: object) -> bool:
+        """Whether the picture of a time [s] is kept."""
+        return any(one.time == time for spread in (self._rest, self._away) for one in spread.kept)
+
+    def add(self, time: float, picture: Picture, corners: Array) -> None:
+        """Take notice of the newest picture, which shows the tags' corners (m, 4, 2) [px]; NaN where it does not."""
+        seen = np.isfinite(corners).all(axis=(1, 2))
+        if not seen.any():
+            return
+        middle = corners.mean(axis=1)
+        if self._first is None:
+            self._begin(
+                picture, float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen].mean()), middle
+            )
+        assert self._first is not None
+        self._first = np.where(np.isfinite(self._first), self._first, middle)
+        moved = _farthest(middle - self._first) > MOVED * self._side
+        spread = self._away if moved else self._rest
+        if self._most and spread.wants(time, middle, self._side):
+            spread.add(_Kept(time, middle, shrunk(picture, self._factor)), self._most)
+
+    def small(self) -> SmallPictures | None:
+        """Those that are kept, in order of time; None where there are none."""
+        kept = sorted((*self._rest.kept, *self._away.kept), key=lambda one: one.time)
+        if not kept:
+            return None
+        return SmallPictures(np.array([one.time for one in kept]), tuple(one.picture for one in kept), self._factor)
+
+    def _begin(self, picture: Picture, side: float, middle: Array) -> None:
+        """Know the scale, as `covered.shrink_factor` does by the camera, by the tags' side [px]."""
+        self._side, self._first = side, middle
+        self._factor = max(1, math.ceil(self._tags_long * side / BEAM_PIXELS))
+        self._most = min(self._most, MOST_PIXELS * self._factor**2 // picture.size)
+
+
+def _farthest(way: Array) -> float:
+    """Of ways (m, 2), the longest one that is known; 0 where none is."""
+    known = way[np.isfinite(way).all(axis=1)]
+    return float(np.linalg.norm(known, axis=1).max()) if len(known) else 0.0

@@ -1,1 +1,0 @@
-"""Where the pictures show the tool that pushes."""

@@ -1,0 +1,611 @@
+"""Tracks of markers and tables of static poses, from any tracker or by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+
+from onebend.errors import ObservationError, RecordingError
+from onebend.recording.camera import FARTHEST, MOVED, RUNNING, chord_fits, order_hint, running_median, unwrap
+from onebend.recording.entries import FrequencyEntry, Recording
+from onebend.recording.force import ContactSettings, find_contact
+from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
+from onebend.recording.stated import stated_in
+from onebend.recording.tables import Columns, read_columns, read_every_column
+from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
+
+# Angles from the places of neighbouring markers, for trackers that give points only.
+
+MOST_TURN = 4.0  # times what the places turn by: angles beyond are no radians
+BENT = 0.2  # rad that a marker's chord must turn for its angle to be compared with it
+
+
+def chord_angles(xy: Array, s: Array) -> Array:
+    """(T, m) rad: the beam's angle at the markers, from places (T, m, 2) [m] and the clamp at the origin.
+
+    The slope of a parabola in s through each marker and its two neighbours; at the tip the angle of the last chord is
+    extrapolated. Good to a few hundredths of a radian: enough for clocks and rests, not for learning. NaN where a
+    marker or a neighbour is missing.
+    """
+    order = np.argsort(s, kind="stable")
+    places = np.concatenate([[0.0], s[order]])
+    points = np.concatenate([np.zeros((len(xy), 1, 2)), xy[:, order]], axis=1)
+    span = np.maximum(np.diff(places), 1e-9)
+    chord = np.diff(points, axis=1)
+    turn = np.arctan2(chord[..., 1], chord[..., 0])
+    filled = np.where(np.isfinite(turn), turn, 0.0)
+    turn = np.where(np.isfinite(turn), np.unwrap(filled, axis=1), np.nan)
+    angle = np.empty_like(turn)
+    share = span[:-1] / (span[:-1] + span[1:])
+    angle[:, :-1] = turn[:, :-1] + share * (turn[:, 1:] - turn[:, :-1])
+    before = turn[:, -2] if turn.shape[1] > 1 else np.zeros(len(turn))
+    middle = 0.5 * (span[-1] + span[-2]) if len(span) > 1 else 0.5 * span[-1]
+    angle[:, -1] = turn[:, -1] + 0.5 * span[-1] * (turn[:, -1] - before) / middle
+    unordered = np.empty_like(angle)
+    unordered[:, order] = angle
+    return unordered
+
+
+def with_angles(markers: Markers) -> Markers:
+    """`markers` with an angle wherever the places give one; measured angles stay."""
+    if np.isfinite(markers.angle[np.isfinite(markers.xy).all(axis=-1)]).all():
+        return markers
+    rough = chord_angles(markers.xy, markers.s)
+    known = np.isfinite(markers.angle).any(axis=0)  # a marker either has angles or has none
+    return replace(markers, angle=np.where(known, markers.angle, _continuous(rough)))
+
+
+def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
+    """Refuse measured angles (T, m) [rad] of a recording that turn against the places (T, m, 2) [m], or are no radians.
+
+    Raises:
+        ObservationError: they do.
+    """
+    share = angles_per_chord(xy, s, angle)
+    if share < 0.0 or share > MOST_TURN:
+        how = "the other way than" if share < 0.0 else f"{share:.2g} times as far as"
+        raise ObservationError(
+            f"{name}: angle_rad turns {how} the markers' places do. Angles are in radians and grow from x to y: "
+            "correct the sign or the unit of angle_rad, or the order or the sign of x_m and y_m."
+        )
+
+
+def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
+    """How far measured angles (T, m) [rad] turn for each radian that the places (T, m, 2) [m] turn: about 1; NaN where
+    nothing bends, or no angle is measured."""
+    chords = _continuous(chord_angles(xy, s))
+    known = np.isfinite(chords) & np.isfinite(angle)
+    if not known.any():
+        return float("nan")
+    measured, turned = (_from_mean(np.where(known, values, np.nan)) for values in (angle, chords))
+    if not float(np.nanmax(turned) - np.nanmin(turned)) > BENT:
+        return float("nan")
+    return float(np.nansum(measured * turned) / np.nansum(turned**2))
+
+
+def _from_mean(values: Array) -> Array:
+    """Columns (T, m) less their means; NaN where a column has no value."""
+    count = np.maximum(np.sum(np.isfinite(values), axis=0), 1)
+    return np.asarray(values - np.nansum(values, axis=0) / count)
+
+
+def _continuous(angle: Array) -> Array:
+    """Columns without jumps by whole turns; NaN is stepped over."""
+    continuous = angle.copy()
+    for column in continuous.T:
+        known = np.isfinite(column)
+        column[known] = np.unwrap(column[known])
+    return continuous
+
+
+# Tracks in space to the plane of bending: the plane by least squares, and the markers' distances from it.
+
+BESIDE = 0.01  # weight of the markers' mean places against their motion: heights differ by millimetres
+STRAIGHT = 0.02  # second over first principal extent: markers that hardly leave a line say nothing of their plane
+EDGE_ON = 0.2  # cosine between `seen_from` and the plane's normal below which it does not say which side is meant
+MUCH = 0.03  # of the markers' extent: more out-of-plane motion is no planar bending
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane in space with two axes in it, right-handed with the normal, which points to who looks at it."""
+
+    origin: Array  # (3,) m
+    axes: Array  # (2, 3)
+    normal: Array  # (3,)
+
+    def lay(self, points: Array) -> Array:
+        """(..., 2) m, points (..., 3) dropped onto the plane."""
+        return np.asarray((points - self.origin) @ self.axes.T)
+
+    def direction(self, vector: Array) -> Array:
+        """(2,) a direction (3,) dropped onto the plane."""
+        return np.asarray(self.axes @ vector)
+
+    def away(self, points: Array) -> Array:
+        """(...) m, distance of points (..., 3) from the plane."""
+        return np.asarray((points - self.origin) @ self.normal)
+
+
+def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
+    """The plane in which markers at `points` (T, m, 3) [m] move, by least squares; NaN left out.
+
+    Each marker sits at a height of its own over the beam, so their motion shows the plane, and where they lie beside
+    each other counts little. `seen_from` (3,) says which side one looks from. Points along one line leave the plane
+    open: then the one that is seen most nearly face on is taken.
+
+    Raises:
+        ObservationError: too few points, or the plane is seen edge on.
+    """
+    known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
+    if np.sum(known) < 3:
+        raise ObservationError(f"{np.sum(known)} points in space do not make a plane. Check the table's x_m, y_m, z_m.")
+    tracks = [points[known[:, i], i] for i in range(points.shape[1]) if known[:, i].any()]
+    middles = np.stack([np.mean(track, axis=0) for track in tracks])
+    origin = np.mean(middles, axis=0)
+    moves = np.concatenate([track - middle for track, middle in zip(tracks, middles, strict=True)])
+    moves /= np.sqrt(len(moves))
+    spread = BESIDE * (middles - origin) / np.sqrt(len(middles))
+    extent, rows = np.linalg.svd(np.concatenate([moves, spread, np.zeros((3, 3))]), full_matrices=False)[1:]
+    look = np.asarray(seen_from, dtype=float)
+    look = look / max(float(np.linalg.norm(look)), np.finfo(float).tiny)
+    normal = rows[2]
+    if extent[1] < STRAIGHT * extent[0]:
+        normal = look - (look @ rows[0]) * rows[0]
+        normal = normal / max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
+    if not abs(float(normal @ look)) > EDGE_ON:
+        raise ObservationError(
+            f"The plane of bending (normal {np.round(normal, 2).tolist()}) is seen edge on from {list(seen_from)}, so "
+            "nothing says which way round its y axis goes. Give seen_from in [markers] a direction nearer its normal."
+        )
+    normal = normal * np.sign(normal @ look)
+    along = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    x = along - (along @ normal) * normal
+    x = x / np.linalg.norm(x)
+    return Plane(origin, np.stack([x, np.cross(normal, x)]), normal)
+
+
+def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
+    """How far points (T, m, 3) move out of the plane: their own steady distance from it (a marker's height) is taken
+    off."""
+    distance = plane.away(points)
+    measured = np.isfinite(distance).any(axis=0)
+    distance = distance[:, measured] - np.nanmedian(distance[:, measured], axis=0)
+    rms, largest = float(np.sqrt(np.nanmean(distance**2))), float(np.nanmax(np.abs(distance)))
+    flat = plane.lay(points)[:, measured]
+    extent = float(np.nanmax(np.linalg.norm(flat - np.nanmean(flat, axis=(0, 1)), axis=-1)))
+    text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * largest:.2g} mm at most"
+    if largest > MUCH * extent:
+        text += ": this is no bending in one plane, and what leaves it is not seen. Push within one plane."
+        return (Remark("warning", text, about="out of plane"),)
+    return (Remark("note", f"{text}; only the motion in the plane is used."),)
+
+
+# Tracks of markers from a motion capture or any tracker to markers in the base's frame, as from a film.
+#
+# Of tracks in space the plane of bending is fitted first. Markers on the base give the clamp's pose, also where it
+# moves; without them it comes from the straight beam at rest, with every marker at its place along it.
+
+FARTHEST_M = 1e6  # m or rad: beyond this nothing is tracked
+LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Markers in the tracker's plane: base first, as recording.toml lists them."""
+
+    time: Array  # (T,) s
+    xy: Array  # (T, b + m, 2) m
+    angle: Array  # (T, b + m) rad, NaN where not known
+    sd: Array  # (T, b + m) m
+    clamp: Array | None  # (2,) m, where recording.toml says it
+    x_axis: Array | None  # (2,), the same
+    remarks: tuple[Remark, ...]
+
+
+def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
+    """Every beam marker of the recording's table, relative to the base.
+
+    Raises:
+        RecordingError: the table cannot be used.
+        ObservationError: a marker is missing throughout, nothing says where the clamp is, or lengths contradict the
+            beam's.
+    """
+    tracks = read_tracks(rec)
+    base = len(rec.tags.on_base)
+    shift, turn, moves = base_motion(tracks, base)
+    from_base = tracks.xy[:, base:] - shift[:, None]
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    in_base = np.stack(
+        [cos * from_base[..., 0] + sin * from_base[..., 1], cos * from_base[..., 1] - sin * from_base[..., 0]], axis=-1
+    )
+    covariance = np.zeros((*in_base.shape[:2], 3, 3))
+    covariance[..., 0, 0] = covariance[..., 1, 1] = tracks.sd[:, base:] ** 2
+    angle = unwrap(tracks.angle[:, base:] - turn[:, None] - np.array([tag.turn for tag in rec.tags.on_beam]))
+    covariance[..., 2, 2] = _angle_sd(angle) ** 2
+    covariance[~np.isfinite(in_base).all(axis=-1)] = np.nan
+    raw = Markers(
+        time=tracks.time,
+        tag_id=np.array([tag.id for tag in rec.tags.on_beam]),
+        s=np.array([tag.s for tag in rec.tags.on_beam]),
+        xy=in_base,
+        angle=angle,
+        covariance=covariance,
+        base_angle=turn,
+        view=None,
+        remarks=(*tracks.remarks, *moves),
+    )
+    origin, direction = clamp_frame(rec, tracks, raw, settings)
+    cos, sin = np.cos(direction), np.sin(direction)
+    back = np.array([[cos, sin], [-sin, cos]])
+    xy = (in_base - origin) @ back.T
+    check_scale(rec, xy)
+    check_angles(xy, raw.s, angle, rec.name)
+    return Markers(**{**vars(raw), "xy": xy, "angle": unwrap(angle - direction)})
+
+
+def read_tracks(rec: Recording) -> Tracks:
+    """The table on a grid of times and markers, in the plane of bending."""
+    entry = rec.markers
+    assert entry is not None
+    known = ("z_m", "angle_rad", "sd_m")
+    table = read_columns(entry.file, ("time_s", "id", "x_m", "y_m"), known, kind="marker table")
+    time, wanted = table.get("time_s"), [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    table.refuse(~(np.abs(time) < LATEST), "time_s is empty or no time. Remove the row, or give its time.")
+    table.refuse(table.get("id") != np.round(table.get("id")), "id is no whole number. Number the markers.")
+    table.refuse(table.get("sd_m") <= 0.0, "sd_m must be above zero.")
+    for name in ("x_m", "y_m", *known):
+        table.refuse(np.abs(table.get(name)) > FARTHEST_M, f"{name} is more than {FARTHEST_M:g}. Is it in metres?")
+    times, frame = np.unique(time, return_inverse=True)
+    check_span(times, str(entry.file), most=MOST_FRAMES)
+    grids = {name: np.full((len(times), len(wanted)), np.nan) for name in ("x_m", "y_m", *known)}
+    strangers = sorted(set(table.get("id").tolist()) - set(wanted))
+    for i, marker in enumerate(wanted):
+        rows = np.flatnonzero(table.get("id") == marker)
+        again = np.zeros(len(time), dtype=bool)
+        again[np.setdiff1d(rows, rows[np.unique(frame[rows], return_index=True)[1]])] = True
+        table.refuse(again, f"marker {marker} is there twice at the same time. Remove one of the two rows.")
+        for name, grid in grids.items():
+            grid[frame[rows], i] = table.get(name)[rows]
+    remarks = [Remark("note", f"The table also holds markers that recording.toml does not name: {_ids(strangers)}.")]
+    points = np.stack([grids["x_m"], grids["y_m"], grids["z_m"]], axis=-1)
+    _refuse_missing(rec, table, points[..., :2], wanted)
+    if "z_m" in table.numbers:
+        plane = best_plane(points, entry.seen_from)
+        xy, lay = plane.lay(points), plane.direction
+        clamp = plane.lay(np.array(entry.clamp)) if len(entry.clamp) == 3 else None
+        remarks += plane_remarks(plane, points)
+    else:
+        xy, lay = points[..., :2], _same
+        clamp = np.array(entry.clamp) if len(entry.clamp) == 2 else None
+    _check_dimensions(rec, 3 if "z_m" in table.numbers else 2)
+    sd = np.where(np.isfinite(grids["sd_m"]), grids["sd_m"], entry.sd)
+    return Tracks(
+        time=times,
+        xy=xy,
+        angle=grids["angle_rad"],
+        sd=np.where(np.isfinite(sd), sd, _track_sd(xy)),
+        clamp=clamp,
+        x_axis=lay(np.array(entry.x_axis)) if entry.x_axis else None,
+        remarks=tuple(remarks[0 if strangers else 1 :]) + _gaps(xy, wanted),
+    )
+
+
+def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, ...]]:
+    """(T, 2) m shift and (T,) rad turn of the base since the first frames, and a remark where it moves.
+
+    One marker without an angle shows no turn. Frames without a base marker take the last known pose.
+    """
+    count = len(tracks.time)
+    if base == 0:
+        return np.zeros((count, 2)), np.zeros(count), ()
+    xy, angle = tracks.xy[:, :base], tracks.angle[:, :base]
+    middle = np.nanmedian(xy, axis=0)
+    step = np.nan_to_num(
+        np.linalg.norm(running_median(_held(xy.reshape(count, -1)), RUNNING).reshape(xy.shape) - middle, axis=-1)
+    )
+    if not np.any(step > MOVED * np.nanmedian(tracks.sd[:, :base], axis=0)):
+        return np.broadcast_to(middle[0], (count, 2)), np.zeros(count), ()
+    first = int(np.flatnonzero(np.isfinite(xy).all(axis=(1, 2)))[0]) if np.isfinite(xy).all(axis=(1, 2)).any() else 0
+    turn = np.zeros(count)
+    if np.isfinite(angle[:, 0]).any():
+        turn = unwrap(angle[:, 0] - angle[first, 0])
+    elif base > 1:
+        relative, reference = xy - xy[:, :1], xy[first] - xy[first, 0]
+        cross = reference[:, 0] * relative[..., 1] - reference[:, 1] * relative[..., 0]
+        turn = unwrap(np.arctan2(np.sum(cross, axis=1), np.sum(relative * reference, axis=(1, 2))))
+    shift, turn = _held(xy[:, 0]), _held(turn[:, None])[:, 0]
+    text = f"The base moves, by up to {1000 * float(step.max()):.2g} mm and {math.degrees(float(np.ptp(turn))):.2g} deg"
+    if base == 1 and not np.isfinite(angle).any():
+        text += "; one marker without an angle does not show its turn. Put a second one on it"
+    text += ". It was followed from frame to frame. Fix the base, and the tracker"
+    return shift, turn, (Remark("warning", f"{text}.", about="base moves"),)
+
+
+def clamp_frame(rec: Recording, tracks: Tracks, raw: Markers, settings: ContactSettings) -> tuple[Array, float]:
+    """(2,) m and rad: the clamp's place and direction, from the first base marker and in the tracker's plane."""
+    base, length = rec.tags.on_base, rec.beam.length
+    start = np.nanmedian(tracks.xy[:, 0], axis=0) if base else np.zeros(2)
+    origin = None if tracks.clamp is None else tracks.clamp - start
+    direction = None if tracks.x_axis is None else float(np.arctan2(tracks.x_axis[1], tracks.x_axis[0]))
+    if base and direction is None and np.isfinite(tracks.angle[:, 0]).any():
+        direction = float(np.nanmedian(tracks.angle[:, 0] - raw.base_angle)) - base[0].turn
+    where_base = base[0].s * length if base and origin is None else math.nan
+    if direction is not None and base and origin is None:
+        origin = -where_base * np.array([math.cos(direction), math.sin(direction)])
+    if origin is not None and direction is not None:
+        return origin, direction
+    still = find_contact(with_angles(raw), None, settings=settings).still
+    if rec.gravity is not None or not still.any():
+        why = "its weight bends the beam" if rec.gravity is not None else "no frame shows the beam at rest"
+        raise ObservationError(
+            f"{rec.name}: {why}, so the markers along it do not show where the clamp is and points. Give clamp_m and "
+            "x_axis in [markers], or a base marker with an angle."
+        )
+    along, points = raw.s * length, np.nanmedian(raw.xy[still], axis=0)
+    if base and origin is None:
+        along, points = np.append(along, where_base), np.vstack([points, np.zeros(2)])
+    elif origin is not None:
+        along, points = np.append(along, 0.0), np.vstack([points, origin])
+    return line_frame(rec.name, along, points, direction)
+
+
+def line_frame(name: str, along: Array, points: Array, direction: float | None) -> tuple[Array, float]:
+    """Origin (2,) and direction of the straight line whose places `along` (p,) [m] come nearest to `points` (p, 2)."""
+    known = np.isfinite(points).all(axis=1)
+    along, points = along[known], points[known]
+    if direction is None:
+        if len(along) < 2 or np.ptp(along) <= 0.0:
+            raise ObservationError(
+                f"{name}: one marker does not show which way the beam points at rest. Give x_axis in [markers], or "
+                "track a second marker."
+            )
+        pull = (along - along.mean()) @ (points - points.mean(axis=0))
+        direction = float(np.arctan2(pull[1], pull[0]))
+    unit = np.array([math.cos(direction), math.sin(direction)])
+    return np.asarray(np.mean(points - along[:, None] * unit, axis=0)), direction
+
+
+def check_scale(rec: Recording, xy: Array) -> None:
+    """An error where markers are farther apart than the beam between them, or always much nearer: millimetres for
+    metres, or a wrong s."""
+    s = np.array([0.0, *(tag.s for tag in rec.tags.on_beam)])
+    order = np.argsort(s)
+    names = ["the clamp", *(f"marker {tag.id}" for tag in rec.tags.on_beam)]
+    points = np.concatenate([np.zeros((len(xy), 1, 2)), xy], axis=1)[:, order]
+    arcs = np.diff(s[order]) * rec.beam.length
+    slack = 3 * math.sqrt(2) * rec.tags.placement_sd
+    chords = np.linalg.norm(np.diff(points, axis=1), axis=-1)
+    for i, arc in enumerate(arcs):
+        measured = chords[np.isfinite(chords[:, i]), i]
+        if arc <= slack or not len(measured):
+            continue
+        farthest = float(np.percentile(measured, FARTHEST))
+        if not chord_fits(farthest, arc, slack):
+            raise ObservationError(
+                f"{rec.name}: {names[order[i]]} and {names[order[i + 1]]} are {1000 * farthest:.4g} mm apart at most, "
+                f"recording.toml puts {1000 * arc:.4g} mm of beam between them.{order_hint(xy, rec)} Are x_m and y_m "
+                "in metres? Check length_m and the markers' ids and s.",
+                about="unit",
+            )
+
+
+def _same(vector: Array) -> Array:
+    return vector
+
+
+def _track_sd(xy: Array) -> Array:
+    """(b + m,) m: noise of a coordinate, from second differences of the tracks."""
+    bends = np.abs(np.diff(xy, n=2, axis=0)) / math.sqrt(6)
+    with_data = np.isfinite(bends).any(axis=(0, 2))
+    sd = np.full(xy.shape[1], LEAST_SD)
+    sd[with_data] = MAD_TO_SD * np.nanmedian(bends[:, with_data], axis=(0, 2))
+    return np.asarray(np.maximum(sd, LEAST_SD))
+
+
+def _angle_sd(angle: Array) -> Array:
+    """(m,) rad: the same for angles; "unknown" where a marker has none."""
+    bends = np.abs(np.diff(angle, n=2, axis=0)) / math.sqrt(6)
+    sd = np.full(angle.shape[1], UNKNOWN_ANGLE_SD)
+    known = np.isfinite(bends).any(axis=0)
+    sd[known] = np.maximum(MAD_TO_SD * np.nanmedian(bends[:, known], axis=0), LEAST_ANGLE_SD)
+    return sd
+
+
+def _held(values: Array) -> Array:
+    """(T, n) with gaps filled by the last known row (the first known before it)."""
+    known = np.isfinite(values).all(axis=1)
+    if not known.any():
+        return np.nan_to_num(values)
+    rows = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
+    return np.asarray(values[np.where(rows < 0, int(np.argmax(known)), rows)])
+
+
+def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int]) -> None:
+    """An error where a marker of recording.toml is nowhere in the table."""
+    present = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
+    never = [marker for marker, is_present in zip(wanted, present, strict=True) if not is_present]
+    if never:
+        in_table = _ids(sorted(set(table.get("id").tolist())))
+        raise ObservationError(
+            f"{table.path}: marker {_ids(never)} of {rec.name} has no place in any row; the table holds {in_table}. "
+            "Correct the ids in recording.toml."
+        )
+
+
+def _check_dimensions(rec: Recording, count: int) -> None:
+    """An error where clamp_m or x_axis has two numbers beside tracks in space, or three beside tracks in a plane."""
+    assert rec.markers is not None
+    for name, value in (("clamp_m", rec.markers.clamp), ("x_axis", rec.markers.x_axis)):
+        if value and len(value) != count:
+            raise ObservationError(
+                f"{rec.name}: {name} in [markers] needs {count} numbers, as the table's points have."
+            )
+
+
+def _gaps(xy: Array, wanted: list[int]) -> tuple[Remark, ...]:
+    missing = ~np.isfinite(xy).all(axis=-1)
+    return tuple(
+        Remark("note", f"Marker {marker} is missing in {count} of {len(xy)} frames.")
+        for marker, count in zip(wanted, missing.sum(axis=0).tolist(), strict=True)
+        if count > 0.05 * len(xy)
+    )
+
+
+def _ids(markers: list[float] | list[int]) -> str:
+    return ", ".join(f"{marker:g}" for marker in markers)
+
+
+# Signals of a beam that swings: places of points in a tracker's own axes, or the columns of any table over time.
+
+TIME = "time_s"
+_POINTS = ("id", "x_m", "y_m")
+
+
+@dataclass(frozen=True)
+class SwingSignals:
+    """C signals at N times; NaN where one is not known."""
+
+    name: str
+    time: Array  # (N,) s
+    value: Array  # (N, C) each in a unit of its own
+    labels: tuple[str, ...]  # (C,)
+
+
+def signals_of_table(path: Path) -> SwingSignals:
+    """Every column of numbers beside time_s; of a table of tracks (id, x_m, y_m) the places of each point.
+
+    Raises:
+        RecordingError: the table cannot be read, or holds no numbers beside the times.
+    """
+    table = read_every_column(path, TIME, kind="table of a swing")
+    if set(_POINTS) <= set(table.numbers):
+        return _of_points(path)
+    labels = tuple(name for name in table.numbers if name != TIME and np.isfinite(table.numbers[name]).any())
+    if not labels:
+        raise RecordingError(f"{path}: there is nothing beside {TIME}. Add a column for each signal, such as y_m.")
+    return SwingSignals(path.name, table.get(TIME), np.stack([table.numbers[name] for name in labels], axis=1), labels)
+
+
+def signals_of_tracks(rec: Recording) -> SwingSignals:
+    """Of the markers of a recording, in the tracker's plane.
+
+    Raises:
+        RecordingError: the table cannot be used.
+    """
+    tracks, ids = read_tracks(rec), [tag.id for tag in rec.tags.on_beam]
+    beam = tracks.xy[:, len(rec.tags.on_base) :]
+    return _places(rec.name, tracks.time, beam, ids)
+
+
+def signals_of_markers(markers: Markers, name: str) -> SwingSignals:
+    """Of tags in a film, against the base tag."""
+    return _places(name, markers.time, markers.xy, markers.tag_id.tolist())
+
+
+def _of_points(path: Path) -> SwingSignals:
+    table = read_columns(path, (TIME, *_POINTS), kind="table of tracks")
+    time, row = np.unique(table.get(TIME), return_inverse=True)
+    ids, column = np.unique(table.get("id"), return_inverse=True)
+    places = np.full((len(time), len(ids), 2), np.nan)
+    places[row, column] = np.stack([table.get("x_m"), table.get("y_m")], axis=1)
+    return _places(path.name, time, places, [int(one) for one in ids])
+
+
+def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
+    labels = tuple(f"{axis} of {one}" for one in ids for axis in "xy")
+    return SwingSignals(name, time, xy.reshape(len(time), -1), labels)
+
+
+# Frequencies as recording.toml states them, and a recording that holds nothing else.
+
+_G = 9.81  # m/s^2, where [gravity] does not say another
+_CLAMP_SD = 1e-6  # m, rad: the clamp is where it is
+
+
+def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
+    """Undamped, with gravity in the beam's frame.
+
+    Raises:
+        RecordingError: of two modes in one posture the lower one is the faster.
+    """
+    every = tuple(_measured(one, rec) for one in rec.frequencies)
+    for one, other in permutations((one for one in every if one.mode > 0), 2):
+        alike = one.tip_mass == other.tip_mass and np.allclose(one.gravity, other.gravity)
+        if alike and one.mode < other.mode and one.frequency >= other.frequency:
+            raise RecordingError(
+                f"{rec.folder}: mode {one.mode} at {one.frequency:.4g} Hz is no slower than mode {other.mode} at "
+                f"{other.frequency:.4g} Hz in the same posture. Correct hz or mode in [[frequencies]].",
+                about="unit",
+            )
+    return every
+
+
+def with_frequencies(seen: Observations, rec: Recording) -> Observations:
+    """What was seen of the beam, and how fast it swings."""
+    if not rec.frequencies:
+        return seen
+    source = replace(seen.source, remarks=(*seen.source.remarks, *_remarks(rec)))
+    return replace(seen, source=source, frequencies=measured_frequencies(rec))
+
+
+def frequency_observations(rec: Recording) -> Observations:
+    """A recording of frequencies alone. All that it shows of the beam is the clamp in its place: nothing of k."""
+    seen = Observations(
+        source=Source(rec.name, remarks=rec.remarks),
+        stated=replace(stated_in(rec), clamp_sd=0.0, placement_sd=0.0, turn_sd=0.0),
+        length=rec.beam.length,
+        time=np.zeros(1),
+        frame=np.zeros(1, dtype=np.int64),
+        tag_id=np.array([tag.id for tag in rec.tags.on_beam], dtype=np.int64),
+        marker_s=np.zeros(1),
+        xy=np.zeros((1, 1, 2)),
+        angle=np.zeros((1, 1)),
+        covariance=np.full((1, 1, 3, 3), _CLAMP_SD**2) * np.eye(3),
+        force=np.zeros((1, 2)),
+        force_sd=np.zeros(2),
+        push_s=np.ones(1),
+        loaded=np.ones(1, dtype=bool),
+        rest_xy=np.full((1, 2), np.nan),
+        rest_angle=np.full(1, np.nan),
+        rest_covariance=np.full((1, 3, 3), np.nan),
+        gravity=np.zeros((1, 2)),
+        static=True,
+    )
+    return with_frequencies(seen, rec)
+
+
+def _measured(one: FrequencyEntry, rec: Recording) -> MeasuredFrequency:
+    undamped = 1.0 / math.sqrt(1.0 - one.damping_ratio**2)
+    base = _base_angle(one, rec)
+    gravity = np.zeros(2)
+    if math.isfinite(base):
+        direction, size = (
+            (-math.pi / 2.0, _G) if rec.gravity is None else (rec.gravity.direction, rec.gravity.magnitude)
+        )
+        gravity = size * np.array([math.cos(direction - base), math.sin(direction - base)])
+        gravity[np.abs(gravity) < 1e-12 * size] = 0.0
+    return MeasuredFrequency(
+        undamped * one.hz, undamped * one.sd, one.mode, (float(gravity[0]), float(gravity[1])), one.tip_mass
+    )
+
+
+def _base_angle(one: FrequencyEntry, rec: Recording) -> float:
+    """rad; NaN where nothing says it."""
+    return one.base_angle if math.isfinite(one.base_angle) or rec.gravity is None else rec.gravity.base_angle
+
+
+def _remarks(rec: Recording) -> tuple[Remark, ...]:
+    across = [f"{one.hz:.4g}" for one in rec.frequencies if not math.isfinite(_base_angle(one, rec))]
+    if not across:
+        return ()
+    text = (
+        f"{', '.join(across)} Hz: without base_angle_deg the beam is taken to swing across gravity, where its weight "
+        "does nothing to its frequency"
+    )
+    return (Remark("note", text),)

@@ -1,0 +1,787 @@
+"""Pictures: one function a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Band, Profile, UncertainStiffness
+from onebend.errors import MechanicsError, OnebendError
+from onebend.learning.frames import distances
+from onebend.learning.outcome import Comparison, Explained, Learned, Trial
+from onebend.learning.posterior import Nuisance
+from onebend.learning.validation import solved_frames
+from onebend.learning.verdict import explained
+from onebend.progress import Progress, Silent
+from onebend.recording.camera import project
+from onebend.recording.entries import Recording
+from onebend.recording.preview import Preview, bent
+from onebend.recording.signals import runs
+from onebend.recording.video import KeptFrames, roundest
+from onebend.records import Array, BoolArray, ForceLog, Observations, View
+from onebend.report.overview import SOFTWARE, Overview, tared
+from onebend.report.pictures import Draw, Pictures, draw, film_of, film_strip, reason_of
+from onebend.report.style import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    MUTED,
+    ORANGE,
+    PINK,
+    blank,
+    hue_of,
+    named,
+    png_of,
+    shape,
+    styled,
+)
+from onebend.report.wording import LEVELS, Findings, highest_shown, millimetres, only_frequencies, significant, words_of
+from onebend.text_files import figure_text
+
+# The figures of what was learned: k(s) with its band, and the nuisances before and after the data.
+
+MM = 1000.0
+GREY = "#98a2b3"
+_S = np.linspace(0.0, 1.0, 401)
+_MOST_ROWS = 40  # of a picture
+_SAID = 0.05  # of the sd before the data: what it shrank by, or the value
+
+
+@styled
+def stiffness(
+    beam: Beam,
+    *,
+    uncertain: UncertainStiffness | None = None,
+    regression: Profile | None = None,
+    tags: Mapping[int, float] = MappingProxyType({}),
+    push_s: float | None = None,
+) -> Figure:
+    """k(s) along the beam with its bands, grey where the data are blind; the regression's k(s) beside it.
+
+    The symbols are the tags, by id and place; hatched: what no push reached.
+    """
+    if uncertain is None:
+        figure, (axes,) = blank(3.1)
+        low, top = _plain(axes, beam.stiffness(_S))
+    else:
+        figure, (axes, relative) = blank(4.9, 2, 1, sharex=True, height_ratios=(2.6, 1.0))
+        low, top = 0.0, _banded(axes, uncertain)
+        _relative(relative, uncertain, regression)
+    if regression is not None:
+        axes.plot(_S, regression(_S), color=ORANGE, linewidth=1.3, linestyle="--", label="the paper's regression")
+        top = max(top, min(float(np.max(regression(_S))), 1.5 * top))
+    axes.set(xlim=(0, 1), ylabel="bending stiffness k = EI / L [N m]", ylim=(1.15 * low, 1.15 * top or None))
+    _places(axes, tags, push_s)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="best")
+    figure.axes[-1].set_xlabel("place along the beam s")
+    length = MM * beam.length
+    above = axes.secondary_xaxis("top", functions=(partial(np.multiply, length), partial(np.multiply, 1.0 / length)))
+    above.set_xlabel("distance from the clamp [mm]", color=MUTED)
+    return figure
+
+
+def _plain(axes: Axes, k: Array) -> tuple[float, float]:
+    """A curve without a band; returns the lowest and highest value to show."""
+    axes.plot(_S, k, color=BLUE)
+    axes.fill_between(_S, 0.0, k, color=BLUE, alpha=0.08, linewidth=0)
+    if k.min() <= 0.0:
+        axes.fill_between(_S, 0.0, k, where=k <= 0.0, color=ORANGE, alpha=0.35, label="not positive: no beam")
+    return min(0.0, float(k.min())), max(float(k.max()), 0.0)
+
+
+def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
+    """The curve with its bands; returns the highest value to show: what is not known may leave the picture."""
+    wide = _bands(axes, uncertain, np.asarray)
+    known, k = wide.identified, wide.k
+    axes.plot(_S, np.where(known, k, np.nan), color=BLUE, label="k(s)")
+    axes.fill_between([], [], color=BLUE, alpha=0.5, linewidth=0, label="50, 80, 95 % band")  # for the legend
+    if not known.all():
+        axes.plot(_S, np.where(_reach(~known), k, np.nan), color=GREY)
+        why = "not to be trusted" if uncertain.doubts else "not identified"
+        axes.fill_between([], [], color=GREY, alpha=0.6, linewidth=0, label=why)
+    return highest_shown(uncertain)
+
+
+def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | None) -> None:
+    """The bands, and the regression, in per cent of k(s)."""
+    k = uncertain.profile(_S)
+    wide = _bands(axes, uncertain, lambda value: 100.0 * (value / k - 1.0))
+    axes.plot(_S, np.where(wide.identified, 0.0, np.nan), color=BLUE)
+    axes.plot(_S, np.where(_reach(~wide.identified), 0.0, np.nan), color=GREY)
+    if regression is not None:
+        axes.plot(_S, 100.0 * (regression(_S) / k - 1.0), color=ORANGE, linewidth=1.3, linestyle="--")
+    reach = 120.0 * float(np.max((wide.high / k - 1.0)[uncertain.best_known(_S)]))
+    axes.set(ylim=(-min(reach, 100.0), reach), ylabel="against k [%]")
+
+
+def _bands(axes: Axes, uncertain: UncertainStiffness, shown: Callable[[Array], Array]) -> Band:
+    """The bands as `shown`, grey where the data are blind; returns the widest."""
+    for level, strength in LEVELS:
+        band = uncertain.band(_S, level)
+        for where, tint in ((band.identified, BLUE), (~band.identified, GREY)):
+            axes.fill_between(
+                _S, shown(band.low), shown(band.high), where=_reach(where), color=tint, alpha=strength, linewidth=0
+            )  # fmt: skip
+    return uncertain.band(_S, LEVELS[0][0])
+
+
+def _reach(where: BoolArray) -> BoolArray:
+    """Flags, one place wider to the right, so that two neighbouring pieces of a curve touch."""
+    return np.concatenate([where[:1], where[1:] | where[:-1]])
+
+
+def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None:
+    """The tags on the axis, and what no push reached."""
+    count = len(tags)
+    for i, (tag, place) in enumerate(tags.items()):
+        tint, text = hue_of(i, count), f"tag {tag}" if i == 0 else f"{tag}"
+        axes.plot(place, 0.0, marker=shape(i), color=tint, markersize=7, clip_on=False, zorder=5)
+        if i in named(count):
+            axes.annotate(text, (place, 0.0), (0, 7), textcoords="offset points", ha="center", color=tint, fontsize=8.5)
+    if push_s is not None and push_s < 0.999:
+        axes.axvspan(push_s, 1.0, facecolor="none", edgecolor=FAINT, hatch="///", linewidth=0)
+        axes.annotate("never loaded", ((1 + push_s) / 2, 0.5), xycoords=("data", "axes fraction"), ha="center")
+
+
+def told(every: Sequence[Nuisance]) -> list[Nuisance]:
+    """The nuisances of which the data say something, in their order; of many the 40 of which they say most."""
+    said = np.array([max(1.0 - n.sd / n.prior_sd, abs(n.value) / n.prior_sd) for n in every])
+    most = np.argsort(-said, kind="stable")[:_MOST_ROWS]
+    return [every[i] for i in sorted(most.tolist()) if said[i] > _SAID]
+
+
+@styled
+def nuisances(rows: Sequence[Nuisance]) -> Figure:
+    """Nuisances in units of their prior's sd: grey what was allowed (one sd), blue what the data made of it."""
+    figure, (axes,) = blank(0.9 + 0.24 * len(rows))
+    value, sd = (
+        np.array(column) for column in zip(*((n.value / n.prior_sd, n.sd / n.prior_sd) for n in rows), strict=True)
+    )
+    axes.barh(range(len(rows)), 2.0, left=-1.0, height=0.72, color=FAINT, alpha=0.7)
+    axes.errorbar(value, range(len(rows)), xerr=sd, fmt="o", color=BLUE, markersize=4.5, elinewidth=1.6, capsize=2.5)
+    axes.axvline(0.0, color=MUTED, linewidth=0.8)
+    axes.set_yticks(range(len(rows)), [figure_text(n.name) for n in rows], color=INK)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    reach = 1.15 * max((abs(n.value) + n.sd) / n.prior_sd for n in rows)
+    axes.set(xlim=(-max(reach, 1.3), max(reach, 1.3)))
+    axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
+    return figure
+
+
+# Which frames a picture shows, and the beam simulated for them.
+
+LARGE = 0.99  # of the largest force: so large is as good to look at
+
+
+def largest_push(comparison: Comparison) -> int:
+    """Index of the frame with the largest force among those where most markers were seen."""
+    return int(np.argmax(_sizes(comparison)))
+
+
+def push_to_show(comparison: Comparison) -> int:
+    """Index of a frame whose force is the same to a percent, and that is likely to be kept."""
+    size = _sizes(comparison)
+    large = np.flatnonzero(size >= min(LARGE * size.max(), size.max()))
+    return int(large[roundest(comparison.frame[large])])
+
+
+def _sizes(comparison: Comparison) -> Array:
+    """(T,) N, of the forces; -1 where not most markers were seen."""
+    seen = np.isfinite(comparison.measured[..., 0]).sum(axis=1)
+    size = np.linalg.norm(comparison.force, axis=1)
+    return np.asarray(np.where((seen == seen.max()) & np.isfinite(size), size, -1.0))
+
+
+def spread_of_pushes(comparison: Comparison, count: int) -> list[int]:
+    """Frames with about 0, 1/(count-1), ..., 1 times the largest force, up to the largest."""
+    size = np.nan_to_num(np.linalg.norm(comparison.force, axis=1))
+    last = largest_push(comparison)
+    rising = size[: last + 1]
+    wanted = np.linspace(0.0, size[last], count)
+    return sorted({int(np.argmin(np.abs(rising - value))) for value in wanted})
+
+
+def same_frame(comparison: Comparison, other: Comparison, t: int) -> int:
+    """Index in `one` of the frame t of `other`, the nearest where it has not that very frame."""
+    return int(np.argmin(np.abs(comparison.time - other.time[t])))
+
+
+def centreline(
+    beam: Beam, comparison: Comparison, observations: Observations, t: int, places: int = 121
+) -> Array | None:
+    """(places, 2) m, the beam simulated under the measured loads of the comparison's frame t; None if it cannot be."""
+    here: BoolArray = np.asarray(observations.frame == comparison.frame[t])
+    if not np.any(here):
+        return None
+    try:
+        solved = next(solved_frames(beam, observations, here))
+    except MechanicsError:
+        return None
+    return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None
+
+
+# The figures of a report, one function a figure. Lengths are shown in mm, forces in N, stiffness in N m.
+
+_A_ROW = 5  # markers whose names fit side by side
+_DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
+# What is drawn over a photo keeps a white edge, to be seen on any background.
+_EDGED_WIDE: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
+
+
+@styled
+def fit_over_frame(
+    image: NDArray[np.uint8],
+    view: View,
+    beam: Beam,
+    comparison: Comparison,
+    observations: Observations,
+    fitted: Explained | None = None,
+) -> Figure:
+    """Measured tags and the beam at the largest push (to a percent), over the video frame (RGB) itself.
+
+    The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
+    force as logged.
+    """
+    shown = comparison if fitted is None else fitted.comparison
+    t = push_to_show(shown)
+    logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
+    line = logged if fitted is None else fitted.line[t]
+    what = "simulated" if fitted is None else "fitted"
+    figure, (axes,) = blank(4.4)
+    axes.imshow(image)
+    axes.set_axis_off()
+    points = [project(view, shown.measured[t])]
+    if fitted is not None and logged is not None:
+        points += [project(view, logged)]
+        axes.plot(*points[-1].T, color=INK, linewidth=1.2, **_DASHED, label="under the force as logged",
+                  path_effects=[withStroke(linewidth=2.6, foreground="white")])  # fmt: skip
+    if line is not None:
+        points += [project(view, line)]
+        axes.plot(*points[-1].T, color=BLUE, linewidth=2.2, label=f"{what} beam", **_EDGED_WIDE)
+        predicted = project(view, shown.predicted[t])
+        axes.plot(*predicted.T, "+", color=BLUE, markersize=11, markeredgewidth=2, label=f"{what} tags", **_EDGED_WIDE)
+    axes.plot(*points[0].T, "o", markerfacecolor="none", markeredgecolor=ORANGE, markersize=10, markeredgewidth=2,
+              label="measured tags", **_EDGED_WIDE)  # fmt: skip
+    where = line[round(float(shown.push_s[t]) * (len(line) - 1))] if line is not None else shown.measured[t, -1]
+    points += [_draw_force(axes, view, where, shown.force[t], 0.22 * beam.length)]
+    _crop(axes, np.concatenate(points), image.shape)
+    size = f"{significant(float(np.linalg.norm(shown.force[t])))} N" + (" as fitted," if fitted is not None else "")
+    axes.set_title(f"{figure_text(comparison.name)}, frame {shown.frame[t]}: {size} at s = {shown.push_s[t]:.2g}")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=4 if fitted is not None else 3, columnspacing=1.2)
+    return figure
+
+
+def _draw_force(axes: Axes, view: View, tip: Array, force: Array, length_m: float) -> Array:
+    """An arrow that ends where the force acts; returns its two ends [px]."""
+    size = float(np.linalg.norm(force))
+    if size == 0.0:
+        return np.asarray(project(view, tip[None]))
+    ends = np.asarray(project(view, np.stack([tip - force / size * length_m, tip])))
+    arrow = {"arrowstyle": "-|>", "color": ORANGE, "linewidth": 2.2, **_EDGED_WIDE}
+    axes.annotate("F", ends[1], ends[0], arrowprops=arrow, color=ORANGE, weight="bold", size=12, **_EDGED_WIDE)
+    return ends
+
+
+def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
+    """Show what holds all `points` [px] with room around, at least as wide as the page's figures are."""
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = high - low + 0.24 * float(np.max(high - low)) + 40.0
+    extent[0] = max(extent[0], 1.6 * extent[1])
+    limits = np.array([size[1], size[0]], dtype=float)
+    extent = np.minimum(extent, limits)
+    corner = np.clip((low + high - extent) / 2, 0.0, limits - extent) - 0.5
+    axes.set_xlim(corner[0], corner[0] + extent[0])
+    axes.set_ylim(corner[1] + extent[1], corner[1])
+
+
+@styled
+def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None) -> Figure:
+    """The beam and the measured tags at rest and at pushes of growing size (Fig. 7 of the paper)."""
+    figure, (axes,) = blank(3.6)
+    shown, count = comparison if fitted is None else fitted.comparison, len(comparison.tag_id)
+    chosen = spread_of_pushes(shown, 6)
+    for order, t in enumerate(chosen):
+        strength = 0.25 + 0.75 * (order + 1) / len(chosen)
+        logged = None
+        if fitted is None or not comparison.static:
+            at = t if fitted is None else same_frame(comparison, shown, t)
+            logged = centreline(beam, comparison, observations, at)
+        if fitted is not None and logged is not None:
+            axes.plot(*(MM * logged.T), color=MUTED, alpha=strength, linewidth=1.0, **_DASHED)
+        line = logged if fitted is None else fitted.line[t]
+        if line is not None:
+            axes.plot(*(MM * line.T), color=BLUE, alpha=strength, linewidth=1.6)
+        for i in range(count):
+            axes.plot(
+                *(MM * shown.measured[t, i]), shape(i), color=hue_of(i, count), alpha=strength, markersize=6, zorder=4,
+                label=f"tag {shown.tag_id[i]} measured" if order == len(chosen) - 1 and i in named(count) else None,
+            )  # fmt: skip
+    axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
+    if fitted is not None and not comparison.static:
+        axes.plot([], [], color=MUTED, linewidth=1.0, **_DASHED, label="under the force\nas logged")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
+    axes.set_title(f"{figure_text(comparison.name)}: shapes under growing {'load' if comparison.static else 'force'}")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+@styled
+def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
+    """Every tag over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
+    figure, (above, below) = blank(4.6, 2, 1, sharex=True)
+    time, shown = comparison.time - comparison.time[0], comparison if fitted is None else fitted.comparison
+    step, count = max(1, len(time) // 150), len(comparison.tag_id)  # dots that would cover each other are left out
+    for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
+        for i in range(count):
+            tint = hue_of(i, count)
+            axes.plot(time[::step], MM * comparison.measured[::step, i, axis], shape(i), color=tint, alpha=0.45,
+                      markersize=3.2, markeredgewidth=0)  # fmt: skip
+            if fitted is not None and not comparison.static:
+                axes.plot(*_unbroken(time, MM * comparison.predicted[:, i, axis]), color=tint, linewidth=0.9, **_DASHED)
+            curve = _unbroken(shown.time - comparison.time[0], MM * shown.predicted[:, i, axis])
+            label = f"tag {comparison.tag_id[i]}, s = {comparison.marker_s[i]:.3g}" if i in named(count) else None
+            axes.plot(*curve, color=tint, linewidth=1.4, label=label, **_marked(i, time))
+        axes.set_ylabel(f"{name} [mm]")
+    below.set_xlabel(_time_label(comparison))
+    lines = "lines simulated" if fitted is None else "lines fitted"
+    if fitted is not None and not comparison.static:
+        lines += ", dashed under the force as logged"
+    above.set_title(f"{figure_text(comparison.name)}: dots measured, {lines}")
+    if count <= _A_ROW:
+        above.legend(loc="lower center", bbox_to_anchor=(0.5, -0.19), ncols=max(3, count))
+    else:
+        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=_A_ROW - 1)
+    return figure
+
+
+def _unbroken(time: Array, values: Array) -> tuple[Array, Array]:
+    """A line that is not drawn across gaps in time (frames that were not simulated)."""
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > 5.0 * np.median(steps)) + 1 if len(time) > 2 else np.array([], dtype=int)
+    return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
+
+
+def _marked(i: int, time: Array) -> dict[str, Any]:
+    """The i-th tag's symbol now and then on its line, which its colour alone would not tell from the others."""
+    return {"marker": shape(i), "markevery": max(1, len(time) // 9), "markersize": 4.5}
+
+
+def _time_label(comparison: Comparison) -> str:
+    return "pose" if comparison.static else "time since the first loaded frame [s]"
+
+
+@styled
+def residuals(comparison: Comparison, title: str = "measured to simulated") -> Figure:
+    """How far simulated tags are from the measured ones: over time, and in the plane where x and y were measured."""
+    residual = MM * (comparison.measured - comparison.predicted)
+    both = bool(np.any(np.isfinite(residual).all(axis=-1)))  # a plane needs x and y of the same tag
+    figure, panels = blank(3.2, 1, 2, width_ratios=(1.7, 1.0)) if both else blank(3.2)
+    left = panels[0]
+    time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
+    for i, rms in enumerate(comparison.rms):
+        distance, tint = distances(residual[:, i]), hue_of(i, count)
+        label = f"tag {comparison.tag_id[i]}: {millimetres(rms)} RMS" if i in named(count) else None
+        left.plot(*_unbroken(time, distance), color=tint, linewidth=1.1, label=label, **_marked(i, time))
+        if both:
+            panels[1].plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
+    left.set(xlabel=_time_label(comparison), ylabel="distance [mm]", ylim=(0, None))
+    left.set_title(f"{figure_text(comparison.name)}: {title}")
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=max(2, min(3, count)), fontsize=8)
+    for plane in panels[1:]:
+        plane.axhline(0, color=MUTED, linewidth=0.8)
+        plane.axvline(0, color=MUTED, linewidth=0.8)
+        plane.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+        plane.set_title("in the plane")
+    return figure
+
+
+@styled
+def selection(learned: Learned) -> Figure:
+    """The (n, m) table as a map of the BIC; the chosen pair framed, pairs out of the running left grey."""
+    trials = learned.trials
+    ns, ms = sorted({trial.n for trial in trials}), sorted({trial.m for trial in trials})
+    figure, (axes,) = blank(0.42 * len(ns) + 1.3)
+    running = [trial.bic for trial in trials if np.isfinite(trial.bic)]
+    low = min(running, default=0.0)
+    scale = Normalize(0.0, max(max(running, default=1.0) - low, 1e-9))
+    colours = LinearSegmentedColormap.from_list("quiet", ["#2c7fb8", "#bfdcec", "#f5f7fa"])
+    axes.grid(visible=False)
+    for i, trial in enumerate(trials):
+        x, y = ms.index(trial.m), ns.index(trial.n)
+        above = trial.bic - low
+        inside = bool(np.isfinite(trial.bic))
+        face = colours(scale(above)) if inside else "#eceef1"
+        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=face, edgecolor="white", linewidth=2))
+        dark = inside and float(np.dot(face[:3], (0.299, 0.587, 0.114))) < 0.55
+        axes.text(x, y, _cell(trial), ha="center", va="center", color="white" if dark else INK, fontsize=8.5)
+        if i == learned.chosen:
+            box = Rectangle((x - 0.47, y - 0.44), 0.94, 0.88, fill=False, edgecolor=ORANGE, linewidth=2.4, zorder=5)
+            axes.add_patch(box)
+    axes.set(xlim=(-0.5, len(ms) - 0.5), ylim=(len(ns) - 0.5, -0.5))
+    axes.set_xticks(range(len(ms)), [str(m) for m in ms])
+    axes.set_yticks(range(len(ns)), [str(n) for n in ns])
+    axes.set(xlabel="stiffness functions m", ylabel="curvature modes n")
+    axes.set_title("BIC (lower is better; framed: chosen; grey: out of the running)")
+    return figure
+
+
+def _cell(trial: Trial) -> str:
+    return f"{trial.bic:.0f}" if np.isfinite(trial.bic) else "out"
+
+
+@styled
+def force(observations: Observations, fitted: Explained | None = None) -> Figure:
+    """The force on the beam over time: what was filmed, when contact was, what was taken off; the fit's own dashed."""
+    clean = observations.source.clean_force
+    figure, (axes,) = blank(3.0)
+    time, values = (observations.time, observations.force) if clean is None else (clean.time, clean.force)
+    start = float(observations.time[0])
+    step = max(1, len(time) // 4000)
+    for axis, (name, tint) in enumerate((("x", GREEN), ("y", BLUE))):
+        label = f"F{name}"
+        if clean is not None:
+            label += f"  (tare {clean.tare[axis]:+.3f} N taken off, noise left {MM * clean.noise_sd[axis]:.1f} mN)"
+        axes.plot(time[::step] - start, values[::step, axis], color=tint, linewidth=1.2, label=label)
+        if fitted is not None:
+            there = fitted.comparison
+            axes.plot(*_unbroken(there.time - start, there.force[:, axis]), color=tint, linewidth=1.2,
+                      **_DASHED, alpha=0.9, label=f"F{name} as fitted")  # fmt: skip
+    axes.axhline(0, color=MUTED, linewidth=0.8)
+    for first, last in _flagged_spans(observations.time - start, observations.loaded):
+        axes.axvspan(first, last, color=ORANGE, alpha=0.08, linewidth=0)
+    axes.axvline(0.0, color=MUTED, linestyle=":", linewidth=1)
+    axes.axvline(float(observations.time[-1]) - start, color=MUTED, linestyle=":", linewidth=1)
+    axes.set(xlabel="time since the first frame [s]", ylabel="force [N]")
+    axes.set_title("force on the beam (shaded: in contact; dotted: first and last frame)")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if fitted is None else 2)
+    return figure
+
+
+def _flagged_spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """First and last time of every run of True."""
+    return [(float(time[first]), float(time[end - 1])) for first, end in runs(flags)]
+
+
+@styled
+def validation(comparisons: Sequence[Comparison]) -> Figure:
+    """RMS per tag and recording (Tables IV to VI), and the force noise."""
+    figure, (axes,) = blank(0.9 + 0.28 * sum(len(comparison.tag_id) + 1 for comparison in comparisons))
+    y, ticks = 0.0, []
+    for comparison in comparisons:
+        for i, rms in enumerate(MM * comparison.rms):
+            axes.barh(y, rms, height=0.8, color=hue_of(i, len(comparison.rms)), alpha=0.85)
+            axes.plot(MM * comparison.sensor_rms[i], y, "|", color=INK, markersize=11, markeredgewidth=1.8)
+            end = np.nanmax([rms, MM * comparison.sensor_rms[i], 0.0])
+            text = f"{millimetres(comparison.rms[i])} ({millimetres(comparison.sensor_rms[i])})"
+            axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
+            tag = f"tag {comparison.tag_id[i]}"
+            ticks.append((y, f"{figure_text(comparison.name)}  {tag}" if i == 0 else tag))
+            y += 1.0
+        y += 0.7
+    axes.set_yticks(*zip(*ticks, strict=True))
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+    axes.margins(x=0.1)
+    axes.set(xlabel="RMS distance, measured to simulated [mm]\n(| and in brackets: force noise)")
+    return figure
+
+
+# All figures of a report, by name.
+
+
+def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
+    """Every figure that the findings allow, in the order of the page. The film is read for those of its frames that
+    are not in `frames`."""
+    wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
+    posterior = findings.posterior
+    if posterior is not None and (rows_told := told(posterior.nuisances())):
+        wanted["nuisances"] = partial(nuisances, rows_told)
+    if only_frequencies(findings.recordings):  # no tag moved
+        return draw(wanted, progress)
+    fits: Sequence[Explained | None] = [None] * len(findings.trainings) if posterior is None else explained(posterior)
+    kept = frames or KeptFrames()
+    return _with_film(findings, draw(wanted | _of_recordings(findings, fits, kept), progress), fits[0], kept)
+
+
+def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
+    """What the recordings show, and how near the fit comes."""
+    beam, learned = findings.beam, findings.learned
+    training, recording = findings.trainings[0], findings.recordings[0]
+    wanted: dict[str, Draw] = {
+        "fit": partial(fit, beam, training, recording, fits[0], kept),
+        "shapes": partial(shapes, beam, training, recording, fits[0]),
+    }
+    if not recording.static:  # poses have no time
+        wanted["markers"] = partial(markers, training, fits[0])
+    rows = zip(findings.trainings, findings.recordings, fits, strict=True)
+    for i, (comparison, observations, fitted) in enumerate(rows, start=1):
+        before = "" if i == 1 else f"learned-{i}-"
+        if i > 1:
+            wanted[f"{before}shapes"] = partial(shapes, beam, comparison, observations, fitted)
+        if fitted is not None:
+            wanted[f"{before}fitted"] = partial(residuals, fitted.comparison, "left by the fit")
+        if fitted is None or not observations.static:  # of static poses the fit's own distance is the one that counts
+            under = words_of(observations).under
+            wanted[f"{before}residuals"] = partial(residuals, comparison, under)
+    if learned is not None:
+        wanted["selection"] = partial(selection, learned)
+    if not recording.static:
+        wanted["force"] = partial(force, recording, fits[0])
+    pairs = list(zip(findings.validations, findings.validation_observations, strict=True))
+    own = [
+        fitted.comparison if fitted is not None and one.static else one
+        for one, fitted in zip(findings.trainings, fits, strict=True)
+    ]
+    return wanted | validation_figures(beam, pairs, *own)
+
+
+def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
+    """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
+    if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
+        return pictures
+    try:
+        film = film_strip(findings.recordings[0], fitted, findings.beam, findings.posterior.stiffness, kept)
+        return replace(pictures, film=film)
+    except Exception as error:  # as with every picture
+        pictures.failed["film"] = reason_of(error)
+        return pictures
+
+
+def _stiffness(findings: Findings) -> Figure:
+    """k(s) with its band, and the regression's beside it where it is not the result itself."""
+    posterior, learned, first = findings.posterior, findings.learned, findings.trainings[0]
+    pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in findings.trainings])
+    return stiffness(
+        findings.beam,
+        uncertain=None if posterior is None else posterior.stiffness,
+        regression=None if posterior is None or learned is None else learned.beam.stiffness,
+        tags=dict(zip(first.tag_id.tolist(), first.marker_s.tolist(), strict=True)),
+        push_s=float(pushed.max()) if pushed.size else None,
+    )
+
+
+def validation_figures(
+    beam: Beam, pairs: Sequence[tuple[Comparison, Observations]], *others: Comparison
+) -> dict[str, Draw]:
+    """The bars over all recordings (`others` first), and shapes and residuals of each."""
+    if not pairs:
+        return {}
+    wanted: dict[str, Draw] = {"validation": partial(validation, (*others, *(comparison for comparison, _ in pairs)))}
+    for i, (one, where) in enumerate(pairs, start=1):
+        wanted[f"validation-{i}-shapes"] = partial(shapes, beam, one, where)
+        wanted[f"validation-{i}-residuals"] = partial(residuals, one)
+    return wanted
+
+
+def fit(
+    beam: Beam,
+    comparison: Comparison,
+    observations: Observations,
+    fitted: Explained | None = None,
+    kept: KeptFrames | None = None,
+) -> Figure | None:
+    """The fit over the video frame; None where there is no video any more, or no camera."""
+    if observations.source.view is None or observations.source.video is None:
+        return None
+    shown = comparison if fitted is None else fitted.comparison
+    wanted, film = int(shown.frame[push_to_show(shown)]), film_of(observations.source.video, observations)
+    try:
+        found = dict((kept or KeptFrames()).pictures(film, [wanted], colour=True))
+    except OnebendError:
+        return None
+    image = found.get(wanted)
+    return (
+        None
+        if image is None
+        else fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
+    )
+
+
+# One picture of a recording before it is learned from: what was understood, drawn over what was filmed.
+
+ROWS = 4000  # of the log that are drawn
+ARROW = 0.3  # of the beam's length
+_EDGED_NARROW: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground="white")]}
+
+
+def check_picture(found: Overview) -> Figure | None:
+    """A frame with the tags, the beam's axis and the largest force; below it the force over time.
+
+    Of tracks and poses, which have no picture, the tags in the plane. None where there is nothing to draw.
+    """
+    return None if found.preview is None and found.observations is None else _drawn(found)
+
+
+def check_png(found: Overview) -> bytes | None:
+    """`check_picture` as PNG."""
+    figure = check_picture(found)
+    return None if figure is None else png_of(figure, software=SOFTWARE)
+
+
+@styled
+def _drawn(found: Overview) -> Figure:
+    with_log = found.log is not None
+    figure, axes = blank(6.6 if with_log else 4.6, rows=2 if with_log else 1, height_ratios=[2, 1] if with_log else [1])
+    if found.preview is not None:
+        _frame(axes[0], found.recording, found.preview, found.log)
+    else:
+        _plane(axes[0], found)
+    if found.log is not None:
+        _force(axes[1], found, found.log)
+    return figure
+
+
+def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -> None:
+    """The frame that says most, the ids in it, the axis and the arrow."""
+    at = preview.shown
+    frame, tags = preview.looked[at], preview.sightings[at]
+    expected = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    axes.imshow(frame.luma, cmap="gray", vmin=0, vmax=255)
+    axes.set_axis_off()
+    for tag in tags:
+        colour = GREEN if tag.tag_id in expected else PINK
+        axes.plot(*np.vstack([tag.corners, tag.corners[:1]]).T, color=colour, linewidth=1.8)
+        low = tag.corners[np.argmax(tag.corners[:, 1])]
+        below: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "top", "weight": "bold"}
+        axes.annotate(str(tag.tag_id), low, (0, -7), color=colour, **below, **_EDGED_NARROW)
+    if preview.markers is not None and preview.markers.view is not None:
+        _axis(axes, rec, preview, preview.markers.view, at, log)
+    here = {tag.tag_id for tag in tags}
+    ever = {tag.tag_id for found in preview.sightings for tag in found}
+    missing = [f"{tag}{' (in other frames)' if tag in ever else ''}" for tag in expected if tag not in here]
+    others = sorted(ever - set(expected))
+    words = [f"frame {frame.index}: tags {_ids(sorted(here & set(expected)))} as expected"]
+    words += [f"not seen: {', '.join(missing)}"] if missing else []
+    words += [f"unexpected: {_ids(others)}"] if others else []
+    axes.set_title("; ".join(words))
+
+
+def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:
+    """The beam's x axis and y axis at the base, the line of its tags, and the largest force where it is said to act."""
+    assert preview.markers is not None
+    markers, length = preview.markers, rec.beam.length
+    ends = project(view, np.array([[0.0, 0.0], [length, 0.0], [0.0, 0.25 * length]]))
+    for end, name in ((ends[1], "x"), (ends[2], "y")):
+        axes.annotate("", end, ends[0], arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 1.4})
+        axes.annotate(name, end, (5, 5), textcoords="offset points", color=BLUE, **_EDGED_NARROW)
+    order = np.argsort(markers.s, kind="stable")
+    s = np.concatenate([[0.0], markers.s[order]])
+    points = np.concatenate([np.zeros((1, 2)), markers.xy[at, order]])
+    good = np.isfinite(points).all(axis=1)
+    axes.plot(*project(view, points[good]).T, color=BLUE, linewidth=1.6, linestyle=(0, (4, 3)), label="the beam's axis")
+    _tool(axes, preview, view, s[good], points[good])
+    place = rec.push.at if rec.push is not None else np.nan
+    if log is None or not np.isfinite(place) or good.sum() < 2:
+        return
+    force = tared(rec, log)
+    largest = force[int(np.argmax(np.linalg.norm(force, axis=1)))]
+    size = float(np.linalg.norm(largest))
+    where = np.array([np.interp(place, s[good], points[good, k]) for k in (0, 1)])
+    tail = where - ARROW * length * largest / size
+    tip, start = project(view, np.stack([where, tail]))
+    axes.annotate(
+        f"F, {significant(size)} N", tip, start, arrowprops={"arrowstyle": "-|>", "color": ORANGE, "linewidth": 2.2},
+        color=ORANGE, weight="bold", ha="center", va="center", **_EDGED_NARROW,
+    )  # fmt: skip
+
+
+def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> None:
+    """Where the film shows the tool: at `s` (P,) the axis goes through `points` (P, 2) [m]."""
+    if not preview.tool.seen or len(s) < 2:
+        return
+    where = np.array([np.interp(preview.tool.s, s, points[:, k]) for k in (0, 1)])
+    u, v = project(view, where).tolist()
+    axes.plot(u, v, "x", color=PINK, markersize=9, markeredgewidth=2.4, **_EDGED_NARROW)
+    beside: dict[str, Any] = {"textcoords": "offset points", "color": PINK, "weight": "bold"}
+    axes.annotate(f"tool seen, s = {preview.tool.s:.2f}", (u, v), (9, 9), **beside, **_EDGED_NARROW)
+
+
+def _plane(axes: Axes, found: Overview) -> None:
+    """Where tracks or poses have the tags, in the beam's frame."""
+    assert found.observations is not None
+    o = found.observations
+    for i, tag in enumerate(o.tag_id.tolist()):
+        axes.plot(*(1000.0 * o.xy[:, i]).T, ".", markersize=3, label=f"tag {tag}, s = {o.marker_s[i]:.3g}")
+    axes.plot([0.0, 1000.0 * o.length], [0.0, 0.0], color=BLUE, linewidth=1.4, label="the beam's x axis")
+    axes.plot([0.0], [0.0], "s", color=INK)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"{len(o.time)} poses of the tags, as read")
+    axes.legend(loc="best")
+
+
+def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
+    """The force on the beam over time, with the film's span, its rests and its push."""
+    force = tared(found.recording, log)
+    every = max(1, len(force) // ROWS)
+    for values, name, colour in zip(force[::every].T, ("along x", "along y"), (BLUE, ORANGE), strict=True):
+        axes.plot(log.time[::every], values, color=colour, linewidth=0.9, label=name)
+    for begin, end, pushed in pushes(found):
+        axes.axvspan(
+            begin, end, color=PINK if pushed else GREEN, alpha=0.13, linewidth=0, label="push" if pushed else "rest"
+        )
+    axes.axhline(0.0, color=FAINT, linewidth=0.8, zorder=0)
+    span = _film_span(found)
+    if span is None:
+        axes.set_title("force on the beam; when the film begins is not written down")
+    else:
+        clock = None if found.observations is None else found.observations.source.clock
+        as_found = clock is not None and clock.found
+        how = "as found" if as_found else "at start_s as written" + _give(found.recording)
+        axes.set_title(f"force on the beam; film, rest and push {how}")
+        for at in span:
+            axes.axvline(at, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
+    axes.set(xlabel="time of the log [s]", ylabel="N, less its start")
+    handles, labels = axes.get_legend_handles_labels()
+    unique = dict(zip(labels, handles, strict=True))
+    axes.legend(unique.values(), unique.keys(), loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=len(unique))
+
+
+def pushes(found: Overview) -> list[tuple[float, float, bool]]:
+    """Begin, end [s, the log's clock] and whether the beam is pushed, by the tags and the start as written."""
+    start = found.recording.start[0]
+    if found.observations is not None:
+        time, loaded = found.observations.time, found.observations.loaded
+    elif found.preview is not None and found.preview.markers is not None and np.isfinite(start):
+        time, loaded = found.preview.markers.time + start, bent(found.preview.markers)
+    else:
+        return []
+    return [*_push_spans(time, loaded, True), *_push_spans(time, ~loaded, False)]
+
+
+def _push_spans(time: Array, mask: BoolArray, pushed: bool) -> list[tuple[float, float, bool]]:
+    middle = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1]), time[-1:]])
+    return [(float(middle[begin]), float(middle[end]), pushed) for begin, end in runs(mask).tolist()]
+
+
+def _film_span(found: Overview) -> tuple[float, float] | None:
+    start = found.recording.start[0]
+    if found.observations is not None:
+        return float(found.observations.time[0]), float(found.observations.time[-1])
+    if found.preview is None or not np.isfinite(start):
+        return None
+    return start, start + found.preview.looked[-1].time
+
+
+def _give(rec: Recording) -> str:
+    doubt = rec.start[1]
+    return f" (to {doubt:.2g} s)" if np.isfinite(doubt) and doubt > 0.0 else ""
+
+
+def _ids(ids: list[int]) -> str:
+    return ", ".join(map(str, ids)) or "none"

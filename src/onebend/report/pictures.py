@@ -1,0 +1,237 @@
+"""Pictures one by one: one that cannot be drawn costs itself, and its reason is kept."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import UncertainStiffness, half_width
+from onebend.errors import MechanicsError, OnebendError
+from onebend.learning.outcome import Explained
+from onebend.learning.validation import solved_frames
+from onebend.progress import Progress, Silent, track
+from onebend.recording.camera import project
+from onebend.recording.entries import VideoEntry
+from onebend.recording.video import KeptFrames, roundest
+from onebend.records import Array, IntArray, Observations, View
+from onebend.text_files import one_line
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# Small frames of the film to look through on the page: the fitted beam, the tags and the force in their pixels.
+
+MOST_FRAMES = 24  # fewer than are kept of most films
+WIDEST = 560  # px
+LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
+QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
+_ARROW = 0.25  # of the beam's length, at the largest force
+_DRAWS = 16  # of k(s), for the band of the shape
+_STEP = 4  # of the centre line's places, one is drawn
+
+
+@dataclass(frozen=True)
+class StripFrame:
+    """One frame; lengths in pixels of the small picture."""
+
+    jpeg: bytes
+    frame: int  # index in the video
+    time: float  # s since the first frame shown
+    beam: Array  # (places, 2) px, the centre line as fitted
+    band: Array  # (2, places, 2) px, either side of it: where it could be for all of k(s) that is probable (95 %)
+    tags: Array  # (m, 2) px as measured; NaN where one was not seen
+    arrow: Array  # (2, 2) px, from where the arrow begins to where the force acts
+    force: Array  # (2,) N, as fitted
+
+
+@dataclass(frozen=True)
+class FilmStrip:
+    """Frames to look through, all of one size [px]."""
+
+    width: int
+    height: int
+    frames: tuple[StripFrame, ...]
+
+
+def film_of(video: Path, observations: Observations) -> VideoEntry:
+    """The observations' film, to be read again."""
+    topic = observations.source.video_topic
+    return VideoEntry(file=video, topic=topic, damaged="keep" if topic else "refuse")
+
+
+def spread_frames(frame: IntArray) -> IntArray:
+    """(n,) places in `frame` (T,), about evenly spread, of frames that are likely to be kept."""
+    ends = np.linspace(0, len(frame), min(MOST_FRAMES, len(frame)) + 1).round().astype(int)
+    return np.array([a + roundest(frame[a:b]) for a, b in pairwise(ends.tolist())], dtype=np.int64)
+
+
+def film_strip(
+    observations: Observations,
+    fitted: Explained,
+    beam: Beam,
+    uncertain: UncertainStiffness,
+    kept: KeptFrames | None = None,
+) -> FilmStrip | None:
+    """Frames spread evenly over those of the fit, the film being read for those that are not `kept`; None where it is
+    gone, or there is no camera."""
+    source, shown = observations.source, fitted.comparison
+    if source.view is None or source.video is None:
+        return None
+    chosen = spread_frames(shown.frame)
+    arrows = _arrows(source.view, observations.length, fitted, chosen)
+    beams, tags = project(source.view, fitted.line[chosen, ::_STEP]), project(source.view, shown.measured[chosen])
+    points = np.concatenate([part.reshape(-1, 2) for part in (beams, tags, arrows)])
+    try:
+        pictures = (kept or KeptFrames()).pictures(
+            film_of(source.video, observations), shown.frame[chosen].tolist(), colour=True
+        )
+        images = {index: _part(picture, points) for index, picture in pictures}
+    except OnebendError:
+        return None
+    if not images:
+        return None
+    aside = shape_band(beam, uncertain, observations, fitted, chosen)
+    low, scale = next(iter(images.values()))[1:]
+    jpegs = dict(zip(images, _jpegs([image for image, _, _ in images.values()]), strict=True))
+    frames = tuple(
+        StripFrame(
+            jpeg=jpegs[int(shown.frame[t])],
+            frame=int(shown.frame[t]),
+            time=float(shown.time[t] - shown.time[chosen[0]]),
+            beam=scale * (beams[i] - low),
+            band=scale * (project(source.view, aside[i]) - low),
+            tags=scale * (tags[i] - low),
+            arrow=scale * (arrows[i] - low),
+            force=shown.force[t],
+        )
+        for i, t in enumerate(chosen)
+        if int(shown.frame[t]) in jpegs
+    )
+    return FilmStrip(*next(iter(images.values()))[0].size, frames)
+
+
+def shape_band(
+    beam: Beam, uncertain: UncertainStiffness, observations: Observations, fitted: Explained, chosen: NDArray[np.int_]
+) -> Array:
+    """(F, 2, places, 2) m, either side of the fitted centre line: what the uncertainty of k(s) alone does to the shape.
+
+    Beams drawn from the posterior of k(s) are bent by the loads of the frames `chosen`, and the fitted line is moved by
+    the quantile of how far they lie to its side. Errors of the force, which the fit sees together with k(s), are left
+    out. Without width where the drawn beams cannot be simulated.
+    """
+    lines = fitted.line[chosen, ::_STEP]
+    s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
+    frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
+    bent: list[Array] = []
+    near: Array | None = None
+    for profile in uncertain.draw(_DRAWS, seed=0):
+        try:
+            [solved] = solved_frames(replace(beam, stiffness=profile), observations, frames, near)
+        except MechanicsError:
+            continue
+        near = solved.q if solved.converged.all() else near
+        bent.append(np.where(solved.converged[:, None, None], solved.xy(s), np.nan))
+    along = np.gradient(lines, axis=1)
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    if len(bent) < 2:
+        return np.stack([lines, lines], axis=1)
+    sideways = np.sum((np.array(bent) - np.mean(bent, axis=0)) * normal, axis=-1)
+    wide = np.nan_to_num(half_width(np.std(sideways, axis=0, ddof=1)))[..., None]
+    return np.stack([lines + wide * normal, lines - wide * normal], axis=1)
+
+
+def _arrows(view: View, length: float, fitted: Explained, chosen: NDArray[np.int_]) -> Array:
+    """(F, 2, 2) px, arrows that end where the force acts and are as long as it is large."""
+    shown, lines = fitted.comparison, fitted.line[chosen]
+    places = np.nan_to_num(shown.push_s[chosen], nan=1.0)
+    at = lines[np.arange(len(chosen)), (places * (lines.shape[1] - 1)).round().astype(int)]
+    largest = max(float(np.max(np.linalg.norm(shown.force, axis=1))), 1e-12)
+    begin = at - _ARROW * length * shown.force[chosen] / largest
+    return np.asarray(project(view, np.stack([begin, at], axis=1)))
+
+
+def _window(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Two corners (x, y) px of the picture's part that holds all `points`, with room around them."""
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = 0.12 * float(np.max(high - low)) + 20.0
+    limits = np.array([shape[1], shape[0]])
+    first = np.clip(np.floor(low - room).astype(int), 0, limits - 2)
+    return first, np.clip(np.ceil(high + room).astype(int), first + 2, limits)
+
+
+def _part(picture: NDArray[np.uint8], points: Array) -> tuple[Image.Image, NDArray[np.int_], float]:
+    """The part of a frame that holds all `points`, as small as it is shown; its corner [px], and how much smaller."""
+    low, high = _window(points, picture.shape)
+    scale = min(WIDEST / float(high[0] - low[0]), 1.0)
+    part = Image.fromarray(picture[low[1] : high[1], low[0] : high[0]])
+    width, height = (round(scale * float(extent)) for extent in high - low)
+    return part.resize((width, height), Image.Resampling.HAMMING), low, scale
+
+
+def _jpegs(images: list[Image.Image]) -> list[bytes]:
+    """JPEGs of the best quality with which they stay below `LARGEST` together."""
+    jpegs: list[bytes] = []
+    for quality in QUALITIES:
+        jpegs = [_jpeg(image, quality) for image in images]
+        if sum(map(len, jpegs)) <= LARGEST:
+            break
+    return jpegs
+
+
+def _jpeg(image: Image.Image, quality: int) -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, format="JPEG", quality=quality, optimize=True)
+    return stream.getvalue()
+
+
+Draw: TypeAlias = "Callable[[], Figure | None]"
+LONGEST = 200  # characters of a reason
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What was drawn, and what could not be."""
+
+    drawn: dict[str, bytes] = field(default_factory=dict)  # PNGs by name
+    failed: dict[str, str] = field(default_factory=dict)  # why, by name
+    film: FilmStrip | None = None  # frames to look through on the page
+
+    def write(self, folder: Path) -> None:
+        """Write each as `NAME.png`."""
+        for name, png in self.drawn.items():
+            (folder / f"{name}.png").write_bytes(png)
+
+
+def draw(wanted: Mapping[str, Draw], progress: Progress = Silent()) -> Pictures:
+    """All that can be drawn; None from a function: there is nothing to show."""
+    from onebend.report.style import png_of
+
+    pictures = Pictures()
+    for name, make in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
+        try:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message="Glyph .* missing")  # a name in another script: boxes
+                figure = make()
+                if figure is not None:
+                    pictures.drawn[name] = png_of(figure)
+        except Exception as error:  # whatever it is, the results do not depend on it
+            pictures.failed[name] = reason_of(error)
+    return pictures
+
+
+def reason_of(error: Exception) -> str:
+    """Why a picture could not be drawn, on one line."""
+    return one_line(f"{type(error).__name__}: {error}")[:LONGEST]

@@ -1,0 +1,117 @@
+"""One look for all figures: colours that the colour-blind can tell apart, quiet axes, no global state of pyplot."""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable
+from typing import Any, Literal, ParamSpec
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+DPI = 150
+PACKING = 3  # of 9, of the PNGs: half the time of the usual 6, and a tenth more bytes
+WIDTH = 7.2  # inches: 1080 px, the width of a page's text
+INK = "#1b2430"
+MUTED = "#667085"
+FAINT = "#d5dae1"
+BLUE, ORANGE, GREEN, PINK = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
+# Okabe and Ito's colours, the dark ones first; markers differ in shape as well, for print in grey.
+MARKER_COLOURS = (BLUE, ORANGE, GREEN, PINK, "#56b4e9", "#e69f00", "#000000")
+_LIGHTEST = 0.9  # of the colour map: what is lighter is lost on white
+MARKER_SHAPES = ("o", "s", "^", "D", "v", "P", "X")
+
+_LOOK: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.5,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.8,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+}
+
+P = ParamSpec("P")
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Draw with the look of this module, and leave the caller's own settings as they were."""
+
+    @functools.wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with rc_context(_LOOK):
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def blank(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
+    """A figure as wide as the page and its axes, row by row."""
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, list(np.ravel(axes))
+
+
+def png_of(figure: Figure, *, software: str | None = None) -> bytes:
+    """The figure as a PNG, without a date: the same findings give the same bytes.
+
+    It is laid out once and drawn once; `Figure.savefig` draws everything once more, to lay it out.
+    """
+    with rc_context(_LOOK):
+        stream = io.BytesIO()
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        canvas = figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
+        packed = {"compress_level": PACKING}
+        canvas.print_png(stream, metadata={"Software": software}, pil_kwargs=packed)  # type: ignore[no-untyped-call]
+    return stream.getvalue()
+
+
+def plane(axes: Axes, title: str, *, adjustable: Literal["box", "datalim"] = "box") -> None:
+    """Axes that show the plane of bending to scale, in mm, with the clamp as a square."""
+    axes.plot([0.0], [0.0], "s", color=INK, markersize=7, zorder=6)
+    axes.grid(color=FAINT)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=title)
+    axes.set_aspect("equal", adjustable=adjustable)
+
+
+def hue_of(i: int, count: int = 0) -> str:
+    """Colour of the i-th of so many markers; where they are more than there are colours, by its place in the order."""
+    if count <= len(MARKER_COLOURS):
+        return MARKER_COLOURS[i % len(MARKER_COLOURS)]
+    return to_hex(colormaps["viridis"](_LIGHTEST * i / (count - 1)))
+
+
+def named(count: int) -> frozenset[int]:
+    """Which of so many markers a legend names: all, or as many as there are colours, from the first to the last."""
+    most = len(MARKER_COLOURS)
+    return frozenset(range(count) if count <= most else np.rint(np.linspace(0, count - 1, most)).astype(int).tolist())
+
+
+def shape(i: int) -> str:
+    """Symbol of the i-th marker."""
+    return MARKER_SHAPES[i % len(MARKER_SHAPES)]

@@ -1,0 +1,263 @@
+"""What `onebend reach` leaves in a folder: the path of forces, the picture, and a summary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.control.loop import Controller, Margins
+from onebend.control.loop_simulation import SETTLED, LoopTrial
+from onebend.control.path import FollowedPath, PathSpread
+from onebend.control.reach import SURE, PredictedError, Reach
+from onebend.control.shape import ShapeResult
+from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
+from onebend.files.publish import write_summary
+from onebend.report.pictures import Pictures
+from onebend.results.tables import write_csv
+
+REACH_FORMAT = "onebend-reach-1"
+PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
+
+
+def reach_summary(model: str, result: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
+    """What `onebend reach --json` prints and `summary.json` holds (there with `files`); SI and radians."""
+    nearest = result.nearest
+    return {
+        "format": REACH_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "method": result.settings.method,
+        "push_s": result.push_s,
+        "point_s": result.point_s,
+        "goal_m": result.goal[:2].tolist(),
+        "goal_angle_rad": float(result.goal[2]) if len(result.goal) == 3 else None,
+        "converged": result.converged,
+        "reason": result.reason,
+        "force_N": result.force.tolist(),
+        "force_size_N": float(np.hypot(*result.force)),
+        "moment_N_m": result.moment,
+        "reached_m": result.reached[:2].tolist(),
+        "reached_angle_rad": float(result.reached[2]),
+        "error_m": result.error,
+        "stable": result.stable,
+        "iterations": result.iterations,
+        "nearest": None if nearest is None else {
+            "point_m": nearest.point.tolist(),
+            "force_N": nearest.force.tolist(),
+            "distance_m": nearest.distance,
+        },
+        "predicted_error": None if error is None else {
+            "mean_m": error.mean.tolist(),
+            "share_lost": error.lost,
+            "covariance_m2": error.covariance.tolist(),
+            "ellipse_level": SURE,
+            "ellipse_semi_axes_m": error.ellipse(SURE).semi_axes.tolist(),
+            "ellipse_angle_rad": error.ellipse(SURE).angle,
+        },
+    }  # fmt: skip
+
+
+def write_path(path: Path, result: Reach) -> None:
+    """One row a step from rest: the load, and where it holds the point; each an equilibrium on one branch."""
+    pairs = zip(result.path, result.path_points, strict=True)
+    rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))
+    write_csv(path, PATH_COLUMNS, rows)
+
+
+def reach_writer(result: Reach, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder."""
+
+    def write(folder: Path) -> None:
+        write_path(folder / "path.csv", result)
+        pictures.write(folder)
+        write_summary(folder, summary)
+
+    return write
+
+
+# What `onebend shape` and `onebend path` leave in a folder.
+
+SHAPE_FORMAT = "onebend-shape-1"
+PATH_FORMAT = "onebend-path-1"
+TARGET_ROWS = (
+    "s",
+    "wanted_x_m",
+    "wanted_y_m",
+    "wanted_angle_rad",
+    "x_m",
+    "y_m",
+    "angle_rad",
+    "sd_x_m",
+    "sd_y_m",
+    "sd_angle_rad",
+)
+SHAPE_ROWS = ("s", "x_m", "y_m", "angle_rad")
+
+
+def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[str, Any]:
+    """What `onebend shape --json` prints and `summary.json` holds (there with `files`); SI and radians."""
+    actuators, spread = result.state.actuators, result.spread
+    held = actuators.grip is not None
+    return {
+        "format": SHAPE_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "push_s": [pusher.at_s for pusher in actuators.pushes],
+        "force_N": result.forces,
+        "gripper_pose": dict(zip(("x_m", "y_m", "angle_rad"), result.pose, strict=True)) if held else None,
+        "gripper_wrench": result.wrench,
+        "rms_m": result.rms,
+        "target_error_m": result.xy_error,
+        "target_error_rad": result.angle_error,
+        "predicted_sd_m": None if spread is None else spread.xy,
+        "predicted_sd_rad": None if spread is None else spread.angle,
+        "predicted_sd_wrench": None if spread is None else spread.wrench,
+        "margin": result.margin,
+        "load_left": result.load_left,
+        "limits": result.limits,
+        "open_freedoms": result.open_freedoms,
+        "converged": result.converged,
+        "starts": result.starts,
+        "warnings": result.warnings,
+    }
+
+
+def shape_writer(result: ShapeResult, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with a shape."""
+
+    def write(folder: Path) -> None:
+        targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
+        sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
+        here = (*result.xy(targets.s).T, result.angle(targets.s))
+        _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
+        s = np.linspace(0.0, 1.0, 201)
+        _rows(folder / "shape.csv", SHAPE_ROWS, (s, *result.xy(s).T, result.angle(s)))
+        pictures.write(folder)
+        write_summary(folder, summary)
+
+    return write
+
+
+def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
+    """What `onebend path --json` prints and `summary.json` holds; the samples themselves are in `path.csv`."""
+    return {
+        "format": PATH_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "push_s": [pusher.at_s for pusher in way.actuators.pushes],
+        "grip": way.actuators.grip is not None,
+        "samples": len(way.time),
+        "duration_s": float(way.time[-1]),
+        "stretch": way.stretch,
+        "largest_force_N": [float(f) for f in np.max(np.linalg.norm(way.forces, axis=2), axis=0)],
+        "worst_miss_m": float(np.max(way.miss)),
+        "least_margin": float(np.min(way.margin)),
+        "least_margin_at_goal_time_s": float(way.margin_time[np.argmin(way.margin)]),
+        "predicted_sd_m": None if sure is None else {"time_s": sure.time, "rms": sure.rms},
+        "warnings": way.warnings,
+    }
+
+
+def path_writer(
+    way: FollowedPath, pictures: Pictures, summary: Mapping[str, Any], *, frame: str, bag: bool
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a picture; with `bag` a ROS 2 bag as well."""
+
+    def write(folder: Path) -> None:
+        write_samples(folder / "path.csv", way)
+        write_yaml(folder, way, frame=frame)
+        if bag:
+            write_bag(folder / "bag", way, frame=frame)
+        pictures.write(folder)
+        write_summary(folder, summary)
+
+    return write
+
+
+def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
+    """A CSV; blank where a number is not known."""
+    rows = np.stack(columns, axis=1)
+    write_csv(file, names, ([f"{value:.9g}" if np.isfinite(value) else "" for value in row] for row in rows))
+
+
+# What `onebend loop` leaves in a folder: the rehearsals in time, the picture, and a summary.
+
+LOOP_FORMAT = "onebend-loop-1"
+LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "force_x_N", "force_y_N", "error_m")
+
+
+def loop_summary(
+    model: str,
+    control: Controller,
+    known: Margins,
+    trials: tuple[LoopTrial, ...],
+    rehearsed: Mapping[str, object],
+    *,
+    written_by: str,
+) -> dict[str, Any]:
+    """What `onebend loop --json` prints and `summary.json` holds (there with `files`); SI; null is infinite.
+    `rehearsed`: what the rehearsals were made with beside the controller."""
+    timing = control.settings.timing
+    return {
+        "format": LOOP_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "push_s": control.push_s,
+        "point_s": control.point_s,
+        "goal_m": control.goal.tolist(),
+        "feedforward_N": control.reference.ends.tolist(),
+        "rise_s": control.reference.rise,
+        "fps": timing.fps,
+        "delay_s": timing.delay,
+        "rate_per_s": control.gains.rate,
+        "corner_rad_per_s": control.gains.corner,
+        "margins": {
+            "gain": _finite(known.gain),
+            "phase_rad": _finite(known.phase),
+            "delay_s": _finite(known.delay),
+            "softest": _finite(known.softest),
+        },
+        **rehearsed,
+        "rehearsals": [
+            {
+                "k_factor": trial.factor,
+                "drawn": trial.beam.drawn,
+                "stands": trial.run is not None,
+                "steady_m": _finite(trial.steady),
+                "settled_s": _finite(trial.settled(SETTLED)),
+            }
+            for trial in trials
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def write_loop(path: Path, trials: tuple[LoopTrial, ...]) -> None:
+    """One row a moment of every rehearsal."""
+    rows = (
+        (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
+        for trial in trials
+        if trial.run is not None
+        for i, time in enumerate(trial.run.time)
+    )
+    write_csv(path, LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))
+
+
+def loop_writer(
+    trials: tuple[LoopTrial, ...], pictures: Pictures, summary: Mapping[str, Any]
+) -> Callable[[Path], None]:
+    """What `publish` needs to fill a folder."""
+
+    def write(folder: Path) -> None:
+        write_loop(folder / "loop.csv", trials)
+        pictures.write(folder)
+        write_summary(folder, summary)
+
+    return write

@@ -1,1 +1,0 @@
-"""The paper's experiments made again, from films to tables and figures."""

@@ -1,0 +1,141 @@
+"""A force log whose error comes with the load: what is expected of it, and what the fit makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Powers
+from onebend.lab.bench import ForceSensor, PushProfile
+from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_from_truth, virtual_recording
+from onebend.learning.force_error import force_error
+from onebend.learning.posterior import Posterior, fit
+from onebend.records import Array, Observations
+from tests.learning.bench import IDEAL
+from tests.made_up import with_source, with_stated
+
+PEAK = 0.4
+STIFFNESS = Powers((0.02, 0.004))
+BENCH = VirtualBench(Beam(0.15, STIFFNESS), PushProfile(PEAK, hold=0.6), sensor=ForceSensor(white_sd=0.003 * PEAK))
+STEPS = np.array([[0.12, -0.10], [-0.06, 0.14]]) * PEAK  # while the load grows, while it falls
+S = np.linspace(0.05, 0.9, 35)
+
+
+def stepped(steps: Array, *, after: float = 1.0, bench: VirtualBench = BENCH, seed: int = 0) -> VirtualRecording:
+    """A recording whose log is off by `steps` (2, 2) N; by `after` of the second when the load has gone."""
+    made = virtual_recording(bench, seed=seed)
+    begin, end = bench.push.contact
+    time = made.log.time - bench.clock.offset
+    middle = 0.5 * (begin + bench.push.rise + end - bench.push.fall)
+    levels = np.vstack([np.zeros(2), steps, after * steps[1]])
+    error = levels[np.searchsorted([begin + 0.2, middle, end - 0.2], time)]
+    return replace(made, log=replace(made.log, force=made.log.force + error))
+
+
+def seen(made: VirtualRecording) -> Observations:
+    return observe_from_truth(made, clock_sd=0.01, cutoff=2.5)
+
+
+def error_of(found: Posterior, number: int = 0) -> tuple[Array, Array]:
+    """The fitted error at the frames (F, 2) and its sd."""
+    where = found.layout.index["force", number].where
+    weights = np.kron(found.recordings[number].error.weights, np.eye(2))
+    sd = np.sqrt(np.diag(weights @ found.covariance.among(where) @ weights.T))
+    return (weights @ found.mean[where]).reshape(-1, 2), sd.reshape(-1, 2)
+
+
+@pytest.fixture(scope="module")
+def found() -> Posterior:
+    return fit([seen(stepped(STEPS))], 0.02, settings=IDEAL)
+
+
+def test_steps_of_the_load_do_not_move_k(found: Posterior) -> None:
+    error = np.log(found.band(S).k / np.asarray(STIFFNESS(S)))
+    assert np.sqrt(np.mean(error**2)) < 0.03  # steps of 15 % of the peak
+    assert np.all((found.band(S).low < STIFFNESS(S)) & (found.band(S).high > STIFFNESS(S)))
+
+
+def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
+    o, push = found.recordings[0].observations, BENCH.push
+    time = o.time[found.recordings[0].frames] - BENCH.clock.offset
+    begin, end = push.contact
+    growing = (time > begin + 0.8) & (time < begin + push.rise - 0.3)
+    falling = (time > end - push.fall + 0.3) & (time < end - 0.8)
+    error, sd = error_of(found)
+    clean = o.source.clean_force
+    assert clean is not None
+    zero = np.stack([np.interp(o.time[found.recordings[0].frames], clean.zero_time, c) for c in clean.zero.T], axis=1)
+    for rows, step in zip((growing, falling), STEPS, strict=True):
+        true = step - zero[rows]  # what is wrong with the log once its zero is taken off
+        assert np.all(np.abs(error[rows] - true) < 3.0 * sd[rows])
+        assert np.max(np.abs(error[rows] - true)) < 0.5 * np.linalg.norm(step)
+    assert found.optimum.hyperparameters.load * found.recordings[0].error.load > 0.05 * PEAK
+
+
+def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
+    clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02, settings=IDEAL)
+    assert clean.optimum.hyperparameters.load * clean.recordings[0].error.load < 0.01 * PEAK
+    middle = S < 0.6
+    wide, sharp = (one.stiffness.log_at(S[middle])[1] for one in (found, clean))
+    assert np.mean(sharp) < 0.75 * np.mean(wide)
+
+
+def test_two_pushes_with_steps_of_their_own() -> None:
+    other = replace(BENCH, push=replace(BENCH.push, direction=1.4), name="other")
+    pushes = [seen(stepped(STEPS)), seen(stepped(-STEPS[::-1], after=0.0, bench=other, seed=1))]
+    both = fit(pushes, 0.02, settings=IDEAL)
+    error = np.log(both.band(S).k / np.asarray(STIFFNESS(S)))
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert np.all((both.band(S).low < STIFFNESS(S)) & (both.band(S).high > STIFFNESS(S)))
+
+
+def test_what_is_expected_is_alike_in_a_stage_and_anew_in_the_next() -> None:
+    o = seen(stepped(STEPS))
+    error, push = force_error(o, o.time[o.loaded]), BENCH.push
+    time = error.knots - BENCH.clock.offset
+    rise, fall = (np.flatnonzero((time > low) & (time < low + 0.7)) for low in (2.3, 4.9))
+    rest = np.flatnonzero(time < push.before - 0.4)
+    alike = error.stages / np.sqrt(np.outer(np.diag(error.stages), np.diag(error.stages)))
+    for rows in (rise, fall, rest):
+        assert np.all(alike[np.ix_(rows, rows)] > 0.98)
+        assert np.diag(error.stages)[rows] == pytest.approx(1.0, abs=0.03)
+    assert alike[np.ix_(rise, fall)] == pytest.approx(np.exp(-2.0), abs=0.03)
+    assert alike[np.ix_(rest, fall)] == pytest.approx(np.exp(-4.0), abs=0.03)
+
+
+def test_a_zero_that_ran_between_rests_is_expected_back() -> None:
+    o = seen(stepped(STEPS))
+    clean, error = o.source.clean_force, force_error(o, o.time[o.loaded])
+    assert clean is not None
+    assert clean.zero[1] - clean.zero[0] == pytest.approx(STEPS[1], abs=0.002)
+    assert error.mean[0] == pytest.approx(np.zeros(2))
+    assert error.mean[-1] == pytest.approx(clean.zero[0] - clean.zero[1])
+    one = with_source(o, clean_force=replace(clean, zero_time=clean.zero_time[:1], zero=clean.zero[:1]))
+    assert np.all(force_error(one, o.time[o.loaded]).mean == 0.0)
+
+
+def test_the_root_is_that_of_the_parts_added_up() -> None:
+    """The parts' covariances as they are written in the module's docstring, by sums."""
+    o = seen(stepped(STEPS))
+    error = force_error(o, o.time[o.loaded])
+    coloured, memory, walk, load = 1.3, 0.7, 2.0, 0.5
+    noise, since = error.noise, error.knots - error.knots[0]
+    short = error.filtered.covariance(coloured * noise.coloured, memory * noise.tau, error.white)
+    expected = toeplitz(short) + 0.03 * short[0] * np.eye(len(short)) + error.level**2
+    expected += (walk * noise.walk) ** 2 * np.minimum.outer(since, since) + (load * error.load) ** 2 * (
+        1 + error.stages
+    )
+    root = error.root(coloured, memory, walk, load)
+    assert np.array_equal(root, np.tril(root))
+    assert root @ root.T == pytest.approx(expected, abs=1e-9 * np.max(expected))
+
+
+def test_a_declared_size_is_what_is_expected() -> None:
+    o = seen(stepped(STEPS))
+    largest = float(np.max(np.linalg.norm(o.force[o.loaded], axis=1)))
+    assert force_error(o, o.time[o.loaded]).load == pytest.approx(0.03 * largest)
+    assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07

@@ -1,0 +1,231 @@
+"""What other packages read: each in place of the real one, with the calls that its documentation names."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from onebend.errors import MissingPackageError, RecordingError
+from onebend.live.sources import End, Frame, HostClock, PlayedClock, Samples
+from onebend.live.specs import camera_of, force_of
+from tests.recording.bagged import log, write_mcap
+
+
+class Hand(HostClock):
+    """A clock that is set by hand."""
+
+    passed = 0.0
+
+    def now(self) -> float:
+        return self.passed
+
+    def wait_until(self, moment: float) -> None:
+        self.passed = max(self.passed, moment)
+
+
+@pytest.fixture
+def module(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Puts a made-up module in the place of a package."""
+
+    def put(name: str, **names: Any) -> None:
+        made = ModuleType(name)
+        vars(made).update(names)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    return put
+
+
+class UrRobot:
+    """`rtde_receive.RTDEReceiveInterface` of ur-rtde: a controller of 500 Hz."""
+
+    def __init__(self, host: str, frequency: float) -> None:
+        if host != "robot":
+            raise RuntimeError("Timeout connecting to UR dashboard server.")
+        assert frequency == 500.0
+        self.time, self.connected, self.stands = 100.0, True, False
+
+    def isConnected(self) -> bool:  # noqa: N802
+        return self.connected
+
+    def getTimestamp(self) -> float:  # noqa: N802
+        self.time += 0.0 if self.stands else 0.002
+        return self.time
+
+    def getActualTCPForce(self) -> list[float]:  # noqa: N802
+        return [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+
+    def disconnect(self) -> None:
+        self.connected = False
+
+
+def test_a_universal_robot(module: Any) -> None:
+    module("rtde_receive", RTDEReceiveInterface=UrRobot)
+    sensor: Any = force_of("ur:robot")
+    sensor.open(Hand())
+    got = sensor.read(0.01)
+    assert isinstance(got, Samples)
+    assert np.diff(got.stamp) == pytest.approx(0.002)
+    assert got.force[0].tolist() == [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+    sensor._robot.stands = True
+    for _ in range(400):
+        if isinstance(stood := sensor.read(0.01), End):
+            break
+    assert isinstance(stood, End)
+    assert "stands still" in stood.why
+    sensor._robot.connected = False
+    lost = sensor.read(0.01)
+    assert isinstance(lost, End)
+    assert lost.why == "the robot robot answers no more (the connection was lost)"
+    sensor.close()
+    with pytest.raises(RecordingError, match="Is it on, and is RTDE allowed"):
+        force_of("ur:nobody").open(Hand())
+
+
+class FrankaArm:
+    """`pylibfranka.Robot`: each `read_once` is the state of the next millisecond."""
+
+    def __init__(self, host: str, realtime: str) -> None:
+        assert realtime == "kIgnore"
+        if host != "arm":
+            raise RuntimeError("libfranka: Connection refused")
+        self.count = 0
+
+    def read_once(self) -> SimpleNamespace:
+        self.count += 1
+        if self.count > 30:
+            raise RuntimeError("libfranka: UDP receive: Timeout")
+        seconds = 0.001 * self.count
+        force = np.array([0.5, -0.5, 9.0, 0.0, 0.0, 0.0])
+        return SimpleNamespace(time=SimpleNamespace(to_sec=lambda: seconds), O_F_ext_hat_K=force)
+
+
+def test_a_franka_arm(module: Any) -> None:
+    module("pylibfranka", Robot=FrankaArm, RealtimeConfig=SimpleNamespace(kIgnore="kIgnore"))
+    sensor = force_of("franka:arm")
+    sensor.open(Hand())
+    got = sensor.read(0.005)
+    assert isinstance(got, Samples)
+    assert np.diff(got.stamp) == pytest.approx(0.001)
+    assert got.force[-1].tolist() == [0.5, -0.5, 9.0, 0.0, 0.0, 0.0]
+    ends = [sensor.read(0.01) for _ in range(10)]
+    assert isinstance(ends[-1], End)
+    assert "UDP receive: Timeout" in ends[-1].why
+    sensor.close()
+    with pytest.raises(RecordingError, match="Is FCI active"):
+        force_of("franka:nobody").open(Hand())
+
+
+class Inlet:
+    """`pylsl.StreamInlet`."""
+
+    chunks: tuple[tuple[list[list[float]], list[float]], ...] = (
+        ([[1.0, 5.0, 7.0], [2.0, 6.0, 8.0]], [10.0, 10.01]),
+        ([], []),
+    )
+
+    def __init__(self, info: object, recover: bool) -> None:
+        assert not recover
+        assert info is not None
+        self._chunks = iter(self.chunks)
+
+    def open_stream(self, timeout: float) -> None:
+        assert timeout > 0.0
+
+    def close_stream(self) -> None:
+        pass
+
+    def pull_chunk(self, timeout: float) -> tuple[list[list[float]], list[float]]:
+        assert timeout <= 0.01
+        if (chunk := next(self._chunks, None)) is None:
+            raise RuntimeError("the stream has been lost")
+        return chunk
+
+
+def test_a_stream_of_the_lab_streaming_layer(module: Any) -> None:
+    def resolve(prop: str, value: str, minimum: int, timeout: float) -> list[SimpleNamespace]:
+        assert (prop, minimum) == ("name", 1)
+        assert timeout > 0.0
+        return [SimpleNamespace(channel_count=lambda: 3)] if value == "cell" else []
+
+    module("pylsl", resolve_byprop=resolve, StreamInlet=Inlet)
+    sensor = force_of("lsl:cell,columns=fx_mN/_/fy_N")
+    sensor.open(Hand())
+    got = sensor.read(0.1)
+    assert isinstance(got, Samples)
+    assert got.stamp.tolist() == [10.0, 10.01]
+    assert got.force == pytest.approx(np.array([[0.001, 7.0], [0.002, 8.0]]))
+    assert sensor.read(0.1) is None
+    assert isinstance(sensor.read(0.1), End)
+    sensor.close()
+    with pytest.raises(RecordingError, match="has 3 channels, and columns names 2"):
+        force_of("lsl:cell,columns=fx_N/fy_N").open(Hand())
+    with pytest.raises(RecordingError, match="no such stream"):
+        force_of("lsl:else,columns=fx_N/fy_N").open(Hand())
+    with pytest.raises(RecordingError, match="say what its channels are"):
+        force_of("lsl:cell")
+
+
+@pytest.mark.parametrize(
+    ("spec", "name", "extra"),
+    [
+        ("ur:robot", "rtde_receive", "ur"),
+        ("franka:arm", "pylibfranka", "franka"),
+        ("lsl:cell,columns=fx_N/fy_N", "pylsl", "lsl"),
+    ],
+)
+def test_a_package_that_is_missing_is_named(spec: str, name: str, extra: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, name, None)  # as if it were not installed
+    with pytest.raises(MissingPackageError, match=rf"pip install 'onebend\[{extra}\]'"):
+        force_of(spec).open(Hand())
+
+
+def test_a_bag_that_is_written(tmp_path: Path) -> None:
+    whole = log(count=400)
+    path = tmp_path / "push.mcap"
+    write_mcap(path, whole, chunk=2048)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    sensor, clock = force_of(f"bag:{path}"), Hand()
+    sensor.open(clock)
+    assert sensor.read(0.0) is None  # what was there before is left out
+    got = []
+    for size in (0.6, 0.7, 0.8, 1.0):
+        path.write_bytes(data[: int(size * len(data))])
+        clock.passed += 10.0
+        more = sensor.read(0.0)
+        assert isinstance(more, Samples)
+        got.append(more)
+    forces = np.concatenate([one.force for one in got])
+    assert forces == pytest.approx(whole.force[-len(forces) :])
+    assert np.diff(np.concatenate([one.stamp for one in got])) == pytest.approx(0.01)
+    assert 100 < len(forces) < 300  # the half that was there before is left out
+    clock.passed += 40.0
+    end = sensor.read(0.0)
+    assert isinstance(end, End)
+    assert "does not grow" in end.why
+    sensor.close()
+
+
+def test_a_bag_that_is_not_there_yet_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="is no bag"):
+        force_of(f"bag:{tmp_path / 'none.mcap'}").open(Hand())
+
+
+def test_what_ffmpeg_opens() -> None:
+    camera = camera_of("av:testsrc=duration=0.2:size=64x48:rate=25,format=lavfi")
+    camera.open(PlayedClock())
+    got = [camera.read(0.1) for _ in range(6)]
+    frames = [one for one in got if isinstance(one, Frame)]
+    assert [frame.stamp for frame in frames] == pytest.approx([0.0, 0.04, 0.08, 0.12, 0.16])
+    assert frames[0].picture.shape == (48, 64)
+    assert isinstance(got[-1], End)
+    camera.close()
+    with pytest.raises(RecordingError, match="knows no dshow2"):
+        camera_of("av:video=USB,format=dshow2").open(PlayedClock())
+    with pytest.raises(RecordingError, match="cannot be opened as a camera"):
+        camera_of("av:/nowhere").open(PlayedClock())

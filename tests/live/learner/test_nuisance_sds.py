@@ -1,0 +1,151 @@
+"""Clamp, rest curvature, picture scale and clock before the data: as stated, held by 0, and by whom they are stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onebend.learning.fit_data import at_rest
+from onebend.learning.parameters import Block, Priors, Spline, clamp_sd, make_layout
+from onebend.learning.posterior import Nuisance, Posterior, fit
+from onebend.learning.verdict import fit_remarks
+from onebend.live.model import session_layout
+from onebend.live.replayed import replay, settings_for
+from onebend.recording.beam_frame import MOUNTING_SD
+from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
+from onebend.results.observations_file import load_observations, save_observations
+from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
+from tests.made_up import with_source, with_stated
+
+SPLINE = Spline(8)
+VIEW = View(np.eye(3), np.zeros(5), np.eye(3), np.ones(3), calibrated=False, corner_sd=0.1)
+NAMES = {"clamp": "clamp angle", "curvature": "q0 mean", "scale": "camera scale", "clock": "clock offset"}
+
+
+@cache
+def made() -> Observations:
+    """Seen by a camera that is not calibrated, of a beam that may be curved, on a clock of its own."""
+    plain = observed(SOFT, forces(30), noise=(2e-5, 1e-3))
+    return with_source(with_stated(plain, rest="unknown"), view=VIEW, clock=ClockOffset(250.0, 0.01, 250.2, True))
+
+
+def stated(name: str, sd: float) -> Observations:
+    """`made` with one sd of a nuisance."""
+    clock = made().source.clock
+    assert clock is not None
+    if name == "clock":
+        return with_source(made(), clock=replace(clock, sd=sd))
+    return with_stated(made(), **{f"{name}_sd": sd})
+
+
+def block(one: Observations, name: str, priors: Priors = Priors()) -> Block:
+    return make_layout(SPLINE, [one], [0], priors).index[name, -1 if name == "curvature" else 0]
+
+
+@cache
+def learned(name: str, sd: float) -> Posterior:
+    return fit([stated(name, sd)], 0.02, settings=replace(IDEAL, functions=8))
+
+
+def reported(posterior: Posterior, name: str) -> list[Nuisance]:
+    return [one for one in posterior.nuisances() if one.name.endswith(NAMES[name])]
+
+
+def test_what_nobody_states_is_as_usual() -> None:
+    assert block(made(), "clamp").prior_sd[0] == np.hypot(CLAMP_SD, MOUNTING_SD)
+    assert np.all(block(made(), "curvature").prior_sd == CURVATURE_SD)
+    assert block(made(), "scale").prior_sd[0] == SCALE_SD
+    assert block(made(), "clock").prior_sd[0] == 0.02
+    assert block(with_source(made(), view=replace(VIEW, calibrated=True)), "scale").start < 0
+    assert block(with_stated(made(), rest="straight"), "curvature").start < 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_zero_holds_a_nuisance_and_the_fit_reports_none(name: str) -> None:
+    held = learned(name, 0.0)
+    at = held.layout.index[name, -1 if name == "curvature" else 0]
+    assert at.start < 0
+    assert np.all(at.prior_sd == 0.0)
+    assert np.all(held.layout.get(held.mean, name, at.recording) == 0.0)
+    assert reported(held, name) == []
+    others = [other for other in NAMES if other != name]
+    assert [len(reported(held, other)) for other in others] == [1, 1, 1]
+    assert np.all(np.isfinite(held.band(np.linspace(0.1, 0.9, 9)).high))
+
+
+@pytest.mark.parametrize(("name", "narrow", "wide"), [("clamp", 0.04, 0.4), ("curvature", 0.05, 0.5),
+                                                      ("scale", 0.001, 0.1), ("clock", 0.001, 0.5)])  # fmt: skip
+def test_a_wider_prior_is_reported_and_leaves_more_open(name: str, narrow: float, wide: float) -> None:
+    ((small,), (large,)) = (reported(learned(name, sd), name) for sd in (narrow, wide))
+    assert large.prior_sd > 3.0 * small.prior_sd
+    assert large.sd > small.sd
+    assert 0.0 < small.sd < 1.001 * small.prior_sd
+    if name == "clamp":
+        assert small.prior_sd == np.hypot(narrow, MOUNTING_SD)
+    elif name != "clock":
+        assert (small.prior_sd, large.prior_sd) == (narrow, wide)
+
+
+def test_what_is_asked_of_the_fit_wins_over_the_recording() -> None:
+    for name, field in (("clamp", "clamp"), ("curvature", "curvature"), ("scale", "scale")):
+        for written in (0.0, 0.3):
+            one = stated(name, written)
+            asked = block(one, name, Priors(**{field: 0.02})).prior_sd[0]
+            assert asked == (np.hypot(0.02, MOUNTING_SD) if name == "clamp" else 0.02)
+            assert block(one, name, Priors(**{field: 0.0})).start < 0
+    pose = with_stated(replace(made(), static=True), clamp_sd=0.01)
+    assert clamp_sd(pose, Priors()) == 0.01
+    assert clamp_sd(pose, Priors(clamp=0.2)) == 0.2
+
+
+def test_a_calibrated_camera_may_still_be_doubted() -> None:
+    seen = with_source(made(), view=replace(VIEW, calibrated=True))
+    assert block(with_stated(seen, scale_sd=0.01), "scale").prior_sd[0] == 0.01
+    assert block(with_stated(with_source(made(), view=None), scale_sd=0.01), "scale").start < 0
+
+
+def test_a_curvature_of_none_is_a_straight_beam() -> None:
+    bent = with_stated(replace(made(), rest_xy=made().rest_xy + np.array([0.0, 2e-3])), curvature_sd=0.0)
+    straight = with_stated(bent, rest="straight")
+    assert np.all(at_rest(bent).theta0 == 0.0)
+    assert np.all(at_rest(bent, Priors(curvature=0.1)).theta0 != 0.0)
+    np.testing.assert_array_equal(at_rest(bent).offset, at_rest(straight).offset)
+    assert clamp_sd(bent, Priors()) == clamp_sd(straight, Priors())
+
+
+def test_of_two_recordings_of_a_beam_the_one_that_may_be_curved_counts() -> None:
+    pair = [with_stated(made(), rest="straight"), stated("curvature", 0.4)]
+    assert make_layout(SPLINE, pair, [0, 0], Priors()).index["curvature", -1].prior_sd[0] == 0.4
+
+
+def test_a_stated_clamp_wider_than_usual_is_warned_of() -> None:
+    assert [one for one in fit_remarks(learned("clamp", 0.0)) if "left free" in one.text] == []
+    (told,) = [one for one in fit_remarks(learned("clamp", 0.4)) if "left free" in one.text]
+    assert told.level == "warning"
+    assert "usual: 2 deg" in told.text
+
+
+def test_the_live_learner_has_what_is_stated() -> None:
+    for name in NAMES:
+        held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))
+        for settings, wide in ((held, False), (free, True)):
+            at = session_layout(
+                SPLINE, MARKERS, settings.priors, length=0.15, placement_sd=5e-4, rest_unknown=settings.rest_unknown,
+                calibrated=settings.calibrated, mass=0.0,
+            )  # fmt: skip
+            assert (at.index[name, -1].start >= 0) == wide
+            own = block(stated(name, 0.3 if wide else 0.0), name).prior_sd[0]
+            assert at.index[name, -1].prior_sd[0] == own
+    learner = replay(stated("curvature", 0.0), 0.03)
+    assert not [one for one in learner.nuisances() if one.name.startswith("q0")]
+
+
+def test_what_is_stated_is_kept_with_the_results(tmp_path: Path) -> None:
+    one = with_stated(made(), clamp_sd=0.02, curvature_sd=0.4, scale_sd=0.05)
+    save_observations(tmp_path / "observations.parquet", one)
+    again = load_observations(tmp_path)
+    assert (again.stated.clamp_sd, again.stated.curvature_sd, again.stated.scale_sd) == (0.02, 0.4, 0.05)

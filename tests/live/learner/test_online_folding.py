@@ -1,0 +1,60 @@
+"""The live learner over many pushes: what is folded away stays known, and memory does not grow."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.learning.allowances import AllowanceName
+from onebend.learning.parameters import Priors
+from onebend.live.key_frames import CAUSAL_ALLOWANCES
+from onebend.live.learner import OnlineLearner
+from tests.learning.bench import MARKERS, SOFT
+from tests.live.streamed_recording import IDEAL_LIVE, S, learned, many_pushes, shown
+
+IDEAL, USUAL = IDEAL_LIVE.allowances, CAUSAL_ALLOWANCES
+TRUTH = np.log(SOFT.stiffness(S))
+
+
+def test_memory_does_not_grow_and_the_past_is_kept() -> None:
+    made = many_pushes(12, 30)
+    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=10))
+    sizes, sds = [], []
+    for frames in (range(140), range(140, 420)):
+        shown(learner, made, frames)
+        sizes.append(len(pickle.dumps(learner)))
+        sds.append(float(np.median(learner.stiffness.log_at(S)[1])))
+    assert learner.frames == 420
+    assert learner.doubts == ()
+    assert sizes[1] < 1.1 * sizes[0]  # the search for sizes keeps some of its own, up to a bound
+    assert sds[1] < sds[0]  # the sizes of the force's error are learned too, and may grow
+    mean, sd = learner.stiffness.log_at(S)
+    assert np.sqrt(np.mean(((mean - TRUTH) / sd) ** 2)) < 1.0
+    assert np.sqrt(np.mean(np.expm1(mean - TRUTH) ** 2)) < 0.04
+
+
+@pytest.mark.parametrize(("keys", "start", "allowances"), [(8, 0.03, IDEAL), (5, 0.008, IDEAL), (8, 0.03, USUAL)])
+def test_what_is_folded_is_as_if_it_were_kept(keys: int, start: float, allowances: frozenset[AllowanceName]) -> None:
+    """Exact data, sizes that stay: against a learner with room for every frame. A poor start does not stay in it."""
+    made = many_pushes(12, 15, (0.0, 0.0), 0.0)
+    settings = replace(
+        IDEAL_LIVE, functions=10, adapt=False, priors=Priors(place=made.stated.place_sd), allowances=allowances
+    )
+    whole = learned(made, 0.03, replace(settings, key_frames=300)).stiffness.log_at(S)
+    folded = learned(made, start, replace(settings, key_frames=keys))
+    mean, sd = folded.stiffness.log_at(S)
+    assert folded.doubts == ()
+    assert np.max(np.abs(mean - whole[0]) / whole[1]) < 1.0
+    np.testing.assert_allclose(sd, whole[1], rtol=0.2)
+    assert np.sqrt(np.mean((mean - TRUTH) ** 2)) < (0.03 if allowances else 0.005)  # it is a thin beam, as few are
+
+
+def test_so_it_is_where_the_sizes_are_learned() -> None:
+    made = many_pushes(6, 30)
+    whole = learned(made, 0.03, replace(IDEAL_LIVE, functions=10, key_frames=300)).stiffness.log_at(S)
+    mean, sd = learned(made, 0.03, replace(IDEAL_LIVE, functions=10)).stiffness.log_at(S)
+    assert np.max(np.abs(mean - whole[0]) / whole[1]) < 1.0
+    assert abs(np.median(sd / whole[1]) - 1.0) < 0.2

@@ -1,0 +1,171 @@
+"""The fit's and the live learner's derivatives of the tags: the same numbers, and those of central differences.
+
+Both on the live learner's grid: the fit's own is finer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from onebend.beam.problem import Resolution
+from onebend.learning import static_poses
+from onebend.learning.allowances import TIMES, AllowanceName, lags, reached_part
+from onebend.learning.fit_data import fit_data
+from onebend.learning.parameters import Layout, Priors, Spline, make_layout
+from onebend.learning.prediction import Prediction, predict
+from onebend.live.key_frames import CLAMP, POSTURE, SLIDE, TERMS
+from onebend.live.model import (
+    ORDER,
+    WIDEST,
+    FrameInputs,
+    LinearisedTags,
+    LiveSession,
+    Memory,
+    linearise,
+    push_grid_at,
+    session_layout,
+)
+from onebend.records import Array, View
+from tests.learning.bench import SOFT, forces, observed
+
+SPLINE, MASS, PUSH_S = Spline(7), 0.02, 0.8
+TAGS = np.array([0.3, 0.6, 0.9])  # none at the tip, where a tag that moves outwards leaves the curved beam
+FREE = Priors(
+    curvature=0.1,
+    mounting=0.02,
+    placement=5e-4,
+    clamp=0.01,
+    origin=4e-4,
+    scale=0.01,
+    clock=0.02,
+    place=1e-3,
+    direction=0.01,
+)  # nothing is frozen
+# What both have, in the same functions; the discrepancy has others, and moves the tags just as they say.
+ALLOWED: tuple[AllowanceName, ...] = ("section", "relaxation", "slide", "clamp gives", "posture", "patches", "length")
+BLOCKS = (
+    "stiffness",
+    "curvature",
+    "mass",
+    "along",
+    "across",
+    "turn",
+    "clamp",
+    "origin",
+    "scale",
+    "clock",
+    "place",
+    "direction",
+    *ALLOWED,
+)
+
+
+class Point:
+    """One recording at one point of all parameters, as the fit and as the live learner see it."""
+
+    def __init__(self) -> None:
+        made = observed(SOFT, forces(8), at_s=PUSH_S)
+        frames = np.ones(8, dtype=bool)
+        stated = replace(made.stated, mass=MASS, rest="unknown")
+        gravity, unseen = np.tile([1.0, -3.0], (8, 1)), np.full((3, 2), np.nan)
+        camera = View(np.eye(3), np.zeros(5), np.eye(3), np.ones(3), calibrated=False, corner_sd=0.1)
+        made = replace(
+            made,
+            marker_s=TAGS,
+            stated=stated,
+            source=replace(made.source, view=camera),
+            gravity=gravity,
+            rest_xy=unseen,
+        )
+        self.fit_data = data = fit_data(made, 0, frames, SPLINE, frozenset(ALLOWED))
+        self.fit_layout = make_layout(SPLINE, [made], [data.error_weights.shape[1]], FREE, [data.allowances])
+        self.session_layout = session_layout(
+            SPLINE,
+            TAGS,
+            FREE,
+            length=0.15,
+            placement_sd=5e-4,
+            rest_unknown=True,
+            calibrated=False,
+            mass=MASS,
+            allowances=frozenset(ALLOWED),
+        )
+        rng = np.random.default_rng(0)
+        sizes = {"stiffness": 0.3, "curvature": 0.1, "mass": 0.1, "across": 1e-3, "turn": 0.02, "section": 0.3}
+        sizes |= {"patches": 0.3, "clamp gives": 0.02, "relaxation": 0.0}  # the fit's shapes also know what was before
+        self.values = {
+            name: sizes.get(name, 5e-3) * rng.standard_normal(len(self.session_layout.index[name, -1].labels))
+            for name in BLOCKS
+        }
+        self.values["stiffness"] += np.log(0.03)
+        self.session = LiveSession(0.15, TAGS, MASS, self.session_layout)
+        self.grid = push_grid_at(self.session, PUSH_S)
+        course = {a.name: a.basis for a in data.allowances if a.enters in ("force", "place", "clamp")}
+        self.terms = np.zeros((8, TERMS))
+        self.terms[:, SLIDE], self.terms[:, CLAMP] = course["slide"], course["clamp gives"]
+        self.terms[:, POSTURE] = course["posture"][:, 0, :2]
+
+    def at(self, where: Layout, recording: int, **changed: Array) -> Array:
+        """(n,) parameters of one of the layouts."""
+        x = np.zeros(where.size)
+        for name, value in (self.values | changed).items():
+            x[_block(where, name, recording)] = value
+        return x
+
+    def fit(self, **changed: Array) -> Prediction:
+        return predict(self.fit_data, self.fit_layout, self.at(self.fit_layout, 0, **changed), None)
+
+    def live(self, **changed: Array) -> LinearisedTags:
+        """From the fit's shapes at the point itself, with what it remembers there."""
+        data, x = self.fit_data, self.at(self.session_layout, -1, **changed)
+        shapes = self.fit().solved.q
+        bent = shapes - data.rest_on_nodes @ self.values["curvature"]
+        lagging = np.moveaxis(lags(data.observations.time) @ bent, 0, -1)
+        reached = np.array([reached_part(lagging[..., j], bent, data.problem.weights) for j in range(len(TIMES))])
+        memory = Memory(lagging, np.zeros((8, len(TIMES))), reached)
+        inputs = FrameInputs(data.force, data.rate, data.observations.gravity, np.zeros(8), self.terms, memory)
+        return linearise(self.session, self.grid, x, inputs, shapes)
+
+
+def _block(where: Layout, name: str, recording: int) -> slice:
+    return (where.index.get((name, -1)) or where.index[name, recording]).where
+
+
+@pytest.fixture(scope="module")
+def point() -> Iterator[Point]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(static_poses, "RESOLUTION", Resolution(ORDER, WIDEST))
+        yield Point()
+
+
+def test_the_grids_are_the_same(point: Point) -> None:
+    np.testing.assert_allclose(point.fit_data.problem.grid.nodes, point.grid.grid.nodes, atol=1e-14)
+
+
+def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:
+    fit, live = point.fit(), point.live()
+    np.testing.assert_allclose(live.pose, fit.pose, atol=1e-12)
+    for name in BLOCKS:
+        ours = fit.slopes.written[..., _block(point.fit_layout, name, 0)]
+        theirs = live.j[..., _block(point.session_layout, name, -1)]
+        size = np.max(np.abs(ours), axis=(0, 1, 2))
+        assert np.all(size > 0.0), name
+        np.testing.assert_array_less(np.max(np.abs(theirs - ours), axis=(0, 1, 2)), 1e-8 * size, err_msg=name)
+    by_force = fit.slopes.a @ fit.slopes.axes
+    np.testing.assert_allclose(live.a, by_force, atol=1e-8 * np.max(np.abs(by_force)))
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_both_jacobians_are_those_of_central_differences(point: Point, name: str) -> None:
+    fit = point.fit().slopes.written[..., _block(point.fit_layout, name, 0)]
+    live = point.live().j[..., _block(point.session_layout, name, -1)]
+    h = 1e-5
+    for i, value in enumerate(np.eye(fit.shape[-1])):
+        ends = [{name: point.values[name] + sign * h * value} for sign in (1.0, -1.0)]
+        for model, column in ((point.fit, fit[..., i]), (point.live, live[..., i])):
+            difference = (model(**ends[0]).pose - model(**ends[1]).pose) / (2.0 * h)
+            np.testing.assert_allclose(column, difference, atol=3e-6 * max(1.0, float(np.max(np.abs(difference)))))

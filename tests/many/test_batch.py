@@ -1,0 +1,178 @@
+"""Recordings in, tables out, on a Dask cluster inside this process; stopped, it goes on."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from onebend.errors import ResultsError
+from onebend.many import batch as running
+from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
+from onebend.many.tasks import EVERY, PLACES, RECORDS, cluster, read_record, record_path, write_record
+from onebend.pipeline import learn
+from onebend.progress import Silent
+from onebend.results.model import load_model
+from tests.many.stems import K, stem
+
+NASTY = "<img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def stems(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two stems, and a recording whose force log is missing."""
+    folder = tmp_path_factory.mktemp("stems")
+    stem(folder / "dry" / "one", seed=1)
+    stem(folder / "wet" / "two", scale=0.5, seed=2)
+    stem(folder / "wet" / NASTY, seed=3)
+    (folder / "wet" / NASTY / "force.csv").unlink()
+    return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_cluster() -> Iterator[None]:
+    """All batches of this module on one cluster in this process: its start is not what is tested."""
+    with cluster(workers=2, processes=False) as client, pytest.MonkeyPatch.context() as patch:
+
+        @contextmanager
+        def shared(*_: Any, **__: Any) -> Iterator[Any]:
+            yield client
+
+        patch.setattr(running, "cluster", shared)
+        yield
+
+
+@pytest.fixture(scope="module")
+def done(stems: Path, tmp_path_factory: pytest.TempPathFactory) -> BatchOutcome:
+    outcome = run_batch(stems, tmp_path_factory.mktemp("out") / "results")
+    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    return outcome
+
+
+def test_every_recording_is_a_row_as_learn_finds_it(stems: Path, done: BatchOutcome) -> None:
+    table = {row["name"]: row for row in pq.read_table(done.out / "recordings.parquet").to_pylist()}
+    assert set(table) == {"dry/one", "wet/two", f"wet/{NASTY}"}
+    assert [table[name]["group"] for name in ("dry/one", "wet/two")] == ["dry", "wet"]
+    alone = learn(stems / "dry" / "one")
+    curves = pq.read_table(done.out / "curves.parquet").to_pylist()
+    k = np.array([row["k_N_m"] for row in curves if row["name"] == "dry/one"])
+    assert alone.posterior is not None
+    assert np.array_equal(k, alone.posterior.stiffness.band(PLACES).k)
+    assert table["dry/one"]["k_at_0.5_N_m"] == k[50]
+    rows = [row for row in pq.read_table(done.out / "covariances.parquet").to_pylist() if row["name"] == "dry/one"]
+    covariance = np.array([[row[f"with_{s:.3g}"] for s in PLACES[::EVERY]] for row in rows])
+    sd = np.sqrt(covariance.diagonal() + table["dry/one"]["gain_sd"] ** 2)
+    band = np.array([(row["k_lo_N_m"], row["k_hi_N_m"]) for row in curves if row["name"] == "dry/one"])
+    assert np.allclose(np.log(band[::EVERY, 1] / band[::EVERY, 0]), 2.0 * 1.959964 * sd, rtol=1e-5)
+    for name, scale in (("dry/one", 1.0), ("wet/two", 0.5)):
+        row = table[name]
+        assert row["k_lo_at_0.5_N_m"] < scale * np.mean(K) < row["k_hi_at_0.5_N_m"]
+        assert row["grade"]
+        assert row["seconds"] > 0.0
+    assert {row["name"] for row in pq.read_table(done.out / "nuisances.parquet").to_pylist()} == {"dry/one", "wet/two"}
+
+
+def test_the_priors_part_is_a_part_of_the_covariance(done: BatchOutcome) -> None:
+    learned = [one for one in done.records if one.covariance is not None and one.prior_part is not None]
+    assert len(learned) == 2
+    for one in learned:
+        assert one.covariance is not None
+        assert one.prior_part is not None
+        share = one.prior_part.diagonal() / one.covariance.diagonal()
+        assert np.all((share > 0.0) & (share <= 1.0))
+        values = np.linalg.eigvalsh(one.covariance - one.prior_part)
+        assert values.min() > -0.1 * np.linalg.eigvalsh(one.covariance).max()
+
+
+def test_what_fails_is_a_row_with_its_reason(done: BatchOutcome) -> None:
+    [(item, why)] = done.failed
+    assert item.name == f"wet/{NASTY}"
+    assert "force.csv" in why
+    row = next(row for row in pq.read_table(done.out / "recordings.parquet").to_pylist() if row["reason"])
+    assert np.isnan(row["k_at_0.5_N_m"])
+
+
+def test_names_on_the_page_are_text(done: BatchOutcome) -> None:
+    text = (done.out / "index.html").read_text(encoding="utf-8")
+    assert NASTY not in text
+    assert "&lt;img src=x" in text
+    assert text.count("<polyline") == 2
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_nothing_is_done_twice_but_what_changed(stems: Path, done: BatchOutcome) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (done.out / RECORDS).iterdir()}
+    again = run_batch(stems, done.out)
+    assert again.learned_now == 0
+    assert {path: path.stat().st_mtime_ns for path in (done.out / RECORDS).iterdir()} == before
+    record_path(done.out, done.records[0].hash).write_text("{ half of it")
+    assert run_batch(stems, done.out).learned_now == 1
+
+
+def test_a_changed_file_is_learned_anew(stems: Path, done: BatchOutcome, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(stems / "dry", copy)
+    assert run_batch(copy, done.out).learned_now == 0  # the same content under another path
+    toml = copy / "one" / "recording.toml"
+    toml.write_text(toml.read_text().replace("placement_sd_m = 0.0005", "placement_sd_m = 0.001"))
+    assert run_batch(copy, done.out).learned_now == 1
+
+
+def test_a_row_states_what_recording_toml_does_not(stems: Path, done: BatchOutcome, tmp_path: Path) -> None:
+    rows = f"path,name,group,treatment,day,length_m\n{stems}/dry/one,b,g,dry,3,0.151\n"
+    (tmp_path / "list.csv").write_text(rows)
+    outcome = run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True)
+    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    (found,) = pq.read_table(tmp_path / "out" / "recordings.parquet").to_pylist()
+    (unstated,) = (
+        row for row in pq.read_table(done.out / "recordings.parquet").to_pylist() if row["name"] == "dry/one"
+    )
+    assert (unstated["length_m"], found["length_m"]) == (0.15, 0.151)
+    assert (found["treatment"], found["day"]) == ("dry", 3.0)
+    assert unstated["hash"] != found["hash"]
+    model = load_model(tmp_path / "out" / "recordings" / "b")
+    assert model.length == 0.151
+    assert model.stiffness(0.5) == pytest.approx(found["k_at_0.5_N_m"], rel=1e-9)
+    assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 0
+    shutil.rmtree(tmp_path / "out" / "recordings" / "b")
+    assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 1
+
+
+class Interrupted(Silent):
+    """The person loses patience after the first recording."""
+
+    def advance(self, count: int = 1) -> None:  # noqa: ARG002
+        raise KeyboardInterrupt
+
+
+def test_stopped_it_keeps_what_is_done(stems: Path, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        run_batch(stems / "wet", tmp_path / "out", progress=Interrupted())
+    assert "of 2 recordings are done" in stopped.value.__notes__[0]
+    assert list((tmp_path / "out" / RECORDS).glob("*.json"))
+    assert run_batch(stems / "wet", tmp_path / "out").learned_now < 2
+
+
+def test_other_files_are_left_alone(stems: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(ResultsError, match="not of a batch"):
+        run_batch(stems, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_record_comes_back_as_it_was(done: BatchOutcome, tmp_path: Path) -> None:
+    for record in done.records:
+        write_record(tmp_path, replace(record, error=np.nan))
+        back = read_record(tmp_path, record.hash)
+        assert back is not None
+        assert np.isnan(back.error)
+        for name, value in vars(record).items():
+            if name != "error":
+                np.testing.assert_equal(getattr(back, name), value, err_msg=name)

@@ -1,0 +1,89 @@
+"""`onebend batch` as it is typed: what it shows and writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from onebend import cli
+from onebend.many import batch as running
+from onebend.many.tasks import cluster
+from tests.many.stems import stem
+
+FILES = {
+    "batch.json",
+    "covariances.parquet",
+    "curves.parquet",
+    "index.html",
+    "nuisances.parquet",
+    "recordings.parquet",
+    "summary.json",
+}
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, ["batch", *(str(one) for one in arguments)])
+
+
+@pytest.fixture
+def _on_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cluster that is asked for, but in this process: its start is not what is tested."""
+
+    @contextmanager
+    def inside(address: str | None, workers: int | None, *, processes: bool) -> Iterator[Any]:  # noqa: ARG001
+        with cluster(address, workers, processes=False) as client:
+            yield client
+
+    monkeypatch.setattr(running, "cluster", inside)
+
+
+@pytest.mark.usefixtures("_on_threads")
+def test_what_is_shown_and_written(tmp_path: Path) -> None:
+    stems, out = tmp_path / "stems", tmp_path / "out"
+    stem(stems / "good", seed=1)
+    (stems / "bad").mkdir()
+    (stems / "bad" / "recording.toml").write_text("[beam]\n")
+    first = run(stems, "-o", out, "--workers", 1)
+    assert first.exit_code == 0, first.output
+    assert "1 of 2 recordings learned." in first.stdout
+    assert "not learned: 1" in first.stdout
+    assert "bad" in first.stdout
+    assert "good" not in first.stdout
+    assert {path.name for path in out.iterdir() if not path.name.startswith(".")} == FILES
+    again = run(stems, "-o", out, "--workers", 1, "--json")
+    assert again.exit_code == 0
+    summary = json.loads(again.stdout)
+    assert (summary["recordings"], summary["learned"], summary["worked_on_now"]) == (2, 1, 0)
+    assert [one["name"] for one in summary["failed"]] == ["bad"]
+    assert summary["output"] == str(out)
+
+
+def refused(result: Result, *words: str) -> None:
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    for word in words:
+        assert word in result.stderr
+
+
+def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
+    stems = tmp_path / "stems"
+    refused(run(stems, "-o", tmp_path / "out"), "neither a folder nor a file")
+    stems.mkdir()
+    refused(run(stems, "-o", tmp_path / "out"), "holds no recording", "Name another")
+    both = run(stems, "-o", tmp_path / "out", "--workers", 2, "--scheduler", "tcp://127.0.0.1:1")
+    refused(both, "Give --scheduler or --workers")
+    assert [path.name for path in tmp_path.iterdir()] == ["stems"]
+
+
+def test_without_dask_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "stems").mkdir()
+    (tmp_path / "stems" / "recording.toml").touch()
+    monkeypatch.setitem(sys.modules, "dask", None)
+    refused(run(tmp_path / "stems", "-o", tmp_path / "out"), "pip install 'onebend[batch]'")
