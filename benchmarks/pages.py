@@ -100,7 +100,7 @@ class Asked:
 def asked_of(name: str) -> Iterator[Asked]:
     """The arguments and options of a command, in their order."""
     place = COMMANDS[name]
-    function = getattr(import_module(f"onebend.cli.{place.module}"), place.function)
+    function = getattr(import_module(place.module), place.function)
     hints = get_type_hints(function)
     for one in Command(name, place).loaded().params:
         if one.name not in hints:  # --help
