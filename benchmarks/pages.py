@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
-from onebend.cli import COMMANDS, Command
+from onebend.cli import Command, all_commands
 from onebend.recording.description import RECORDS
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
 from onebend.recording.schema import Key
@@ -48,16 +48,16 @@ def renewed(text: str, parts: Mapping[str, str]) -> str:
 
 def commands() -> dict[str, str]:
     """The list of all commands, the options that several share, and each command with its own."""
-    parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in COMMANDS}
+    parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in all_commands()}
     counts = Counter(said for own in parameters.values() for said in own)
     shared = [said for said, count in counts.items() if count >= COMMON]
-    parts = {"commands": ", ".join(f"[{name}](#{name})" for name in COMMANDS) + "."}
+    parts = {"commands": ", ".join(f"[{name}](#{name})" for name in all_commands()) + "."}
     parts["common options"] = "\n".join(f"- {name}: {says}" for name, says in shared)
     for name, own in parameters.items():
         lines = [f"- {said}: {says}" for said, says in own if (said, says) not in shared]
         common = [said.split(",")[0] for said, says in own if (said, says) in shared and said.startswith("`-")]
         lines += [f"- {', '.join(common)}: [common options](#common-options)."] if common else []
-        parts[name] = "\n".join([f"    {usage(name)}", "", COMMANDS[name].help, "", *lines])
+        parts[name] = "\n".join([f"    {usage(name)}", "", all_commands()[name].help, "", *lines])
     return parts
 
 
@@ -99,7 +99,7 @@ class Asked:
 
 def asked_of(name: str) -> Iterator[Asked]:
     """The arguments and options of a command, in their order."""
-    place = COMMANDS[name]
+    place = all_commands()[name]
     function = getattr(import_module(place.module), place.function)
     hints = get_type_hints(function)
     for one in Command(name, place).loaded().params:
