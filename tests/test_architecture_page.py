@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.test_floors import LAYERS, PACKAGE, ROOMS, STRANGERS
+from tests.test_layers import LAYERS, PACKAGE
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")

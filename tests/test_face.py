@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import inspect
 import typing
@@ -16,20 +15,7 @@ import pytest
 
 import onebend
 
-FACES = (
-    "",
-    ".beam",
-    ".capture",
-    ".control",
-    ".design",
-    ".forecast",
-    ".lab",
-    ".learning",
-    ".paper",
-    ".recording",
-    ".results",
-    ".streaming",
-)
+FACES = ("", ".beam", ".control", ".lab", ".learning", ".live", ".recording", ".results")
 PLAIN = (".errors", ".progress", ".records")  # modules of which everything is public
 MOST_AT_THE_TOP = 29
 
@@ -102,18 +88,10 @@ def test_no_public_name_is_a_module_of_its_package(face: str) -> None:
     assert not inside & set(public(face))
 
 
-@pytest.mark.parametrize("face", [face for face in FACES if face not in (".design", ".paper")])
-def test_what_is_loaded_later_is_what_the_type_checker_sees(face: str) -> None:
-    """The table of names and the imports under TYPE_CHECKING stand side by side, and agree."""
+@pytest.mark.parametrize("face", FACES)
+def test_every_name_of_the_stub_can_be_loaded(face: str) -> None:
     module = importlib.import_module(f"onebend{face}")
-    tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
-    [block] = [node for node in tree.body if isinstance(node, ast.If)]
-    seen = [
-        (node.module, alias.name) for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
-    ]
-    homes = {name: getattr(importlib.import_module(str(home)), name) for home, name in seen if home != "onebend"}
-    assert {name: getattr(module, name) for name in homes} == homes
-    assert sorted(name for _, name in seen) == module.__all__
+    assert all(getattr(module, name) is not None for name in module.__all__)
     assert set(module.__all__) <= set(dir(module))
 
 
@@ -122,7 +100,7 @@ def test_the_top_is_small_and_its_plain_verbs_are_the_fit() -> None:
     assert len(top) <= MOST_AT_THE_TOP
     assert typing.get_type_hints(onebend.fit)["return"] is onebend.Posterior
     assert typing.get_type_hints(onebend.learn)["return"] is onebend.Run
-    with pytest.raises(AttributeError, match="no attribute 'Push'"):
+    with pytest.raises(AttributeError, match="attribute Push"):
         onebend.Push  # type: ignore[attr-defined] # noqa: B018
 
 

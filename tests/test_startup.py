@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from onebend.cli import COMMANDS, app
+from onebend.cli import all_commands, app
 from onebend.results.model import save_model
+from onebend.wings import wings
 from tests import made_up
+
+COMMANDS = all_commands()
 
 HEAVY = (
     "scipy.stats", "scipy.signal", "matplotlib", "pyarrow", "trimesh", "manifold3d", "reportlab", "jinja2",
@@ -40,7 +43,7 @@ def of_onebend(modules: set[str]) -> set[str]:
 
 def test_import_loads_nothing() -> None:
     modules = loaded()
-    assert of_onebend(modules) == {"onebend", "onebend.lazy"}
+    assert of_onebend(modules) == {"onebend"}
     assert not modules & {"numpy", "scipy", "typer", "rich"}
 
 
@@ -49,12 +52,13 @@ def test_version_and_help_load_no_command(asked: str) -> None:
     modules = loaded(asked)
     assert of_onebend(modules) == {
         "onebend",
-        "onebend.lazy",
+        "onebend.wings",
         "onebend.progress",
         "onebend.cli",
         "onebend.crash",
         "onebend.errors",
         "onebend.text_files",
+        *(f"onebend.{wing}" for wing in wings()),
     }
     assert not modules & {"numpy", "scipy", *HEAVY}
 
@@ -75,25 +79,17 @@ def test_light_commands_load_no_heavy_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_table_says_what_the_command_says(name: str) -> None:
     place = COMMANDS[name]
-    command = getattr(import_module(f"onebend.cli.{place.module}"), place.function)
+    command = getattr(import_module(place.module), place.function)
     assert (getdoc(command) or "").partition("\n\n")[0].replace("\n", " ") == place.help
 
 
 def test_every_command_is_in_the_table() -> None:
-    """A public function of a command's module that takes options is a command."""
+    """A public function of a command's module that takes `as_json` is a command."""
     places = {(place.module, place.function) for place in COMMANDS.values()}
-    folder = Path(str(import_module("onebend.cli").__file__)).parent
-    for path in folder.glob("*.py"):
-        if path.stem in ("__init__", "common", "options"):
-            continue
-        assert path.stem in {module for module, _ in places}, path
-        for name, value in vars(import_module(f"onebend.cli.{path.stem}")).items():
-            if (
-                isfunction(value)
-                and value.__module__ == f"onebend.cli.{path.stem}"
-                and "as_json" in signature(value).parameters
-            ):
-                assert (path.stem, name) in places
+    for module in {module for module, _ in places}:
+        for name, value in vars(import_module(module)).items():
+            if isfunction(value) and value.__module__ == module and "as_json" in signature(value).parameters:
+                assert (module, name) in places
 
 
 def test_help_lists_the_commands_in_their_order() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import multiprocessing
 import os
 import signal
@@ -17,9 +16,6 @@ from functools import lru_cache, wraps
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, ParamSpec, Protocol, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 Item = TypeVar("Item")
 
@@ -105,7 +101,6 @@ class Stopwatch:
 
 Result = TypeVar("Result")
 _WORTH_THREADS = 4  # pieces of work: for fewer, threads are not worth their start
-_WORTH_PAGES = 1 << 19  # bytes: a smaller array stays where it is
 
 
 def available_cores() -> int:
@@ -124,27 +119,6 @@ def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Res
         return tuple(work(*row) for row in rows)
     with ThreadPoolExecutor(cores) as pool:
         return tuple(pool.map(lambda row: work(*row), rows))
-
-
-def in_own_pages(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An array that stays for long, copied to memory pages of its own where it is large: they go back with it.
-
-    The heap grows by what is made and freed around an array that stays, and cannot shrink past it. Of a hundred
-    recordings learned together that was a third of the memory.
-    """
-    if array.nbytes < _WORTH_PAGES:
-        return array
-    rows = array.T if array.flags.f_contiguous else array
-    out = np.frombuffer(_pages(array.nbytes), dtype=array.dtype).reshape(rows.shape)
-    out[...] = rows
-    return out.T if array.flags.f_contiguous else out
-
-
-def _pages(count: int) -> mmap.mmap:
-    """So many bytes, of this process alone."""
-    if hasattr(mmap, "MAP_PRIVATE"):
-        return mmap.mmap(-1, count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    return mmap.mmap(-1, count)
 
 
 @contextmanager

@@ -15,8 +15,6 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
-
 from onebend.errors import OnebendError
 
 MOST_TEXT = 2**26  # bytes of a text that is read as a whole
@@ -232,6 +230,8 @@ _NOT_IN_JSON = re.compile("[\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u20
 
 def plain(value: Any) -> Any:
     """`value` as JSON knows it: arrays as lists, numbers that are not finite as None."""
+    import numpy as np  # here: `--version`, `--help` and most errors need no arrays
+
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and np.all(np.isfinite(value)):

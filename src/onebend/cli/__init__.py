@@ -20,8 +20,8 @@ from typer.core import TyperCommand, TyperGroup
 
 import onebend
 from onebend.crash import guarded
-from onebend.lazy import Place, wings
 from onebend.progress import one_blas_thread
+from onebend.wings import Place, wings
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
@@ -123,13 +123,13 @@ COMMANDS = {
         "out/linear-beam",
     ),
     "export": Place(
-        "onebend.cli.models",
+        "onebend.cli.exporting",
         "export_command",
         "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
-        "onebend.cli.models",
+        "onebend.cli.exporting",
         "rerun_command",
         "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
         "out/linear-beam examples/linear-beam/fast",

@@ -37,7 +37,6 @@ from onebend.errors import OnebendError, RecordingError, reference
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
-from onebend.report.pictures import Pictures
 from onebend.report.wording import significant
 from onebend.results.provenance import InputFile, provenance
 from onebend.text_files import printable, to_json
@@ -231,7 +230,7 @@ def made_from_files(inputs: Sequence[InputFile], settings: Mapping[str, Any] = {
 def put_in_place(
     place: OutputFolder,
     write: Callable[[Path], None],
-    pictures: Pictures = Pictures(),
+    failed: Mapping[str, str] = {},
     *,
     inputs: Sequence[InputFile] = (),
     made_from: Mapping[str, Any] | None = None,
@@ -239,12 +238,13 @@ def put_in_place(
     """Publish what `write` writes, with where it comes from; say which pictures are missing, and why.
 
     Args:
+        failed: pictures that could not be drawn, and why.
         made_from: as from `made_from_files`, where `write` says it too; None: it is made from `inputs`.
     """
     made_from = made_from or made_from_files(inputs)
     again = place.published
-    left = publish(place, write, {**made_from, "pictures_failed": pictures.failed})
-    say_failed(pictures)
+    left = publish(place, write, {**made_from, "pictures_failed": failed})
+    say_failed(failed)
     if left is not None:
         say_warning(f"files that appeared in {place.out} during the run are in {left}.", about="changed file")
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
@@ -262,9 +262,9 @@ def open_in_browser(page: Path) -> None:
         say_warning(f"no browser was found. Open {page} in one.", about="no browser")
 
 
-def say_failed(pictures: Pictures) -> None:
+def say_failed(failed: Mapping[str, str]) -> None:
     """A warning on standard error for each picture that could not be drawn."""
-    for name, why in pictures.failed.items():
+    for name, why in failed.items():
         text = f"the picture {name!r} could not be drawn ({why}). All else is there."
         say_warning(text, about="picture failed")
 

@@ -151,7 +151,7 @@ def reach(
             with workplace(output, REACH_FORMAT, overwrite) as place:
                 pictures = draw({"reach": lambda: reaching(found, error, _within(found))})
                 inputs = inputs_of([model_file(model)])
-                put_in_place(place, reach_writer(found, pictures, summary), pictures, inputs=inputs)
+                put_in_place(place, reach_writer(found, pictures, summary), pictures.failed, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
@@ -343,7 +343,7 @@ def shape(
             with workplace(output, SHAPE_FORMAT, overwrite) as place:
                 pictures = draw({"shape": lambda: shaping(stored.beam, found)})
                 inputs = inputs_of([model_file(model), targets])
-                put_in_place(place, shape_writer(found, pictures, summary), pictures, inputs=inputs)
+                put_in_place(place, shape_writer(found, pictures, summary), pictures.failed, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
@@ -401,7 +401,9 @@ def path(
             with workplace(output, PATH_FORMAT, overwrite) as place:
                 pictures = draw({"path": lambda: path_figure(way)})
                 inputs = inputs_of([model_file(model), goals])
-                put_in_place(place, path_writer(way, pictures, summary, frame=frame, bag=bag), pictures, inputs=inputs)
+                put_in_place(
+                    place, path_writer(way, pictures, summary, frame=frame, bag=bag), pictures.failed, inputs=inputs
+                )
     if as_json:
         print_summary(summary, output)
     else:

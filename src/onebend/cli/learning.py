@@ -234,7 +234,7 @@ def learn(
             write = learned_writer(
                 run, pictures, summary, version=onebend.__version__, made_from=made_from, tables=tables
             )
-            put_in_place(place, write, pictures or Pictures(), made_from=made_from)
+            put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
         if not as_json:
@@ -295,7 +295,7 @@ def validate(
                 pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)
                 summary = validation_summary(str(model), pairs, written_by=BY)
                 pictures = draw(validation_figures(beam, pairs), progress)
-                put_in_place(place, validation_writer(pairs, pictures, summary), pictures, inputs=inputs)
+                put_in_place(place, validation_writer(pairs, pictures, summary), pictures.failed, inputs=inputs)
     if as_json:
         print_json(summary)
     else:

@@ -264,4 +264,4 @@ def _write(
     messages = force_bag(found.time, found.force, found.covariance) if bag else None
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
     inputs = inputs_of([model_file(model), *recording_files([recording])])
-    put_in_place(work, sense_writer(found, pictures, summary, messages), pictures, inputs=inputs)
+    put_in_place(work, sense_writer(found, pictures, summary, messages), pictures.failed, inputs=inputs)

@@ -12,13 +12,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-import pyarrow as pa
-import pyarrow.csv as pc
-import pyarrow.parquet as pq
+from typing import TYPE_CHECKING, Any
 
 from onebend.errors import ResultsError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 # Renames in one step, and data that is on the disk before its name is.
 
@@ -252,11 +251,10 @@ class GrowingFile:
         os.close(self._handle)
 
 
-# Tables of Arrow as the content of files.
-
-
 def as_parquet(table: pa.Table) -> bytes:
     """The content of the table's Parquet file."""
+    import pyarrow.parquet as pq  # here: Arrow takes a tenth of a second to load
+
     stream = io.BytesIO()
     pq.write_table(table, stream)
     return stream.getvalue()
@@ -264,6 +262,8 @@ def as_parquet(table: pa.Table) -> bytes:
 
 def as_csv(table: pa.Table) -> bytes:
     """The content of the table's CSV file."""
+    import pyarrow.csv as pc
+
     stream = io.BytesIO()
     pc.write_csv(table, stream)
     return stream.getvalue()

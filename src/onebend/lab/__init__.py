@@ -2,114 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
-from onebend.lazy import Place, lazy_names
+from onebend.wings import Place
 
-if TYPE_CHECKING:
-    from onebend.lab.bench import (
-        FRANKA as FRANKA,
-        WRIST as WRIST,
-        ForceSensor as ForceSensor,
-        PushProfile as PushProfile,
-        RealBench as RealBench,
-        TagNoise as TagNoise,
-    )
-    from onebend.lab.designs import (
-        DESIGNS as DESIGNS,
-        Design as Design,
-        Expected as Expected,
-        ModulusEstimate as ModulusEstimate,
-        Silicone as Silicone,
-        TipBend as TipBend,
-        design_named as design_named,
-        expect as expect,
-        force_that_bends as force_that_bends,
-        random_stiffness as random_stiffness,
-        read_design as read_design,
-        silicone as silicone,
-        width_table as width_table,
-    )
-    from onebend.lab.fabrication import (
-        Mould as Mould,
-        MouldSettings as MouldSettings,
-        PrintedPart as PrintedPart,
-        TagSeat as TagSeat,
-        carriers as carriers,
-        clamp as clamp,
-        mould as mould,
-        write_mesh as write_mesh,
-    )
-    from onebend.lab.filming import Filming as Filming, film as film
-    from onebend.lab.forecast import (
-        BudgetEntry as BudgetEntry,
-        KnownBeam as KnownBeam,
-        PredictedBand as PredictedBand,
-        Setup as Setup,
-        SetupChange as SetupChange,
-        known_beam as known_beam,
-        setup_of as setup_of,
-    )
-    from onebend.lab.random_bench import FilmRequest as FilmRequest, filming_of as filming_of
-    from onebend.lab.rehearsal import (
-        Obtained as Obtained,
-        Rehearsal as Rehearsal,
-        SimulatedRun as SimulatedRun,
-        rehearse as rehearse,
-    )
-    from onebend.lab.rendering import Camera as Camera, Scene as Scene
-    from onebend.lab.rod import RodMotion as RodMotion
-    from onebend.lab.sensed_force import (
-        SensedForce as SensedForce,
-        SensedTags as SensedTags,
-        drawn_tags as drawn_tags,
-        felt_by as felt_by,
-    )
-    from onebend.lab.sheet import (
-        Fill as Fill,
-        Line as Line,
-        Page as Page,
-        Sheet as Sheet,
-        Text as Text,
-        tag_pages as tag_pages,
-        write_pages as write_pages,
-    )
-    from onebend.lab.virtual import (
-        DeclaredValues as DeclaredValues,
-        TrueStiffness as TrueStiffness,
-        VirtualBench as VirtualBench,
-        VirtualClock as VirtualClock,
-        VirtualRecording as VirtualRecording,
-        VirtualTag as VirtualTag,
-        observe_from_truth as observe_from_truth,
-        observe_virtual as observe_virtual,
-        true_stiffness as true_stiffness,
-        virtual_recording as virtual_recording,
-    )
-else:
-    __getattr__, __dir__, __all__ = lazy_names(
-        __name__,
-        {
-            "onebend.lab.bench": "FRANKA ForceSensor PushProfile RealBench TagNoise WRIST",
-            "onebend.lab.designs": (
-                "DESIGNS Design Expected ModulusEstimate Silicone TipBend design_named expect force_that_bends "
-                "random_stiffness read_design silicone width_table"
-            ),
-            "onebend.lab.fabrication": "Mould MouldSettings PrintedPart TagSeat carriers clamp mould write_mesh",
-            "onebend.lab.filming": "Filming film",
-            "onebend.lab.forecast": "BudgetEntry KnownBeam PredictedBand Setup SetupChange known_beam setup_of",
-            "onebend.lab.random_bench": "FilmRequest filming_of",
-            "onebend.lab.rehearsal": "Obtained Rehearsal SimulatedRun rehearse",
-            "onebend.lab.rendering": "Camera Scene",
-            "onebend.lab.rod": "RodMotion",
-            "onebend.lab.sensed_force": "SensedForce SensedTags drawn_tags felt_by",
-            "onebend.lab.sheet": "Fill Line Page Sheet Text tag_pages write_pages",
-            "onebend.lab.virtual": (
-                "DeclaredValues TrueStiffness VirtualBench VirtualClock VirtualRecording VirtualTag "
-                "observe_from_truth observe_virtual true_stiffness virtual_recording"
-            ),
-        },
-    )
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 COMMANDS = {
     "loop": Place(

@@ -554,7 +554,7 @@ def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
     if path is None:
         return {}
     pictures = draw({path.name: make})
-    say_failed(pictures)
+    say_failed(pictures.failed)
     return {path: pictures.drawn[path.name]} if pictures.drawn else {}
 
 

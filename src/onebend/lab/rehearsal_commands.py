@@ -209,7 +209,7 @@ def loop(
             with workplace(output, LOOP_FORMAT, overwrite) as place:
                 pictures = draw({"loop": lambda: looping(control, trials)})
                 inputs = inputs_of([model_file(model)])
-                put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
+                put_in_place(place, loop_writer(trials, pictures, summary), pictures.failed, inputs=inputs)
     if as_json:
         print_summary(summary, output)
     else:
@@ -438,7 +438,7 @@ def _carried_out(
         inputs = inputs_of([source])
         found = work(keep=place.work, progress=progress)
         pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-        put_in_place(place, writer_of(found, pictures, written_by=BY), pictures, inputs=inputs)
+        put_in_place(place, writer_of(found, pictures, written_by=BY), pictures.failed, inputs=inputs)
     return found
 
 
@@ -557,7 +557,7 @@ def reproduce(
         pictures = draw_figures(found, progress=progress)
         summary = study_summary_of(found, written_by=BY)
         write = writer(found, pictures, summary, place.work, version=onebend.__version__)
-        put_in_place(place, write, pictures, made_from=made_from_files((), {"study": setting}))
+        put_in_place(place, write, pictures.failed, made_from=made_from_files((), {"study": setting}))
     if as_json:
         print_json(summary | {"output": str(output)})
     else:

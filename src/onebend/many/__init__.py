@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from onebend.lazy import Place
+from onebend.wings import Place
 
 COMMANDS = {
     "batch": Place(

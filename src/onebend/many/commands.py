@@ -203,7 +203,7 @@ def population(
         pictures = draw_figures_of(found, progress=progress)
         summary = populations.summary_of(found, written_by=BY)
         write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
-        put_in_place(place, write, pictures, inputs=inputs)
+        put_in_place(place, write, pictures.failed, inputs=inputs)
     if as_json:
         print_json(summary | {"output": str(output)})
     else:

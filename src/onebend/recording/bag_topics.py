@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 
 from onebend.errors import RecordingError
 from onebend.recording.bags import Bag, Topic, decoder, is_bag, listed, messages, open_bag, raw_messages, topic_of
@@ -161,6 +160,8 @@ def smooth_mosaic(raw: Pixels) -> Pixels:
 
 def unpacked(message: Any, where: str, colour: bool) -> Pixels:
     """A JPEG or PNG in a message."""
+    from PIL import Image, UnidentifiedImageError  # here: most recordings are no bags with packed pictures
+
     try:
         with Image.open(BytesIO(bytes(message.data))) as image:
             return np.array(image.convert("RGB" if colour else "L"))

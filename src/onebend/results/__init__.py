@@ -2,20 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
-from onebend.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from onebend.results.model import (
-        Origin as Origin,
-        load_instruments as load_instruments,
-        load_modulus as load_modulus,
-    )
-else:
-    __getattr__, __dir__, __all__ = lazy_names(
-        __name__,
-        {
-            "onebend.results.model": "Origin load_instruments load_modulus",
-        },
-    )
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

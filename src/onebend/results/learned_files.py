@@ -9,23 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.model import Beam
-from onebend.beam.section import one_modulus, section_as_dict
-from onebend.beam.stiffness import UncertainStiffness
 from onebend.files.publish import write_summary
 from onebend.learning.instruments import instruments_if_pushed
-from onebend.learning.outcome import Comparison, Learned, modulus_along, stated_section
+from onebend.learning.outcome import Comparison, Learned, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
 from onebend.learning.swing import SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms, possible
-from onebend.records import Observations, StatedSection
+from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
 from onebend.report.page import page, shown_made_from
 from onebend.report.pictures import Pictures
 from onebend.report.verdict import verdict_of
 from onebend.report.wording import Findings, all_remarks, pair_remarks
-from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of
+from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of, stiffness_summary
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 
@@ -139,7 +136,7 @@ def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
         "length_m": first.length,
         "method": "fit" if posterior is not None or learned is None else learned.method,
         "verdict": verdict_of(findings).as_dict(),
-        "stiffness": _stiffness(findings.beam, uncertain, stated_section(findings.recordings)),
+        "stiffness": stiffness_summary(findings.beam, uncertain, stated_section(findings.recordings)),
         "fit": None if posterior is None else _fit(posterior),
         "regression": None if learned is None else _regression(learned),
         "training": [comparison_summary(comparison) for comparison in findings.trainings],
@@ -160,14 +157,6 @@ def validation_summary(
         remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
         rows.append(comparison_summary(comparison) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
-
-
-def model_summary(stored: StoredModel) -> dict[str, Any]:
-    """What `onebend show --json` prints."""
-    origin = None if stored.origin is None else asdict(stored.origin)
-    damping = None if stored.damping is None else stored.damping.as_dict()
-    stiffness = _stiffness(stored.beam, stored.uncertain, stored.section)
-    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": stiffness, "damping": damping}
 
 
 def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any]:
@@ -255,7 +244,7 @@ def _regression(learned: Learned) -> dict[str, Any]:
         "family": learned.family,
         "chosen": _trial(learned, learned.chosen),
         "trials": len(learned.trials),
-        "stiffness": _stiffness(learned.beam, None),
+        "stiffness": stiffness_summary(learned.beam, None),
         "training": comparison_summary(learned.training),
     }
 
@@ -282,26 +271,6 @@ def _trial(learned: Learned, index: int) -> dict[str, Any]:
         "condition": trial.condition,
         "why_out": trial.why_out,
     }
-
-
-def _stiffness(
-    beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
-) -> dict[str, Any]:
-    """k at eleven places; with its 95 % band where one was learned, and Young's modulus where the section is known."""
-    s = np.linspace(0.0, 1.0, 11)
-    found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
-    if uncertain is not None:
-        band = uncertain.band(s)
-        found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
-        found |= {"doubts": uncertain.doubts}
-    modulus = modulus_along(beam, uncertain, section, s)
-    if modulus is not None and section is not None:
-        edges = {} if uncertain is None else {"E_lo_Pa": modulus.low, "E_hi_Pa": modulus.high}
-        found |= {"E_Pa": modulus.modulus, **edges, "section": section_as_dict(section)}
-    one = one_modulus(uncertain or beam.stiffness, beam.length, section)
-    if one is not None:
-        found |= dict(zip(("E_mean_Pa", "E_mean_lo_Pa", "E_mean_hi_Pa"), one, strict=True))
-    return found
 
 
 def _force(observed: Observations) -> dict[str, Any] | None:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.section import ModulusBand, modulus_band, section_as_dict, section_from_dict
+from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section_as_dict, section_from_dict
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
 from onebend.files.publish import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
-from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.outcome import Comparison, Learned, modulus_along
 from onebend.records import Array, StatedSection
 from onebend.text_files import quoted, read_json
 
@@ -324,3 +324,31 @@ def _check_profile(where: str, profile: Profile) -> None:
     values = np.asarray(profile(np.linspace(0.0, 1.0, 201)))
     if values.shape != (201,) or not np.isfinite(values).all():
         raise ResultsError(f"{where}: has no finite value everywhere along the beam. {_ADVICE}")
+
+
+def model_summary(stored: StoredModel) -> dict[str, Any]:
+    """What `onebend show --json` prints."""
+    origin = None if stored.origin is None else asdict(stored.origin)
+    damping = None if stored.damping is None else stored.damping.as_dict()
+    stiffness = stiffness_summary(stored.beam, stored.uncertain, stored.section)
+    return {"beam": stored.beam.as_dict(), "origin": origin, "stiffness": stiffness, "damping": damping}
+
+
+def stiffness_summary(
+    beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
+) -> dict[str, Any]:
+    """k at eleven places; with its 95 % band where one was learned, and Young's modulus where the section is known."""
+    s = np.linspace(0.0, 1.0, 11)
+    found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
+    if uncertain is not None:
+        band = uncertain.band(s)
+        found |= {"k_lo_N_m": band.low, "k_hi_N_m": band.high, "identified": band.identified}
+        found |= {"doubts": uncertain.doubts}
+    modulus = modulus_along(beam, uncertain, section, s)
+    if modulus is not None and section is not None:
+        edges = {} if uncertain is None else {"E_lo_Pa": modulus.low, "E_hi_Pa": modulus.high}
+        found |= {"E_Pa": modulus.modulus, **edges, "section": section_as_dict(section)}
+    one = one_modulus(uncertain or beam.stiffness, beam.length, section)
+    if one is not None:
+        found |= dict(zip(("E_mean_Pa", "E_mean_lo_Pa", "E_mean_hi_Pa"), one, strict=True))
+    return found

@@ -1,0 +1,76 @@
+from .bench import (
+    FRANKA as FRANKA,
+    WRIST as WRIST,
+    ForceSensor as ForceSensor,
+    PushProfile as PushProfile,
+    RealBench as RealBench,
+    TagNoise as TagNoise,
+)
+from .designs import (
+    DESIGNS as DESIGNS,
+    Design as Design,
+    Expected as Expected,
+    ModulusEstimate as ModulusEstimate,
+    Silicone as Silicone,
+    TipBend as TipBend,
+    design_named as design_named,
+    expect as expect,
+    force_that_bends as force_that_bends,
+    random_stiffness as random_stiffness,
+    read_design as read_design,
+    silicone as silicone,
+    width_table as width_table,
+)
+from .fabrication import (
+    Mould as Mould,
+    MouldSettings as MouldSettings,
+    PrintedPart as PrintedPart,
+    TagSeat as TagSeat,
+    carriers as carriers,
+    clamp as clamp,
+    mould as mould,
+    write_mesh as write_mesh,
+)
+from .filming import Filming as Filming, film as film
+from .forecast import (
+    BudgetEntry as BudgetEntry,
+    KnownBeam as KnownBeam,
+    PredictedBand as PredictedBand,
+    Setup as Setup,
+    SetupChange as SetupChange,
+    known_beam as known_beam,
+    setup_of as setup_of,
+)
+from .random_bench import FilmRequest as FilmRequest, filming_of as filming_of
+from .rehearsal import Obtained as Obtained, Rehearsal as Rehearsal, SimulatedRun as SimulatedRun, rehearse as rehearse
+from .rendering import Camera as Camera, Scene as Scene
+from .rod import RodMotion as RodMotion
+from .sensed_force import (
+    SensedForce as SensedForce,
+    SensedTags as SensedTags,
+    drawn_tags as drawn_tags,
+    felt_by as felt_by,
+)
+from .sheet import (
+    Fill as Fill,
+    Line as Line,
+    Page as Page,
+    Sheet as Sheet,
+    Text as Text,
+    tag_pages as tag_pages,
+    write_pages as write_pages,
+)
+from .virtual import (
+    DeclaredValues as DeclaredValues,
+    TrueStiffness as TrueStiffness,
+    VirtualBench as VirtualBench,
+    VirtualClock as VirtualClock,
+    VirtualRecording as VirtualRecording,
+    VirtualTag as VirtualTag,
+    observe_from_truth as observe_from_truth,
+    observe_virtual as observe_virtual,
+    true_stiffness as true_stiffness,
+    virtual_recording as virtual_recording,
+)
+
+COMMANDS: dict[str, object]

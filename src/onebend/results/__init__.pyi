@@ -1,0 +1,1 @@
+from .model import Origin as Origin, load_instruments as load_instruments, load_modulus as load_modulus

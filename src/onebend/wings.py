@@ -1,0 +1,24 @@
+"""The wings of the package, and where a command stands: to list all commands loads none of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+WINGS = ("live", "many", "lab", "studio")  # folders that may be left out, each with commands of its own
+
+
+def wings() -> list[str]:
+    """The wings that are here."""
+    return [name for name in WINGS if (Path(__file__).parent / name / "__init__.py").is_file()]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a command stands, the first line of its help, and the example at its end."""
+
+    module: str
+    function: str
+    help: str
+    example: str  # the words after `onebend NAME`; it works on what `make demo` made, and on what `first` makes
+    first: str = ""  # the command that makes what the example needs beside that
