@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from onebend import progress
-from onebend.progress import each, in_own_pages
+from onebend.learning.normal import in_own_pages
+from onebend.progress import each
 
 
 def test_results_are_alike_to_the_bit_and_in_order_on_one_core_and_on_many(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,6 +40,7 @@ from onebend.learning.normal import (
     JointCovariance,
     StiffnessMixture,
     beside,
+    in_own_pages,
     in_z,
     mean_part_variances,
     normal_mixture,
@@ -47,7 +48,7 @@ from onebend.learning.normal import (
     unit_root,
 )
 from onebend.learning.parameters import Block
-from onebend.progress import each, in_own_pages
+from onebend.progress import each
 from onebend.records import Array, IntArray
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error

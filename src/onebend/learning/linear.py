@@ -26,10 +26,19 @@ from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import ForceError
 from onebend.learning.frames import whitened
 from onebend.learning.frequencies import FrequencyData, PredictedFrequencies, predicted_frequencies
-from onebend.learning.normal import BlockRoot, InformationForm, JointCovariance, beside, in_z, total, unit_root
+from onebend.learning.normal import (
+    BlockRoot,
+    InformationForm,
+    JointCovariance,
+    beside,
+    in_own_pages,
+    in_z,
+    total,
+    unit_root,
+)
 from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
-from onebend.progress import each, in_own_pages
+from onebend.progress import each
 from onebend.records import Array, IntArray
 
 # What is fitted: the recordings' data, where each parameter stands, and what is expected before the data.

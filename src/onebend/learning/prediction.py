@@ -39,9 +39,9 @@ from onebend.learning.allowances import (
 )
 from onebend.learning.fit_data import FitData
 from onebend.learning.frames import push_places, ruler_places, steepness, whitened, zeroed_coordinates
+from onebend.learning.normal import in_own_pages
 from onebend.learning.parameters import Layout, log_axes, rest_curvature
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
-from onebend.progress import in_own_pages
 from onebend.records import Array, BoolArray, IntArray, Observations
 
 # Derivatives of the tags' poses with the parameters: one order of columns, used by all who need them.
