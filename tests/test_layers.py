@@ -18,7 +18,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("beam", "crash", "files"),
     ("recording", "control"),
     ("learning",),
-    ("report", "export", "estimators"),
+    ("report", "export"),
     ("results",),
     ("pipeline",),
     ("__init__",),
