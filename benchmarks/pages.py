@@ -2,7 +2,8 @@
 
 A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
-from the schema. The text around these parts is written by hand; tests/test_docs.py compares the parts with the code.
+from the schema. The text around these parts is written by hand. tests/whole/test_docs.py compares the parts with the
+code.
 """
 
 from __future__ import annotations

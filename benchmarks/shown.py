@@ -2,7 +2,7 @@
 
 A screen stands in its page between `<!-- shown: NAME -->` and `<!-- end of NAME -->`. `docs/shown.json` keeps
 two checksums of the source files behind each: of those that word or draw it, and of those that its numbers come
-from. `--list` says which are older than their sources; `tests/test_shown.py` does so too.
+from. `--list` says which are older than their sources; `tests/whole/test_shown.py` does so too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 STAMPS = ROOT / "docs" / "shown.json"
 SOURCE = "src/onebend/"
 DEMO = ["learn", "examples/linear-beam/train", "--output", "out/linear-beam", "--validate", "examples/linear-beam/fast"]
-OF_A_RUN = ("cli/screens.py", "cli/screens.py", "cli/screens.py", "report/verdict.py", "report/wording.py")
+OF_A_RUN = ("cli/screens.py", "report/verdict.py", "report/wording.py")
 LEARNING = ("beam", "recording", "learning")
 
 
@@ -40,13 +40,13 @@ class Shown:
 
 SHOWN = {
     "demo": Shown("docs/first-beam.md", (*DEMO, "--force"), OF_A_RUN, LEARNING),
-    "plan": Shown("docs/plan.md", ("plan", "out/linear-beam"), ("cli/learning.py", "learning/design"), LEARNING),
+    "plan": Shown("docs/plan.md", ("plan", "out/linear-beam"), ("cli/learning.py", "learning/design.py"), LEARNING),
     "learned": Shown("", ("examples/readme_picture.py",), ("report/figures.py", "report/style.py"), LEARNING),
     "reproduce": Shown(
         "",
         ("reproduce", "-o", "out/paper", "--force"),
-        ("many/commands.py", "lab/study_report.py", "lab/study_report.py"),
-        (*LEARNING, "lab", "control", "studies"),
+        ("lab/rehearsal_commands.py", "lab/study_report.py"),
+        (*LEARNING, "lab", "control"),
         (("out/paper/figures/summary.png", "docs/images/reproduce.png"),),
         long=True,
     ),

@@ -1,7 +1,7 @@
 """The few named errors of onebend, and where docs/troubleshooting.md says more of errors and warnings.
 
 Every message says what is wrong, where, and what to do. Every warning says what it is about by a key of `SECTIONS`,
-whatever its words are, and so does an error that has a section of its own (`tests/test_troubleshooting.py`).
+whatever its words are, and so does an error that has a section of its own (`tests/whole/test_troubleshooting.py`).
 """
 
 from __future__ import annotations

@@ -24,10 +24,10 @@ from tests.attack.test_hostile_films import CASES as HOSTILE
 from tests.attack.test_hostile_text import CSV_CASES, FILE_CASES, MODEL_CASES, TOML_CASES
 from tests.attack.test_mistakes import CASES as MISTAKES
 from tests.attack.test_parquet import CASES as PARQUET
-from tests.attack.test_sources import CASES as SOURCES, prepare as with_sources, recorded
 from tests.attack.victim import Outcome, Victim
 from tests.made_up import BEAM
 from tests.recording.tracked import track_folder
+from tests.whole.test_sources import CASES as SOURCES, prepare as with_sources, recorded
 
 LEARN = ["learn", "rec", "-q", "-o", "out"]
 COLUMNS = ("cases", "clear error", "done, rightly", "traceback", "hang", "crash", "silent", "other words")

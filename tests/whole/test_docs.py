@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.pages import INHERITED, TABLES, pages, renewed
-from onebend.cli import COMMANDS, app
+from onebend.cli import all_commands, app
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.recording.schema import keys_of
 from onebend.records import StatedSection
@@ -19,8 +19,10 @@ from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 from tests import made_up
 
+COMMANDS = all_commands()
+
 OPTION = re.compile(r"--[a-z][a-z-]*")
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

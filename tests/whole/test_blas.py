@@ -17,9 +17,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import onebend
 from onebend import control
-from onebend.cli import COMMANDS, Command
+from onebend.cli import Command, all_commands
 from onebend.live import OnlineLearner
 from onebend.progress import one_blas_thread
+
+COMMANDS = all_commands()
 
 # What needs no guard: it reads or writes files, or only describes.
 UNGUARDED = {

@@ -18,13 +18,15 @@ import pypdfium2
 import pytest
 from typer.testing import CliRunner
 
-from onebend.cli import COMMANDS, app
+from onebend.cli import all_commands, app
 from tests.recording import bagged
 from tests.recording.test_photos import folder_of as photo_folder
 from tests.recording.tracked import track_folder
 from tests.report.page.browser import BROWSERS
 
-ROOT = Path(__file__).parents[1]
+COMMANDS = all_commands()
+
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 TRAIN, FAST = (ROOT / "examples" / "linear-beam" / name for name in ("train", "fast"))
 PAGES = [DOCS / "first-beam.md", *sorted((DOCS / "start").glob("*.md"))]

@@ -27,7 +27,7 @@ from onebend.results.model import save_model
 from tests import made_up
 from tests.lab.core.test_criticism import suspects
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "onebend"
 TEXT = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 BY_HAND = {"Remark", "say_warning"}  # what makes a warning; errors say it where they have a section

@@ -21,7 +21,7 @@ from onebend.records import Observations
 from onebend.results.model import save_model
 from tests.learning.swinging import HEAVY, released
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 # Those that need more than a page can give are run where their subject is tested, or need a slow film.
 ELSEWHERE = {
     "README.md": 1,  # tests/test_end_to_end.py

@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from onebend.cli import COMMANDS, COMPLETE, app
+from onebend.cli import COMPLETE, all_commands, app
 from tests.recording.board_film import CHESS
 from tests.recording.calibration.test_intrinsics import shown
 
-ROOT = Path(__file__).parents[1]
+COMMANDS = all_commands()
+
+ROOT = Path(__file__).parents[2]
 # Those that take seconds need the result of `make demo` itself, or make films; the others do with a designed beam.
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",

@@ -1,0 +1,1 @@
+"""Tests of the core and its wings together: pages, examples, packaging, and what touches commands of both."""
