@@ -1,8 +1,8 @@
 """onebend: learn how stiff a soft slender object is along its length from one push, then bend it where you want.
 
-Most work needs the verbs and records here. The rest is in `onebend.beam`, `recording`, `learning`, `control`, `lab`
-(beams that do not exist or are still to be made), `design` (which push to make next), `paper` (the paper's own
-regression), `forecast`, `streaming` (a camera and a sensor that still run), `results`, `records` and `errors`.
+Most work needs the functions and records here. The layers of the core are `onebend.beam`, `recording`, `learning`,
+`control`, `results`, `records` and `errors`; its wings are `live` (record and learn while a beam is pushed), `many`
+(thousands of recordings), `lab` (virtual benches, films, parts to print) and `studio` (a local page).
 """
 
 from __future__ import annotations
