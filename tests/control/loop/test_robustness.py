@@ -1,8 +1,7 @@
-"""Rehearsals on beams that are not the model, and the command that makes them."""
+"""Rehearsals on beams that are not the model."""
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from onebend.cli import app
 from onebend.control.loop import ControllerSettings, controller
 from onebend.control.loop_simulation import AXIS_PLACES, LoopCamera, drawn_beams, simulate_range, simulate_trials
 from onebend.errors import ControlError
-from onebend.results.control_files import LOOP_COLUMNS
 from onebend.results.model import save_model
 from tests import made_up
 
@@ -54,47 +52,12 @@ def test_what_cannot_be_rehearsed_is_refused(asked: dict[str, float]) -> None:
         simulate_range(controller(BEAM, GOAL), **asked)  # type: ignore[arg-type]
 
 
-def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:
-    save_model(tmp_path / "model.json", BEAM, written_by="a test")
-    goal = [f"{value:.6g}" for value in GOAL]
-    command = [
-        "loop",
-        str(tmp_path / "model.json"),
-        "--goal",
-        *goal,
-        "--duration-s",
-        "2",
-        "--k-error",
-        "0.2",
-        "--delay-ms",
-        "60",
-        "--felt",
-        "log",
-        "--force-off-N",
-        "0.01",
-    ]
-    done = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json"])
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert said["delay_s"] == 0.06
-    assert (said["felt"], said["force_off_N"], said["hidden"]) == ("log", 0.01, False)
-    assert said["margins"]["gain"] > 2.0
-    assert [one["k_factor"] for one in said["rehearsals"]] == [1.0, 0.8, 1.2]
-    with (tmp_path / "out" / "loop.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == LOOP_COLUMNS
-    last = [row for row in rows if row["k_factor"] == "0.8"][-1]
-    np.testing.assert_allclose([float(last["x_m"]), float(last["y_m"])], GOAL, atol=4e-3)
-    assert (tmp_path / "out" / "loop.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_gravity_needs_a_mass(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", Beam(BEAM.length, BEAM.stiffness), written_by="a test")
     asked = ["--goal", "0.1", "0.03", "--gravity-m-s2", "0", "-9.81"]
-    for command in ("reach", "loop"):
-        done = CliRunner().invoke(app, [command, str(tmp_path / "model.json"), *asked])
-        assert done.exit_code == 2
-        assert "the model has no mass" in " ".join(done.output.split())
+    done = CliRunner().invoke(app, ["reach", str(tmp_path / "model.json"), *asked])
+    assert done.exit_code == 2
+    assert "the model has no mass" in " ".join(done.output.split())
 
 
 def test_command_carries_the_weight(tmp_path: Path) -> None:
@@ -106,7 +69,7 @@ def test_command_carries_the_weight(tmp_path: Path) -> None:
     np.testing.assert_allclose(json.loads(done.stdout)["force_N"], (0.0, 0.3), atol=1e-4)
 
 
-def test_drawn_beams_are_those_of_the_band_and_go_their_own_ways(tmp_path: Path) -> None:
+def test_drawn_beams_are_those_of_the_band_and_go_their_own_ways() -> None:
     fit = made_up.posterior()
     beam = fit.beam
     goal = beam.equilibrium((0.0, 0.02)).xy(1.0)
@@ -128,20 +91,3 @@ def test_drawn_beams_are_those_of_the_band_and_go_their_own_ways(tmp_path: Path)
         there = replace(beam, stiffness=one.stiffness).equilibrium(run.force[-1])
         np.testing.assert_allclose(run.axis[-1], there.xy(AXIS_PLACES), atol=2e-4)
         np.testing.assert_allclose(run.axis[:, -1], run.xy, atol=1e-12)
-    save_model(tmp_path / "model.json", BEAM, written_by="a test")
-    asked = ["loop", str(tmp_path / "model.json"), "--goal", *map(str, GOAL), "--draws", "2"]
-    done = CliRunner().invoke(app, asked)
-    assert done.exit_code == 2
-    assert "no band to draw beams from" in " ".join(done.output.split())
-
-
-def test_the_command_rehearses_on_drawn_beams(tmp_path: Path) -> None:
-    fit = made_up.posterior()
-    save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
-    goal = fit.beam.equilibrium((0.0, 0.02)).xy(1.0)
-    asked = ["--goal", *map(str, goal), "--draws", "1", "--duration-s", "2", "--noise-mm", "0", "--fps", "10"]
-    done = CliRunner().invoke(app, ["loop", str(tmp_path / "model.json"), *asked, "-o", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
-    assert "drawn, " in done.stdout
-    said = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
-    assert [one["drawn"] for one in said["rehearsals"]] == [False, True]

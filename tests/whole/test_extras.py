@@ -13,7 +13,7 @@ from onebend.extras import package, require
 from onebend.results.model import save_model
 from tests import made_up
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 OF_EXTRAS = ("cv2", "distributed", "lxml", "manifold3d", "networkx", "reportlab", "rosbags", "starlette", "trimesh")
 VIDEO = str(ROOT / "examples/linear-beam/train/video.mp4")
 
