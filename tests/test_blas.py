@@ -24,7 +24,7 @@ from onebend.progress import one_blas_thread
 # What needs no guard: it reads or writes files, or only describes.
 UNGUARDED = {
     "load_model", "load_observations", "load_uncertain", "save_model", "save_observations",
-    "angles", "curve", "curve_of_length", "points", "read_goals", "read_targets", "point_goals",
+    "angles", "curve", "curve_of_length", "points", "read_goals", "read_targets",
     "simulate_trials", "trial_settings", "wrong_beams",  # each trial runs under it; the others compute next to nothing
 }  # fmt: skip
 

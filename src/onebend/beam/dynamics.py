@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from onebend.beam.grid import Grid, Modes, make_grid
 from onebend.beam.problem import Resolution, Rod, refuse_section
@@ -176,28 +175,6 @@ def mass_matrix(of: Body, theta: Array) -> Array:
     out = np.swapaxes(across[..., :n], -1, -2) @ carried[..., :n]
     out += np.swapaxes(across[..., n:], -1, -2) @ carried[..., n:]
     return np.asarray(out + of.to_angle.T @ (of.rotary[:, None] * of.to_angle))
-
-
-def coriolis_matrix(of: Body, theta: Array, rate: Array) -> Array:
-    """(..., n, n) kg m^2/s: C of (7) by Christoffel's symbols, so that B' - 2 C is skew-symmetric."""
-    c, s = _directions(of, theta)
-    turned = (rate @ of.to_angle.T)[..., None] * of.to_angle
-    ca, sa = c[..., None] * of.to_angle, s[..., None] * of.to_angle
-    first = np.swapaxes(sa, -1, -2) @ (of.carried @ (c[..., None] * turned))
-    return np.asarray(first - np.swapaxes(ca, -1, -2) @ (of.carried @ (s[..., None] * turned)))
-
-
-def gravity_vector(of: Body, theta: Array, gravity: Array) -> Array:
-    """(..., n) N m: G of (7) for gravity (2,) m/s^2 in the beam's frame; on the left side of the equation."""
-    c, s = _directions(of, theta)
-    return np.asarray(-(of.lever * (c * gravity[1] - s * gravity[0])) @ of.to_angle)
-
-
-def force_jacobian(of: Body, theta: Array, at_s: float) -> Array:
-    """(..., 2, n) m: J(s) = d r(s) / d theta; a force F there acts as J^T F."""
-    c, s = _directions(of, theta)
-    row = of.length * of.grid.integral_to(np.array([at_s]))[0]
-    return np.stack([(-row * s) @ of.to_angle, (row * c) @ of.to_angle], axis=-2)
 
 
 def kinetic_energy(
@@ -366,24 +343,6 @@ def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
     along = np.sum(turning * (np.cos(alpha) * now.forced[1] - np.sin(alpha) * now.forced[0]), axis=0)
     carried = np.sum(now.force * now.base_rate[:, :2], axis=1) + now.moment * spin
     return np.asarray(along + carried + np.sum(now.couple * rate, axis=0))
-
-
-def spline_gripper(time: ArrayLike, pose: ArrayLike) -> Gripper:
-    """A gripper that moves through measured poses (T, 3) of (x [m], y [m], turn [rad]) by cubic splines.
-
-    The spline's knots are not breaks: its third derivative jumps there, which limits the order of motion to that of
-    the data. Beyond the data it extrapolates, so the motion should end with them.
-
-    Raises:
-        MechanicsError: times that do not rise, or poses that are not finite.
-    """
-    t, p = np.asarray(time, dtype=float), np.asarray(pose, dtype=float)
-    if t.ndim != 1 or len(t) < 2 or p.shape != (len(t), 3):
-        raise MechanicsError(f"a gripper needs T >= 2 times and poses (T, 3), got {t.shape} and {p.shape}")
-    if not (np.all(np.diff(t) > 0.0) and np.all(np.isfinite(p))):
-        raise MechanicsError("the gripper's times must rise and its poses be finite; leave out the unknown ones")
-    spline = CubicSpline(t, p)
-    return Gripper(spline, spline.derivative())
 
 
 def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> None:

@@ -359,11 +359,10 @@ class Problem:
         return np.asarray((stretch - shear) / (self.length * self.weights))
 
     def under(self, dead_force: Array, q0: Array, alpha0: Array) -> Problem:
-        """The same beams under these dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle; what
-        follows from the beams by themselves is not worked out again."""
+        """The same beams under these dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle."""
         size, nodes = dead_force.shape[:2]
         none = np.zeros((size, 0, nodes))
-        out = replace(
+        return replace(
             self,
             q0=q0,
             alpha0=alpha0,
@@ -373,9 +372,6 @@ class Problem:
             follower_beyond=none,
             follower_rows=none,
         )
-        of_beam = (self.compliance, self.strain_lever)
-        out.__dict__.update(zip(("compliance", "strain_lever"), of_beam, strict=True))
-        return out
 
     def strained(self, share: Array) -> Problem:
         """With 1/EA and 1/kGA times `share` (T,): 0 is the beam that neither stretches nor shears."""

@@ -288,7 +288,7 @@ class Response:
         """
         flat = rows.reshape(len(rows), -1, rows.shape[-1])
         clamp = self.perturbation.clamp
-        if "q" in self.__dict__ or flat.shape[1] >= len(clamp):
+        if flat.shape[1] >= len(clamp):
             out = flat @ self.q
         else:
             matrices = tangent(self.solved.problem, self.solved.q)
@@ -344,22 +344,10 @@ def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
     Raises:
         MechanicsError: the problem has no section.
     """
-    return _of_compliance(problem, problem.compliance, 2.0 * slope)
-
-
-def of_poisson(problem: Problem) -> Perturbation:
-    """One parameter: the section's Poisson's ratio; 1/kGA goes with `1 + nu`. Raises as `of_section_thickness`."""
     if problem.section is None or problem.compliance is None:
-        return _of_compliance(problem, None, 0.0)
-    shear = problem.compliance[1]
-    return _of_compliance(problem, (np.zeros_like(shear), shear), 1.0 / (1.0 + problem.section.poisson))
-
-
-def _of_compliance(problem: Problem, size: tuple[Array, Array] | None, factor: float) -> Perturbation:
-    if problem.section is None or size is None:
         raise MechanicsError("there is no section whose thickness sets 1/EA and 1/kGA: give the problem a `section`")
-    functions = np.full((problem.to_nodes.shape[-1], 1), factor)
-    return Perturbation(None, None, None, np.zeros(1), (size, functions))
+    functions = np.full((problem.to_nodes.shape[-1], 1), 2.0 * slope)
+    return Perturbation(None, None, None, np.zeros(1), (problem.compliance, functions))
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:

@@ -227,15 +227,6 @@ class Goals:
         return replace(self.targets, xy=xy[0], angle=angle[0])
 
 
-def point_goals(time: ArrayLike, xy: ArrayLike, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
-    """One point of the beam, at `point_s`, wanted at xy (K, 2) m at times (K,) s."""
-    times, wanted = np.asarray(time, dtype=float), np.asarray(xy, dtype=float)
-    if times.ndim != 1 or wanted.shape != (len(times), 2):
-        raise ControlError(f"{len(times)} times need positions ({len(times)}, 2), got {wanted.shape}")
-    first = Targets(np.array([point_s]), wanted[:1], np.array([np.nan]), np.ones(1))
-    return Goals(times, first, wanted[:, None], np.full((len(times), 1), np.nan), between)
-
-
 def _curve(time: Array, values: Array, between: Between) -> Callable[[Array], Array]:
     """The values (K, c) as functions of time; a spline through fewer than four goals is of a lower degree."""
     if between == "monotone":

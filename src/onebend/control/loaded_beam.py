@@ -103,13 +103,6 @@ class PushedBeam:
         alpha = self.angles(q)
         return self.place(np.cos(alpha), np.sin(alpha), q, 3)
 
-    def shape_xy(self, q: Array, s: Array) -> Array:
-        """(S, 2) m: places `s` (S,) of the beam."""
-        alpha = self.angles(q)
-        return np.asarray(
-            self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1)
-        )
-
     def whole(self, q: Array) -> Array:
         """(Q,) the curvature at all nodes."""
         return np.concatenate([q, self.problem.q0[self.count :]])
