@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from onebend.beam.grid import Grid as Grid
     from onebend.beam.loads import Loads as Loads, push as push, twist as twist, weight as weight
     from onebend.beam.problem import (
-        FirstGrid as FirstGrid,
         GridMemory as GridMemory,
         MomentBasis as MomentBasis,
         NodalBeam as NodalBeam,
@@ -47,7 +46,7 @@ else:
             "onebend.beam.dynamics": "Body",
             "onebend.beam.grid": "Grid",
             "onebend.beam.loads": "Loads push twist weight",
-            "onebend.beam.problem": "FirstGrid GridMemory MomentBasis NodalBeam Problem Resolution Rod",
+            "onebend.beam.problem": "GridMemory MomentBasis NodalBeam Problem Resolution Rod",
             "onebend.beam.section": "ModulusBand SectionProfiles modulus_band one_modulus",
             "onebend.beam.sensitivity": "Perturbation",
             "onebend.beam.statics": "Equilibrium NodalForces",
