@@ -8,31 +8,30 @@ from dataclasses import replace
 import numpy as np
 
 from onebend.beam.continuation import to_the_left
-from onebend.beam.grid import apply, solve_each, transposed
+from onebend.beam.grid import apply, transposed
 from onebend.beam.problem import Problem
 from onebend.beam.statics import (
     Equilibrium,
     centreline_slope,
+    found_near,
     gradient,
     nodal_forces,
     node_angles,
     positive_definite,
     potential,
+    solve_batch,
     strain_by_force,
     tangent,
 )
 from onebend.records import Array, BoolArray, IntArray
 
-# The end s = 1 at a given pose: its derivatives, equilibrium with the wrench as unknown, stability, and letting down.
-#
 # With the wrench (F, M) as multipliers of the end's pose the conditions are `g(q) = C^T (F, M)` and `c(q) = pose`,
-# where `c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system).
-# The equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
+# where `c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system). The
+# equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
 #
-# Where the beam stretches and shears, the wrench also strains it: `c(q, F, M) = pose`, and the balance is that under
-# the wrench as a dead load. With D = dc/dF at fixed q the step's matrix is `[T, -C^T; C, D]`, and the equilibrium
-# stands if `[T, C^T; C, -D]` has three negative eigenvalues, one for each condition: strains minimise the energy at
-# any shape.
+# Where the beam stretches and shears, the wrench also strains it: the balance is that under the wrench as a dead load.
+# With D = dc/dF at fixed q the step's matrix is `[T, -C^T; C, D]`, and the equilibrium stands if `[T, C^T; C, -D]` has
+# three negative eigenvalues, one for each condition.
 
 _TOLERANCE = 1e-11  # of the last update, as an angle
 _FLAT = 1e-3  # least curvature of the energy assumed in a descent, as a share of the bending stiffness
@@ -104,20 +103,20 @@ def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Ar
         system[:, :nodes, :nodes], system[:, :nodes, nodes:] = tangent(loaded, q), -transposed(c)
         system[:, nodes:, :nodes], system[:, nodes:, nodes:] = c, _pose_by_wrench(loaded, q)
         right = np.concatenate([-gradient(loaded, q), goal - end_pose(loaded, q)], axis=1)
-        return solve_each(system, right[..., None])[..., 0]
+        return solve_batch(system, right)
     c = end_jacobian(problem, q)
     system[:, :nodes, :nodes] = second_variation(problem, q, wrench)
     system[:, :nodes, nodes:] = -transposed(c)
     system[:, nodes:, :nodes] = c
     residual = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
-    return solve_each(system, np.concatenate([-residual, goal - end_pose(problem, q)], axis=1)[..., None])[..., 0]
+    return solve_batch(system, np.concatenate([-residual, goal - end_pose(problem, q)], axis=1))
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
     """(T,) whether the second variation is positive on all changes of shape that leave both ends where they are."""
     if len(q) == 0:
         return np.zeros(0, dtype=bool)
-    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    scale = problem.unbend
     if problem.compliance is not None:
         return _stands_strained(with_end_wrench(problem, wrench), q, np.broadcast_to(scale, q.shape))
     scaled = second_variation(problem, q, wrench) * (scale[..., :, None] * scale[..., None, :])
@@ -159,7 +158,7 @@ def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArr
         if np.max(np.abs(away)) < 1e-13 * float(np.max(problem.length)):
             break
         scaled = c / weights
-        step = np.einsum("tcq,tc->tq", scaled, solve_each(c @ transposed(scaled), away[..., None])[..., 0])
+        step = np.einsum("tcq,tc->tq", scaled, solve_batch(c @ transposed(scaled), away))
         turn = np.max(np.abs(node_angles(problem, step) - problem.alpha0), axis=-1, keepdims=True)
         q = q + step * np.minimum(1.0, 0.5 / np.maximum(turn, 1e-300))
     return q, np.asarray(np.max(np.abs(goal - end_pose(problem, q)), axis=-1) < 1e-10 * np.max(problem.length))
@@ -194,7 +193,7 @@ def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array]
 
 def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
     """One frame: a step along the free directions, the wrench that balances the rest, whether the energy is convex."""
-    scale = 1.0 / np.sqrt(np.broadcast_to(problem.weights * problem.k, q.shape))[0]
+    scale = np.broadcast_to(problem.unbend, q.shape)[0]
     c = end_jacobian(problem, q)[0] * scale
     free = np.linalg.qr(c.T, mode="complete")[0][:, 3:]
     slope = gradient(problem, q)[0] * scale
@@ -210,8 +209,6 @@ def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
     down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
     return (modes @ down)[None], wrench, not np.any(falling)
 
-
-# A held beam followed while its loads, rest shape, pose or strains go over from one setting to another.
 
 _LARGEST_TURN = 0.4  # rad, the largest turn that one step may take
 _SHORTEST = 1e-5  # share of the way: where no step above this keeps the beam stable, it snaps
@@ -271,11 +268,6 @@ def follow_homotopy(homotopy: Homotopy, start: Array, wrench: Array) -> tuple[Ar
         step[todo] = np.where(near, 2.0, 0.25) * step[todo]
 
 
-# A beam held at both ends, near the shape in which it was seen: no search among equilibria, the picture tells which.
-#
-# Newton's method from that shape; where it strays, the shape is taken as free of stress and led over to the true rest
-# and loads, its end in place.
-
 _SAME_EQUILIBRIUM = 0.7  # rad, the largest turn from the known shape that is still the same equilibrium
 _MAX_ITERATIONS = 25
 
@@ -293,11 +285,7 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
     q[lost], w[lost] = start[lost], wrench[lost]
     if fall and lost.size:
         q[lost], w[lost], near[lost] = _let_go(problem.take(lost), start[lost], end[lost])
-    none = np.full(len(q), np.nan)
-    factor = np.where(near, 1.0, np.nan)
-    return Equilibrium(
-        with_end_wrench(problem, w), q, near, near.copy(), factor, none, np.zeros(len(q), dtype=bool), 0
-    ), w
+    return found_near(with_end_wrench(problem, w), q, near), w
 
 
 def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, BoolArray]:
@@ -316,6 +304,6 @@ def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, B
 
 def balancing_wrench(problem: Problem, q: Array) -> Array:
     """(T, 3) the wrench at the end that brings shapes (T, Q) nearest to balance, in the norm of the bending energy."""
-    scale = 1.0 / np.sqrt(np.broadcast_to(problem.weights * problem.k, q.shape))
+    scale = np.broadcast_to(problem.unbend, q.shape)
     c = end_jacobian(problem, q) * scale[:, None, :]
-    return solve_each(c @ transposed(c), apply(c, gradient(problem, q) * scale)[..., None])[..., 0]
+    return solve_batch(c @ transposed(c), apply(c, gradient(problem, q) * scale))

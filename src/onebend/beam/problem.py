@@ -303,6 +303,11 @@ class Problem:
         """(Q,) or (T, Q) N m: w k; (n,) 1 for modes, which are orthonormal in it."""
         return self.weights * self.k if self.modes is None else np.ones(self.modes.shape[-1])
 
+    @property
+    def unbend(self) -> Array:
+        """(Q,) or (T, Q) 1 / sqrt(w k): curvature of unit bending energy, times two, at each node."""
+        return np.asarray(1.0 / np.sqrt(self.weights * self.k))
+
     @cached_property
     def couple(self) -> Array:
         """(T, Q) or (T, n) N m: w times the point moments beyond the nodes, their work for each unknown."""

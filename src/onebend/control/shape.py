@@ -13,7 +13,7 @@ from onebend.beam.clamped_ends import end_jacobian, end_pose
 from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.problem import Problem, Resolution, Rod, make_problem, refuse_section
-from onebend.beam.statics import Equilibrium, balance, nodal_forces, scaled, tangent
+from onebend.beam.statics import Equilibrium, balance, found_near, nodal_forces, scaled, tangent
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
 from onebend.errors import ControlError
@@ -125,8 +125,7 @@ class Actuators:
 
     def solved(self, q: Array, u: Array) -> Equilibrium:
         """Known equilibria q (T, Q) under the controls u (T, m), as the mechanics has them."""
-        yes, ones = np.ones(len(q), dtype=bool), np.ones(len(q))
-        return Equilibrium(self.loaded(u), q, yes, yes, ones, np.nan * ones, ~yes, 0)
+        return found_near(self.loaded(u), q, np.ones(len(q), dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -155,8 +154,7 @@ class BeamState:
     @property
     def unbend(self) -> Array:
         """(Q,) D: scaled curvature to curvature."""
-        problem = self.actuators.problem
-        return np.asarray(1.0 / np.sqrt(problem.weights * problem.k))
+        return self.actuators.problem.unbend
 
     @cached_property
     def plane(self) -> tuple[Array, Array]:
