@@ -26,8 +26,8 @@ from onebend.beam.statics import (
 from onebend.records import Array, BoolArray, IntArray
 
 # With the wrench (F, M) as multipliers of the end's pose the conditions are `g(q) = C^T (F, M)` and `c(q) = pose`,
-# where `c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system). The
-# equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
+# where `c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system).
+# The equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
 #
 # Where the beam stretches and shears, the wrench also strains it: the balance is that under the wrench as a dead load.
 # With D = dc/dF at fixed q the step's matrix is `[T, -C^T; C, D]`, and the equilibrium stands if `[T, C^T; C, -D]` has
