@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -120,18 +121,13 @@ def simulate_loop(
             first = max(0, int(exposed / tick))
             before = rows[first : i + 1]
             position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
-            felt = None if feel is None else feel(_exposure(moving, exposed, before, bent[first : i + 1]))
+            share = 0.0 if i == first else min((exposed - before[0, 0]) / (before[1, 0] - before[0, 0]), 1.0)
+            last = min(first + 1, i)
+            force, theta = ((1.0 - share) * each[first] + share * each[last] for each in (rows[:, 5:], bent))
+            felt = None if feel is None else feel(Exposure(exposed, force, partial(moving.pose, theta)))
             state, row[3:5] = control.step(state, position, row[0], felt=felt)
         moving.advance(row[3:5], row[0])
     return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:], axis)
-
-
-def _exposure(moving: _MovingBeam, exposed: float, rows: Array, bent: Array) -> Exposure:
-    """At `exposed` s, between the first two of the `rows` or at the only one, where the modes were `bent`."""
-    share = 0.0 if len(rows) < 2 else min((exposed - rows[0, 0]) / (rows[1, 0] - rows[0, 0]), 1.0)
-    last = min(1, len(rows) - 1)
-    force, theta = ((1.0 - share) * each[0] + share * each[last] for each in (rows[:, 5:], bent))
-    return Exposure(exposed, force, lambda s: moving.pose(theta, s))
 
 
 class _MovingBeam:
@@ -298,9 +294,23 @@ def simulate_trials(
         raise ControlError(f"a robot's force is off by a finite size, got {force_off} N")
     x, y = along(control) * force_off
     hand = Actuator(lag=control.settings.timing.lag, bias=(-float(y), float(x)))
+    model, weighed = control.beam, has_mass(control.beam)
     for beam in beams:
-        truth = _true_system(control, beam, eye, hand)
-        yield LoopTrial(beam, _run(control, truth, duration, seed, None if feel is None else feel(truth.beam)))
+        mass = model.mass_per_length if weighed else Uniform(_LEAST_MASS)
+        truth = TrueSystem(
+            replace(model, stiffness=beam.stiffness, mass_per_length=mass),
+            damping_ratio=control.settings.damping_ratio,
+            push_s=control.push_s,
+            point_s=control.point_s,
+            gravity=(float(control.gravity[0]), float(control.gravity[1])),
+            eye=eye,
+            hand=hand,
+        )
+        try:
+            sense = None if feel is None else feel(truth.beam)
+            yield LoopTrial(beam, simulate_loop(control, truth, duration, seed=seed, feel=sense))
+        except MechanicsError:
+            yield LoopTrial(beam, None)
 
 
 def along(control: Controller) -> Array:
@@ -329,27 +339,3 @@ def simulate_range(
     beams = wrong_beams(control.beam, k_error)
     trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)
     return tuple(trials)
-
-
-def _true_system(control: Controller, beam: TrialBeam, eye: LoopCamera, hand: Actuator) -> TrueSystem:
-    model = control.beam
-    mass = model.mass_per_length if has_mass(model) else Uniform(_LEAST_MASS)
-    return TrueSystem(
-        replace(model, stiffness=beam.stiffness, mass_per_length=mass),
-        damping_ratio=control.settings.damping_ratio,
-        push_s=control.push_s,
-        point_s=control.point_s,
-        gravity=(float(control.gravity[0]), float(control.gravity[1])),
-        eye=eye,
-        hand=hand,
-    )
-
-
-@one_blas_thread
-def _run(
-    control: Controller, truth: TrueSystem, duration: float, seed: int, feel: ForceSense | None
-) -> LoopSimulation | None:
-    try:
-        return simulate_loop(control, truth, duration, seed=seed, feel=feel)
-    except MechanicsError:
-        return None
