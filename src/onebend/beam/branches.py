@@ -99,8 +99,7 @@ def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
     Those of a frame come in the order of the angle at the free end. Where the beam is like a long rope
     (`int sqrt(L N / k) ds` above 30) its end hardly tells of its base in double precision, and some may be missed.
 
-    Raises:
-        MechanicsError: follower loads, under which the force beyond a place hangs on the shape.
+    Raises `MechanicsError`: follower loads, under which the force beyond a place hangs on the shape.
     """
     if problem.follower.shape[1]:
         raise MechanicsError("follower loads are not taken: give dead forces")

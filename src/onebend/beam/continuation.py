@@ -358,8 +358,7 @@ def equilibrium(
 
     With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
 
-    Raises:
-        MechanicsError: k(s) is not positive somewhere.
+    Raises `MechanicsError`: k(s) is not positive somewhere.
     """
     if resolution is not None:
         return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)

@@ -95,9 +95,8 @@ def body(
     resolve any k(s), with panels that end at its jumps and at masses without size: those that ride on the beam, and
     `points` besides. A `grid` given takes the place of the one made here.
 
-    Raises:
-        MechanicsError: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the equation
-            of motion has no stretch and shear), or the grid cannot carry the modes.
+    Raises `MechanicsError`: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the
+    equation of motion has no stretch and shear), or the grid cannot carry the modes.
     """
     refuse_section(beam, "the equation of motion")
     profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
@@ -138,8 +137,7 @@ def body_of_nodes(
 ) -> Body:
     """Tables from values (Q,) at the nodes, with the curvature there as coordinates; undamped.
 
-    Raises:
-        MechanicsError: a point mass that is negative, or off the beam.
+    Raises `MechanicsError`: a point mass that is negative, or off the beam.
     """
     weights, integral = grid.weights, grid.integral_to_nodes
     carried = length**3 * integral.T @ ((weights * mass_per_length)[:, None] * integral)
@@ -229,11 +227,8 @@ def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) 
         raise MechanicsError(f"{name} = {values[bad]:.3g} at s = {nodes[bad]:.3f}: {rule}")
 
 
-# What acts on a moving beam: forces, moments, gravity and the gripper's motion as functions of time.
-#
-# All vectors are in one fixed frame: the beam's frame while the gripper's pose is zero. A moving gripper enters
-# through the same variational principle as the rest (its velocity is part of every point's velocity), so no inertial
-# forces are to be added by hand.
+# The actions on a moving beam, in one fixed frame: the beam's frame while the gripper's pose is zero. A moving gripper
+# enters through its part of every point's velocity; no inertial forces are to be added by hand.
 
 InTime = Callable[[float], ArrayLike]
 
@@ -248,12 +243,8 @@ class AppliedForce:
 
 
 @dataclass(frozen=True)
-class AppliedMoment:
+class AppliedMoment(AppliedForce):
     """A moment about z on the beam at a fixed place of it: a number [N m], or a function of time [s]."""
-
-    value: ArrayLike | InTime
-    at_s: float = 1.0
-    breaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -286,7 +277,7 @@ class Actions:
             raise MechanicsError(f"gravity has two finite components [m/s^2], got {self.gravity}")
 
     @property
-    def _loads(self) -> tuple[AppliedForce | AppliedMoment, ...]:
+    def _loads(self) -> tuple[AppliedForce, ...]:
         return (*self.forces, *self.moments)
 
     @property
@@ -321,7 +312,8 @@ def acting(on: Body, actions: Actions, times: Array) -> TabulatedActions:
     forced, total = np.zeros_like(weight), np.zeros((count, 2))
     for force in actions.forces:
         values = _values(force.value, times, 2, "a force")
-        forced += np.multiply.outer(_row(on, force.at_s), values).transpose(2, 0, 1)
+        lever = on.length * on.grid.integral_to(np.array([force.at_s]))[0]
+        forced += np.multiply.outer(lever, values).transpose(2, 0, 1)
         total += values
     couple, moment = np.zeros((on.n, count)), np.zeros(count)
     for twist in actions.moments:
@@ -348,8 +340,7 @@ def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
 def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> None:
     """Compare the gripper's rate with differences of its pose at a few times between two breaks.
 
-    Raises:
-        MechanicsError: they differ by more than what steps of `step` s could follow.
+    Raises `MechanicsError`: they differ by more than what steps of `step` s could follow.
     """
     times = first + (last - first) * np.array([0.07, 0.23, 0.41, 0.59, 0.77, 0.93])
     near = 0.01 * min(step, last - first)
@@ -363,11 +354,6 @@ def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> N
             f"the gripper's rate is not the derivative of its pose: at t = {times[i]:.6g} s it moves by "
             f"{np.array2string(moves[i], precision=4)} a second, and rate says {np.array2string(said[i], precision=4)}"
         )
-
-
-def _row(on: Body, at_s: float) -> Array:
-    """(Q,) m: lever of every node for a force at `at_s`."""
-    return np.asarray(on.length * on.grid.integral_to(np.array([at_s]))[0])
 
 
 def _values(value: ArrayLike | InTime, times: Array, size: int, name: str) -> Array:

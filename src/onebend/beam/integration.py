@@ -163,8 +163,7 @@ class Stepper:
     def advance(self, theta: Array, momentum: Array, guess: Array, now: TabulatedActions, time: float) -> Step:
         """One step from (theta, momentum) under what acts at the stages; `guess` (n, s) of the stage velocities.
 
-        Raises:
-            StepError: the stage equations were not solved; the message names the time and the cure.
+        Raises `StepError`: the stage equations were not solved; the message names the time and the cure.
         """
         if now is not self._now:
             self._take(now)
@@ -372,8 +371,7 @@ class Motion:
     def states_at(self, time: ArrayLike) -> Array:
         """(R, n) states between the steps, by cubic interpolation of states and rates (fourth order in the spacing).
 
-        Raises:
-            MechanicsError: a time outside the motion.
+        Raises `MechanicsError`: a time outside the motion.
         """
         wanted = np.asarray(time, dtype=float)
         if np.any(wanted < self.time[0]) or np.any(wanted > self.time[-1]):
@@ -393,9 +391,8 @@ def simulate(
 ) -> Motion:
     """Motion from `start` for `duration` s in equal steps of at most `step` s.
 
-    Raises:
-        MechanicsError: a start that does not fit the body, more steps than allowed, actions that are not finite, or
-            stage equations that could not be solved (the message names the time).
+    Raises `MechanicsError`: a start that does not fit the body, more steps than allowed, actions that are not finite,
+    or stage equations that could not be solved (the message names the time).
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
     return _follow(body, start, stretches, actions, settings)
@@ -420,8 +417,7 @@ def converged(
     below `tolerance`: what no step resolved yet is wrong in both runs by as much, so the change is not divided by
     2^order - 1 as if all errors fell with the order.
 
-    Raises:
-        MechanicsError: as `simulate`, or the tolerance was not met after `halvings`.
+    Raises `MechanicsError`: as `simulate`, or the tolerance was not met after `halvings`.
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
     places, change, running = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf, replace(settings, every=1)

@@ -101,9 +101,8 @@ class Beam:
                 that branch loses stability or ends, the beam falls to where it stands; to this side of it, where the
                 loads leave that open (a perfectly axial force).
 
-        Raises:
-            MechanicsError: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
-                before the full load (the beam snaps through) and no `fall` was asked for, or led nowhere.
+        Raises `MechanicsError`: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
+        before the full load (the beam snaps through) and no `fall` was asked for, or led nowhere.
         """
         if fall not in (None, "left", "right"):
             raise MechanicsError(f"a beam falls to its 'left' or to its 'right' (or None: not at all), got {fall!r}")

@@ -397,8 +397,7 @@ class Problem:
 def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
     """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame.
 
-    Raises:
-        MechanicsError: k(s) is not positive at every node.
+    Raises `MechanicsError`: k(s) is not positive at every node.
     """
     if not are_common(loads.places):
         return None
@@ -421,8 +420,7 @@ def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | N
 def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of a beam under loads; the beam remembers those that do not depend on the loads.
 
-    Raises:
-        MechanicsError: k(s) is not positive at every node.
+    Raises `MechanicsError`: k(s) is not positive at every node.
     """
     loads = loads.spread(loads.size)
     nodal = remembered(beam, loads, resolution)
@@ -444,8 +442,7 @@ def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution())
 def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of several beams, one a frame (or one for all frames), on one grid.
 
-    Raises:
-        MechanicsError: k(s) is not positive at a node; as many beams as frames are needed, or one.
+    Raises `MechanicsError`: k(s) is not positive at a node; as many beams as frames are needed, or one.
     """
     size = max(loads.size, len(beams))
     if len(beams) not in (1, size):

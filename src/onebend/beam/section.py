@@ -184,8 +184,7 @@ class SectionProfiles:
 def section(parts: tuple[SectionPart, ...], s: Array) -> SectionProperties:
     """Properties of a section of several parts at places `s` (S,).
 
-    Raises:
-        MechanicsError: no part, or a size that is not positive.
+    Raises `MechanicsError`: no part, or a size that is not positive.
     """
     if not parts:
         raise MechanicsError("a section needs at least one part")
@@ -226,8 +225,7 @@ def laminate(layers: tuple[LaminateLayer, ...]) -> tuple[SectionPart, ...]:
 def along(parts: tuple[SectionPart, ...], length: float) -> SectionProfiles:
     """Profiles of a beam of `length` m with this section, to 1e-12 of their largest values, with all jumps kept.
 
-    Raises:
-        MechanicsError: as `section`, or a size that jumps without saying so in its `jumps`.
+    Raises `MechanicsError`: as `section`, or a size that jumps without saying so in its `jumps`.
     """
     if not length > 0.0:
         raise MechanicsError(f"a beam's length must be positive, got {length} m")
@@ -329,8 +327,7 @@ def second_moment(section: StatedSection, s: Array) -> tuple[Array, Array]:
 
     The sd is 0 where nobody says how exactly the sizes were measured.
 
-    Raises:
-        MechanicsError: sizes that are not positive, or fewer than two places.
+    Raises `MechanicsError`: sizes that are not positive, or fewer than two places.
     """
     s = np.asarray(s, dtype=float)
     inside = (s >= section.s[0]) & (s <= section.s[-1])
@@ -360,8 +357,7 @@ def relative_moment(section: StatedSection) -> Polyline:
 
     Its `jumps` are the section's steps, and its sharpest corners.
 
-    Raises:
-        MechanicsError: as `second_moment`.
+    Raises `MechanicsError`: as `second_moment`.
     """
     s, logs, steps = _log_moment(section)
     logs = logs - np.trapezoid(logs, s)
@@ -480,8 +476,7 @@ def modulus_band(
     the section's shape times a modulus they are not, and E is that modulus (`UncertainStiffness.nominal`). Of a k(s)
     without a band E has none, and no place counts as identified.
 
-    Raises:
-        MechanicsError: a length or a size that is not positive.
+    Raises `MechanicsError`: a length or a size that is not positive.
     """
     if not length > 0.0:
         raise MechanicsError(f"a beam's length must be positive, got {length} m")

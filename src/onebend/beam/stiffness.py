@@ -141,8 +141,7 @@ def taper(first: float, last: float) -> Pieces:
 def broken_line(s: tuple[float, ...], values: tuple[float, ...]) -> Pieces:
     """Straight lines through values at places from 0 to 1; a place given twice is a jump from one value to the next.
 
-    Raises:
-        MechanicsError: places that do not run from 0 to 1, or not one value a place.
+    Raises `MechanicsError`: places that do not run from 0 to 1, or not one value a place.
     """
     if len(s) != len(values) or len(s) < 2:
         raise MechanicsError(f"a broken line needs one value a place, got {len(s)} places and {len(values)} values")
@@ -164,8 +163,7 @@ def in_pieces(
 
     `tolerance` is a share of the largest value. `jumps` are the places where the value or slope may jump.
 
-    Raises:
-        MechanicsError: values that are not finite, or a piece that halving does not resolve (a jump not listed).
+    Raises `MechanicsError`: values that are not finite, or a piece that halving does not resolve (a jump not listed).
     """
     inner = sorted({b for b in (*breaks, *jumps) if 0.0 < b < 1.0})
     x = np.polynomial.legendre.leggauss(_DEGREE + 1)[0]
@@ -414,8 +412,7 @@ class RectangularSection:
 def common_section(sections: Sequence[RectangularSection | None]) -> RectangularSection | None:
     """One section for a batch, of thickness (T, 1) where several beams differ in it; None where no beam has one.
 
-    Raises:
-        MechanicsError: some have one and others none, or they differ in more than the thickness.
+    Raises `MechanicsError`: some have one and others none, or they differ in more than the thickness.
     """
     first, *others = sections
     if first is None or not others or all(other == first for other in others):

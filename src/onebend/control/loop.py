@@ -69,8 +69,7 @@ def plant_at(
 
     `damping_ratio`: of the slowest vibration; those above have more in proportion to their frequency (Kelvin-Voigt).
 
-    Raises:
-        MechanicsError: no stable equilibrium under this force.
+    Raises `MechanicsError`: no stable equilibrium under this force.
     """
     loads = push(np.asarray(force, dtype=float)[None], push_s)
     if gravity is not None:

@@ -104,8 +104,7 @@ def simulate_loop(
     """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s. `feel` tells the
     force in every frame that arrives, hidden point or not; it may remember, so give each run its own.
 
-    Raises:
-        MechanicsError: the beam's mass is not known, or its motion could not be followed.
+    Raises `MechanicsError`: the beam's mass is not known, or its motion could not be followed.
     """
     arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
     moving = _MovingBeam(truth, tick)
@@ -242,8 +241,7 @@ def trial_settings(fps: float, delay: float, k_error: float = 0.3, most_force: f
 def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
     """The model itself, and beams whose k(s) is `k_error` lower and higher everywhere.
 
-    Raises:
-        ControlError: an error of k that is not in [0, 1).
+    Raises `ControlError`: an error of k that is not in [0, 1).
     """
     if not 0.0 <= k_error < 1.0:
         raise ControlError(f"the error of k is a share from 0 to below 1, got {k_error}")
@@ -255,8 +253,7 @@ def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
 def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
     """The model itself, and `count` beams as probable as the band of its k(s) says.
 
-    Raises:
-        ControlError: the model has no band, or the count is not from 1 to `MOST_DRAWN`.
+    Raises `ControlError`: the model has no band, or the count is not from 1 to `MOST_DRAWN`.
     """
     if known is None:
         raise ControlError("the model has no band to draw beams from: give an error of k instead, or learn with a band")
@@ -285,8 +282,7 @@ def simulate_trials(
     The robot's force is off by `force_off` [N], to the left of the force that the model needs; `feel` makes what tells
     the force on the beam that moves.
 
-    Raises:
-        ControlError: a duration below two seconds, a force that is off by less than nothing.
+    Raises `ControlError`: a duration below two seconds, a force that is off by less than nothing.
     """
     if not duration >= 2.0:
         raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
@@ -333,8 +329,7 @@ def simulate_range(
 ) -> tuple[LoopTrial, ...]:
     """The loop on the `wrong_beams` of its model, as `simulate_trials`.
 
-    Raises:
-        ControlError: as `wrong_beams` and `simulate_trials`.
+    Raises `ControlError`: as `wrong_beams` and `simulate_trials`.
     """
     beams = wrong_beams(control.beam, k_error)
     trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)

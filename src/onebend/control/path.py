@@ -172,9 +172,8 @@ def by_force(
 ) -> Goals:
     """The same goals at the same times, and more between them, all within reach of a force at `push_s`.
 
-    Raises:
-        ControlError: goals of more than one point or of an angle, a goal out of reach (with its time), or a force that
-            goes from goal to goal through a place where the beam would jump.
+    Raises `ControlError`: goals of more than one point or of an angle, a goal out of reach (with its time), or a force
+    that goes from goal to goal through a place where the beam would jump.
     """
     if len(goals.targets.s) != 1 or not bool(goals.targets.placed[0]) or bool(goals.targets.turned[0]):
         raise ControlError("a single force leads one point, without an angle; lead more with a grip or more forces")
@@ -334,10 +333,9 @@ def follow_goals(
 
     The first sample serves the first goal: how the beam comes there is not part of the path.
 
-    Raises:
-        ControlError: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or a
-            broken limit on a rate where `too_fast` is "refuse"; each says at what time. Too many samples.
-        MechanicsError: k(s) not positive.
+    Raises `ControlError`: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or
+    a broken limit on a rate where `too_fast` is "refuse"; each says at what time. Too many samples; `MechanicsError`:
+    k(s) not positive.
     """
     if not settings.rate > 0.0:
         raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")

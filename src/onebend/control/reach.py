@@ -364,9 +364,7 @@ def reach(
     Returns:
         the result; look at `converged` and `reason`: a goal that cannot be reached is not an error.
 
-    Raises:
-        ControlError: a goal, place or bound without meaning.
-        MechanicsError: k(s) is not positive somewhere.
+    Raises `ControlError`: a goal, place or bound without meaning; `MechanicsError`: k(s) is not positive somewhere.
     """
     wanted = checked_goal(goal, settings)
     pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
@@ -517,8 +515,7 @@ class WarmReach:
     ) -> None:
         """The beam at rest.
 
-        Raises:
-            ControlError: a place without meaning, or settings that only `reach` knows (paper, one direction).
+        Raises `ControlError`: a place without meaning, or settings that only `reach` knows (paper, one direction).
         """
         if settings.method != "newton" or settings.direction is not None:
             raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
@@ -548,8 +545,7 @@ class WarmReach:
     def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 
-        Raises:
-            ControlError: a goal without meaning, or one that cannot be reached (the beam stays where it is).
+        Raises `ControlError`: a goal without meaning, or one that cannot be reached (the beam stays where it is).
         """
         wanted = checked_goal(goal, self._settings)
         if self._state is not None:
@@ -669,9 +665,8 @@ def predicted_error(
             takes a millisecond, and makes the ellipse too thin where it is long.
         seed: of the draws.
 
-    Raises:
-        ControlError: beam, band and result do not belong together; or so few of the beams within the band stand near
-            the shape that nothing can be said.
+    Raises `ControlError`: beam, band and result do not belong together; or so few of the beams within the band stand
+    near the shape that nothing can be said.
     """
     s = np.linspace(0.0, 1.0, 41)
     if beam != result.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):

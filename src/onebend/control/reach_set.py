@@ -137,8 +137,7 @@ def reachable(
         directions, sizes: of the sampled forces; sizes grow evenly.
         gravity: (2,) m/s^2 in the beam's frame.
 
-    Raises:
-        ControlError: a place or bound without meaning.
+    Raises `ControlError`: a place or bound without meaning.
     """
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")

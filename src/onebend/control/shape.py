@@ -22,15 +22,12 @@ from onebend.records import Array
 
 # Actuators on a beam, and the equilibria they can hold: a smooth surface with as many dimensions as controls.
 #
-# A pusher applies a dead force with two components at one place. A grip holds the end s = 1 at a pose; its load is a
-# wrench with three components. In both cases equilibrium is
+#     g(q, u) = g0(q) - A(q)^T u = 0,
 #
-# g(q, u) = g0(q) - A(q)^T u = 0,
-#
-# u: forces and wrench; A: derivative of the places where they act. With forces alone, the surface (q, u) is a graph
-# over u as long as the beam is stable. A gripped beam can be stable where a beam under the same dead wrench has
-# buckled. Its surface is not everywhere a graph over wrench or pose (a straight beam at rest does not yield to an
-# axial pull). So steps are taken in the surface's tangent plane and then corrected at right angles to it.
+# u: forces of the pushers (dead loads), and force and moment of a grip that holds the end; A: derivative of the places
+# where they act. With forces alone, the surface (q, u) is a graph over u as long as the beam is stable. A gripped beam
+# can be stable where one under the same dead wrench has buckled, and its surface is not everywhere a graph over wrench
+# or pose. So steps are taken in the surface's tangent plane and then corrected at right angles to it.
 
 _LAST_UPDATE = 1e-11  # rad, of a correction's last update
 _MOST_ITERATIONS = 12  # Newton iterations of a correction
@@ -206,9 +203,8 @@ def resting_state(
 ) -> BeamState:
     """The beam under its weight, with actuators that do nothing.
 
-    Raises:
-        ControlError: no actuator, or a beam that buckles under its own weight.
-        MechanicsError: the beam has a thickness: stretch and shear are not known here.
+    Raises `ControlError`: no actuator, or a beam that buckles under its own weight; `MechanicsError`: the beam has a
+    thickness: stretch and shear are not known here.
     """
     if not pushes and grip is None:
         raise ControlError("no actuator on the beam: give a push or a grip")
@@ -255,16 +251,6 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
             return BeamState(actuators, q, u)
     return None
 
-
-def state_on_grid(state: BeamState, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> BeamState | None:
-    """The same equilibrium on another grid; None where it is not close by."""
-    finer = resting_state(beam, state.actuators.pushes, state.actuators.grip, gravity, resolution)
-    grid = state.actuators.problem.grid
-    start = BeamState(finer.actuators, grid.value_at(finer.actuators.problem.grid.nodes) @ state.q, state.u)
-    return next_state(start, np.zeros(start.actuators.count), 0.05)
-
-
-# One Newton step on the surface of equilibria, within the bounds on forces.
 
 _MOST_DUAL_ITERATIONS = 60  # iterations for the multipliers
 _BOUND_TOLERANCE = 1e-12  # share of a bound to which it is kept
@@ -364,8 +350,6 @@ def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
     return share
 
 
-# Descent over stable equilibria to the one closest to the targets.
-
 _LAST_STEP = 1e-9  # rad, of the last step
 _BELOW_ROUNDING = 1e-6  # rad: below, the cost's own rounding hides whether a step helps
 _EDGE_MARGIN = 1.1  # times the least margin: where steps on are barred, the search ends
@@ -447,9 +431,6 @@ def _merit(state: BeamState, residuals: TargetResiduals, price: float) -> float:
     return 0.5 * float(residuals.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))
 
 
-# The spread of a shape that follows from the band on k(s), to first order; the actuators do as commanded.
-
-
 @dataclass(frozen=True)
 class ShapeSpread:
     """Standard deviations of the shape at N places, given the forces of the pushes and the pose of the grip."""
@@ -495,8 +476,6 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
     wrench = sd(unit[:, None] * answer[count:]) if held else None
     return ShapeSpread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)
 
-
-# Forces, or a gripper's pose, that bring a beam as close as it can be to a wanted shape.
 
 _FINEST_PANEL = 1.0 / 16.0  # widest panel at the end of refinement
 _TARGETS_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
@@ -594,9 +573,8 @@ def shape(
         gravity: (2,) m/s^2 in the beam's frame.
         uncertain: k(s) with its band, for the errors to expect.
 
-    Raises:
-        ControlError: no actuator, bad targets, or a beam that buckles under its own weight.
-        MechanicsError: k(s) not positive.
+    Raises `ControlError`: no actuator, bad targets, or a beam that buckles under its own weight; `MechanicsError`: k(s)
+    not positive.
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
@@ -631,10 +609,12 @@ def _resolved(
     result: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
 ) -> DescentResult:
     """The same on a grid that carries the curvature, as far as `_FINEST_PANEL` goes."""
-    resolution = settings.resolution
+    resolution, actuators = settings.resolution, result.state.actuators
     while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
         resolution = resolution.finer()
-        start = state_on_grid(result.state, beam, gravity, resolution)
+        state, finer = result.state, resting_state(beam, actuators.pushes, actuators.grip, gravity, resolution)
+        rows = state.actuators.problem.grid.value_at(finer.actuators.problem.grid.nodes)
+        start = next_state(BeamState(finer.actuators, rows @ state.q, state.u), np.zeros(actuators.count), 0.05)
         if start is None:
             break
         result = descend(start, targets, arm, settings.descent)

@@ -115,8 +115,7 @@ def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chai
         hinges: more bend more finely and simulate more slowly.
         mass: kg, spread evenly along the beam; None takes the beam's own. What rides on it comes on top.
 
-    Raises:
-        ExportError: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
+    Raises `ExportError`: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
     """
     if hinges < 2:
         raise ExportError(f"a chain needs 2 hinges or more, got {hinges}")
@@ -164,8 +163,8 @@ def mjcf(
         sites: places along the beam that get a site, named `s_0.333`; the tip has one, `tip`.
         radius: m, of the drawn capsules alone; None draws a slim beam.
 
-    Raises:
-        ExportError: the damping time is not positive (the integrator needs it: the links are light, the hinges stiff).
+    Raises `ExportError`: the damping time is not positive (the integrator needs it: the links are light, the hinges
+    stiff).
     """
     checked_damping(damping_time)
     places = [chain.link_of(s) for s in sites]
@@ -212,8 +211,7 @@ def sdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None
         damping_time: s, every hinge's damping over its stiffness.
         radius: m, of the drawn cylinders alone.
 
-    Raises:
-        ExportError: the damping time is not positive.
+    Raises `ExportError`: the damping time is not positive.
     """
     checked_damping(damping_time)
     root = Xml.Element("sdf", version="1.9")
@@ -304,8 +302,7 @@ _FENCE = "# ---"  # around the lines of `alone.py` that hold the beam
 def function(beam: Beam) -> str:
     """Python source: the module `onebend.export.alone` with this beam in it.
 
-    Raises:
-        ExportError: k(s) is not positive somewhere, or masses ride on the beam.
+    Raises `ExportError`: k(s) is not positive somewhere, or masses ride on the beam.
     """
     s, k = _tabulated(beam, "the Python function")
     return with_beam(
@@ -347,8 +344,7 @@ def pyelastica(beam: Beam, *, mass: float | None = None) -> str:
     Args:
         mass: kg, spread evenly along the beam; None takes the beam's own.
 
-    Raises:
-        ExportError: k(s) is not positive somewhere, no mass is known, or masses ride on the beam.
+    Raises `ExportError`: k(s) is not positive somewhere, no mass is known, or masses ride on the beam.
     """
     s, k = _tabulated(beam, "the PyElastica rod")
     return with_beam(
@@ -445,8 +441,7 @@ def export(
         damping_time: s, the chains' damping over stiffness.
         sites: places that get a site in MuJoCo.
 
-    Raises:
-        ExportError: an unknown kind, k(s) not positive, no mass, or a setting without meaning.
+    Raises `ExportError`: an unknown kind, k(s) not positive, no mass, or a setting without meaning.
     """
     if kind not in KINDS:
         raise ExportError(f"no export to {kind!r}; there are {', '.join(KINDS)}")

@@ -46,8 +46,7 @@ def write_rerun(
         frames: the recording's video, or nothing.
         every: keep one picture in so many.
 
-    Raises:
-        MissingPackageError: the Rerun SDK is not installed.
+    Raises `MissingPackageError`: the Rerun SDK is not installed.
     """
     rr = package("rerun", "rerun")
     with rr.RecordingStream("onebend", recording_id=observations.source.name) as stream:
