@@ -1,18 +1,14 @@
-"""Loads that all push to one side of the rest shape: there is one equilibrium on that side, found without continuation.
+"""Equilibrium by continuation in the load, without steps where the loads all push to one side, and falls.
 
 With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the tangent at rest, counted to
-the side to which it pushes, and eps = (1/EA - 1/kGA) N (`nodal_forces.py`), the balance of dead forces is
+the side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of dead forces is
 
     -(k gamma')' = f(s, gamma) = L N sin(phi - gamma) (1 + eps cos(phi - gamma)),   gamma(0) = gamma'(1) = 0.
 
-Where phi is in (0, pi) all along the beam, `0 < gamma <= max phi` on the whole branch that grows from rest (maximum
-principle), at every share of the load. Where also f / gamma falls with gamma in that range, there is one solution in
-it (Brezis and Oswald 1986) and its second variation is positive: the branch neither turns back nor splits, and the
-solution at the full load is the branch's. f / gamma falls for gamma up to phi, as long as |eps| is below 1/5; beyond,
-up to max phi = phi + d, where `(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
-
-Newton's method begins at the solution of a linear balance: with `sin(phi - gamma)` replaced by the line
-`(phi - gamma) sin(phi / 2) / (phi / 2)`.
+Where phi is in (0, pi) all along the beam, `0 < gamma <= max phi` on the branch that grows from rest (maximum
+principle). Where also f / gamma falls with gamma in that range, there is one solution in it, it is stable (Brezis and
+Oswald 1986), and it is the branch's. f / gamma falls for gamma up to phi as long as |eps| is below 1/5, and beyond, up
+to max phi = phi + d, where `(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
 """
 
 from __future__ import annotations

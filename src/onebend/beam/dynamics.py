@@ -1,21 +1,16 @@
 """The equation of motion (7) in curvature coordinates, on Gauss panels.
 
-The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`: coordinates count from the rest shape, so theta0 = 0 for
-any natural curvature. With `alpha = rest + A theta` at the nodes and the velocity `v = L int u' alpha'` the kinetic
-energy is that of a chain of bars whose every node carries the mass beyond it:
+The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`, so that theta0 = 0. With `alpha = rest + A theta` at the
+nodes and the velocity `v = L int u' alpha'` the kinetic energy is
 
     T = 1/2 sum_ij H_ij cos(alpha_i - alpha_j) alpha'_i alpha'_j + 1/2 sum_i D_i alpha'_i^2
     H = L^3 R^T diag(w mu) R,   D = w L iota                                    (R integrates from the base to a node)
 
-H and D do not depend on the shape, hence every matrix of (7) is a product of tables with cos(alpha), sin(alpha):
+    B = A^T (H o cos(alpha_i - alpha_j) + diag D) A,   K = int k phi phi^T,   D_theta = int d phi phi^T
+    C = A^T (H o sin(alpha_i - alpha_j)) diag(alpha') A,   G = -L^2 A^T (R^T (w mu) o u'.g)
 
-    B = A^T (H o cos(alpha_i - alpha_j) + diag D) A
-    C = A^T (H o sin(alpha_i - alpha_j)) diag(alpha') A      (= L int mu J^T dJ/dt, and = Christoffel's symbols of B)
-    G = -A^T (lever o u'.g),   lever = L^2 R^T (w mu)
-    K = int k phi phi^T,   D_theta = int d phi phi^T,   forces J^T F, moments a(s) M
-
-`B' - 2 C` is skew because H is symmetric. Assumed: the beam is inextensible, does not shear, is linear-elastic with
-Kelvin-Voigt damping, and the centre of mass of every section lies on the line that `r(s)` follows.
+Assumed: the beam is inextensible, does not shear, is linear-elastic with Kelvin-Voigt damping, and the centre of mass
+of every section lies on the line that `r(s)` follows.
 """
 
 from __future__ import annotations

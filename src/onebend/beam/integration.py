@@ -196,7 +196,7 @@ class Stepper:
         )
 
     def _prepare(self, q: int, s: int) -> None:
-        """Work arrays and the views of them that a residual needs: c, s for cos, sin; y, x for the momenta Y, -X."""
+        """Work arrays, and views of them: c, s for cos, sin; y, x for the momenta Y, -X."""
         self._turned = np.empty((q, 3 * s))
         self._twice, self._alpha = self._turned[:, : 2 * s], self._turned[:, 2 * s :]
         self._directions, self._moving = np.empty((q, 2 * s)), np.empty((q, 2 * s))
@@ -208,7 +208,7 @@ class Stepper:
         self._pi, self._tau, self._other = np.empty((q, s)), np.empty((q, s)), np.empty((q, s))
 
     def _take(self, now: TabulatedActions) -> None:
-        """What acts from here on; absent kinds of action cost nothing in the residual."""
+        """The actions from here on."""
         self._now = now
         self._pull = now.pull if np.any(now.pull) else None
         moves = np.any(now.base_rate) or np.any(now.base)
@@ -470,7 +470,6 @@ def _attempt(
 
 
 def _thinned(motion: Motion, every: int) -> Motion:
-    """Every so many of the times kept, and the last."""
     count = len(motion.time)
     kept = np.unique(np.append(np.arange(0, count, every), count - 1))
     names = ("time", "theta", "rate", "base", "kinetic", "elastic", "weight", "work", "loss")

@@ -1,14 +1,13 @@
 """Cross-sections: from shapes and materials along the beam to bending stiffness, mass, rotary inertia and rest shape.
 
-A section is a set of parts, each a plane shape of one material. Bending is about the axis through the modulus-weighted
-centroid (the neutral axis), across the plane of motion; y counts from an arbitrary reference line towards the beam's
-left, z across. With area A, centroid y_c and second moment I about its own centroid, per part:
+Bending is about the modulus-weighted centroid (the neutral axis); y counts towards the beam's left, z across. With area
+A, centroid y_c and second moment I about its own centroid, per part:
 
     EA = sum E A,   y_n = sum E A y_c / EA,   EI = sum E (I + A (y_c - y_n)^2)
     mu = sum rho A, iota = sum rho (I + A (y_c - y_n)^2),   curvature at rest = -sum E A (y_c - y_n) e / EI
 
-(e: the strain that a part would have if it were free, as from heat, swelling or pre-stretch; Timoshenko 1925). Plane
-sections stay plane and parts do not slip. Width is measured along z, thickness along y.
+(e: the strain of a part if it were free, as from heat or swelling; Timoshenko 1925). Parts do not slip. Width is
+measured along z, thickness along y.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Derivatives of an equilibrium by the implicit function theorem: `dq/dp = -T^-1 dg/dp`, T the tangent.
 
-A `Perturbation` gives the derivatives of the balance's residual g with parameters: through the internal force and
-moment, the elastic term, the clamp's angle. Perturbations are joined with `+` and solved together: the tangent is
-factorised once, for the parameters or, where those are fewer, for the quantities asked for (the adjoint method).
-Nothing is differentiated through the iterations.
+Perturbations are joined with `+` and solved together: the tangent is factorised once, for the parameters or, where
+those are fewer, for the quantities asked for (the adjoint method).
 """
 
 from __future__ import annotations

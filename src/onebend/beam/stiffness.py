@@ -343,9 +343,9 @@ _KINDS: dict[str, Callable[..., Profile]] = {family.kind: family for family in _
 def profile_from_dict(data: dict[str, Any]) -> Profile:
     """The profile that `as_dict` wrote. Raises `MechanicsError` on an unknown kind or missing entry."""
     try:
-        entries = {key: profile_from_dict(value) if isinstance(value, dict) else value for key, value in data.items()}
-        kind = _KINDS[entries.pop("kind")]
-        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in entries.items()})
+        entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+        inner = {key: profile_from_dict(value) for key, value in entries.items() if isinstance(value, dict)}
+        return _KINDS[entries.pop("kind")](**(entries | inner))
     except (KeyError, TypeError) as error:
         raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error
 

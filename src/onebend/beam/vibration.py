@@ -191,13 +191,10 @@ class FrequencySlopes:
 def natural_frequencies(
     beam: Rod, *, gravity: ArrayLike = (0.0, 0.0), points: Sequence[PointMass] = (), count: int = 3
 ) -> Array:
-    """(count,) Hz, undamped and small, the slowest first, about the beam's rest under its weight; its far end is free.
+    """(count,) Hz, undamped and small, the slowest first, about the rest of a beam with a mass; its far end is free.
 
-    Args:
-        beam: with a mass; it neither stretches nor shears, and its sections have no rotary inertia.
-        gravity: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, and (0, 0) swings
-            across gravity (level, and so stiff that it does not sag).
-        points: masses on the beam.
+    `gravity`: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, and (0, 0) swings
+    across gravity (level, and so stiff that it does not sag). `points`: masses on the beam.
 
     Raises `MechanicsError`: a beam without a mass, or with a thickness; one that gravity makes buckle; a `count` out of
     range, a point mass off the beam.

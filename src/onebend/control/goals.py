@@ -298,7 +298,7 @@ def _targets(table: dict[str, Array], rows: slice) -> Targets:
 
 @contextmanager
 def _in(path: Path) -> Iterator[None]:
-    """Errors of what is made of a file, with the file's name."""
+    """Errors name the file."""
     try:
         yield
     except ControlError as error:

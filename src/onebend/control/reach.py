@@ -355,14 +355,10 @@ def reach(
     settings: ReachSettings = ReachSettings(),
     start: Reach | None = None,
 ) -> Reach:
-    """The force at `push_s` that puts the point at `point_s` on `goal`.
+    """The force at `push_s` that puts the point at `point_s` on `goal`; a goal out of reach is no error (`converged`).
 
-    Args:
-        goal: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment.
-        start: an earlier result for the same beam and places, from which the goal is led first.
-
-    Returns:
-        the result; look at `converged` and `reason`: a goal that cannot be reached is not an error.
+    `goal`: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment. `start`:
+    an earlier result for the same beam and places, from which the goal is led first.
 
     Raises `ControlError`: a goal, place or bound without meaning; `MechanicsError`: k(s) is not positive somewhere.
     """
@@ -654,19 +650,13 @@ def predicted_error(
     draws: int = 400,
     seed: int = 0,
 ) -> PredictedError:
-    """The uncertainty of the point's position under the load that was found.
+    """The uncertainty of the point's position under the load that was found, by k(s) with its band (`uncertain`).
 
-    Args:
-        beam: the beam that was led to the goal.
-        uncertain: its k(s) with the band.
-        same_sensor: the force is given by the sensor that the beam was learned with. Then its scale error, which
-            makes all of k wrong alike, makes the force wrong as much, and cancels.
-        draws: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which
-            takes a millisecond, and makes the ellipse too thin where it is long.
-        seed: of the draws.
+    `same_sensor`: the force is given by the sensor that the beam was learned with; its scale error then cancels.
+    `draws`: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which takes
+    a millisecond, and makes the ellipse too thin where it is long.
 
-    Raises `ControlError`: beam, band and result do not belong together; or so few of the beams within the band stand
-    near the shape that nothing can be said.
+    Raises `ControlError`: beam, band and result do not belong together, or too few of the beams within the band stand.
     """
     s = np.linspace(0.0, 1.0, 41)
     if beam != result.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):

@@ -131,11 +131,8 @@ def reachable(
 ) -> ReachableSet:
     """Where forces up to `max_force` [N] at `push_s` can hold the point at `point_s`.
 
-    Args:
-        max_curvature: 1/m beyond the curvature at rest that the beam may take anywhere.
-        direction: rad; only forces in this direction.
-        directions, sizes: of the sampled forces; sizes grow evenly.
-        gravity: (2,) m/s^2 in the beam's frame.
+    `max_curvature`: 1/m beyond the curvature at rest, anywhere. `direction`: rad, of the only forces that are given.
+    `directions`, `sizes`: of the sampled forces. `gravity`: (2,) m/s^2 in the beam's frame.
 
     Raises `ControlError`: a place or bound without meaning.
     """
@@ -147,8 +144,8 @@ def reachable(
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()
     pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
-    turns = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
-    grow = max_force * np.arange(1, sizes + 1) / sizes
+    turns: Array = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
+    grow: Array = max_force * np.arange(1, sizes + 1) / sizes
     q, points = _sampled(pushed, turns, grow)
     if max_curvature is not None:
         points[np.array([[pushed.bend(shape) > max_curvature for shape in row] for row in q])] = np.nan

@@ -562,16 +562,9 @@ def shape(
     """The stable shape under these actuators that is closest to the targets, weighted least squares.
 
     The search visits stable equilibria only. It starts from rest, or from `start` (`ShapeResult.state` of an earlier
-    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes, and the
-    best result is taken. The result is a local optimum, found with exact second derivatives; it need not be global.
-
-    Args:
-        beam: length, stiffness, rest curvature, clamp's angle, mass.
-        targets: what is wanted, see `targets`.
-        pushes: actuators that push at one place each.
-        grip: an actuator that holds the end.
-        gravity: (2,) m/s^2 in the beam's frame.
-        uncertain: k(s) with its band, for the errors to expect.
+    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes. The
+    result is a local optimum, found with exact second derivatives. `gravity`: (2,) m/s^2 in the beam's frame.
+    `uncertain`: k(s) with its band, for the errors to expect.
 
     Raises `ControlError`: no actuator, bad targets, or a beam that buckles under its own weight; `MechanicsError`: k(s)
     not positive.
@@ -588,7 +581,16 @@ def shape(
             break
         again, tried = descend(other, targets, arm, settings.descent), tried + 1
         result = again if again.cost < result.cost * (1.0 - 1e-6) else result
-    result = _resolved(result, beam, gravity, targets, arm, settings)
+    resolution, actuators = settings.resolution, resting.actuators
+    while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
+        resolution = resolution.finer()
+        state, finer = result.state, resting_state(beam, actuators.pushes, grip, gravity, resolution)
+        rows = state.actuators.problem.grid.value_at(finer.actuators.problem.grid.nodes)
+        begin = BeamState(finer.actuators, rows @ state.q, state.u)
+        on_grid = next_state(begin, np.zeros(actuators.count), 0.05)
+        if on_grid is None:
+            break
+        result = descend(on_grid, targets, arm, settings.descent)
     return _result(result, targets, arm, tried, uncertain, settings)
 
 
@@ -603,22 +605,6 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
         if solved.stable[0]:
             out.append(BeamState(actuators, solved.q[0], u))
     return out
-
-
-def _resolved(
-    result: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
-) -> DescentResult:
-    """The same on a grid that carries the curvature, as far as `_FINEST_PANEL` goes."""
-    resolution, actuators = settings.resolution, result.state.actuators
-    while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
-        resolution = resolution.finer()
-        state, finer = result.state, resting_state(beam, actuators.pushes, actuators.grip, gravity, resolution)
-        rows = state.actuators.problem.grid.value_at(finer.actuators.problem.grid.nodes)
-        start = next_state(BeamState(finer.actuators, rows @ state.q, state.u), np.zeros(actuators.count), 0.05)
-        if start is None:
-            break
-        result = descend(start, targets, arm, settings.descent)
-    return result
 
 
 def _result(

@@ -109,11 +109,9 @@ class Chain:
 
 
 def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chain:
-    """The chain that bends as `beam` does.
+    """The chain that bends as `beam` does; more `hinges` bend more finely and simulate more slowly.
 
-    Args:
-        hinges: more bend more finely and simulate more slowly.
-        mass: kg, spread evenly along the beam; None takes the beam's own. What rides on it comes on top.
+    `mass`: kg, spread evenly along the beam; None takes the beam's own. Masses that ride on the beam come on top.
 
     Raises `ExportError`: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
     """
@@ -158,13 +156,10 @@ def mjcf(
 ) -> str:
     """An MJCF document; the beam is the body `link_0` and lies along x, bending in the x-y plane.
 
-    Args:
-        damping_time: s, `d / k` of Kelvin-Voigt damping: every hinge's damping over its stiffness.
-        sites: places along the beam that get a site, named `s_0.333`; the tip has one, `tip`.
-        radius: m, of the drawn capsules alone; None draws a slim beam.
+    `damping_time`: s, `d / k` of Kelvin-Voigt damping. `sites`: places along the beam that get a site, named `s_0.333`;
+    the tip has one, `tip`. `radius`: m, of the drawn capsules alone.
 
-    Raises `ExportError`: the damping time is not positive (the integrator needs it: the links are light, the hinges
-    stiff).
+    Raises `ExportError`: the damping time is not positive (the integrator needs it: the links are light).
     """
     checked_damping(damping_time)
     places = [chain.link_of(s) for s in sites]
@@ -205,14 +200,7 @@ def _link(parent: Xml.Element, chain: Chain, i: int, damping_time: float, radius
 
 
 def sdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None) -> str:
-    """An SDF 1.9 document; the hinges' springs stand in the joints' axes.
-
-    Args:
-        damping_time: s, every hinge's damping over its stiffness.
-        radius: m, of the drawn cylinders alone.
-
-    Raises `ExportError`: the damping time is not positive.
-    """
+    """An SDF 1.9 document; the hinges' springs stand in the joints' axes. Arguments and errors as for `mjcf`."""
     checked_damping(damping_time)
     root = Xml.Element("sdf", version="1.9")
     model = add(root, "model", name="onebend")
@@ -434,12 +422,9 @@ def export(
 ) -> str | bytes:
     """The content of a file of this kind.
 
-    Args:
-        uncertain: the band on k, for the tables.
-        hinges: of the chains (MuJoCo, URDF, SDF).
-        mass: kg, spread evenly, where the beam's own is not known; the simulators in time need one.
-        damping_time: s, the chains' damping over stiffness.
-        sites: places that get a site in MuJoCo.
+    `uncertain`: the band on k, for the tables. `hinges`: of the chains (MuJoCo, URDF, SDF). `mass`: kg, spread evenly,
+    where the beam's own is not known; the simulators in time need one. `damping_time`: s, the chains' damping over
+    stiffness. `sites`: places that get a site in MuJoCo.
 
     Raises `ExportError`: an unknown kind, k(s) not positive, no mass, or a setting without meaning.
     """

@@ -334,12 +334,12 @@ def _prefix(target: Path) -> str:
 
 
 def _literal(text: str) -> str:
-    """As a pattern that stands for the text alone."""
+    """As a pattern for this text alone."""
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in text)
 
 
 def _marker(folder: Path) -> dict[str, Any] | None:
-    """What the marker of a workplace says; None where the folder is no workplace."""
+    """The content of a workplace's marker; None where the folder is no workplace."""
     data = None if folder.is_symlink() else _read_object(folder / MARKER, LARGEST_MARKER)
     return data if data is not None and data.get("format") == FORMAT else None
 
