@@ -11,16 +11,17 @@ from collections import Counter
 
 import numpy as np
 
-from onebend.beam.clamped_ends import hold
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, push
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, equidistant
-from onebend.control.goals import Goals, curve, point_goals
+from onebend.control.goals import Goals, curve
 from onebend.control.path import PathSettings, RateLimits, follow_goals
 from onebend.control.shape import Grip, Pusher, ShapeResult, shape
 from onebend.records import Array
 from tests.beam.boundary import integrate
+from tests.beam.held import hold
+from tests.control.path.moving_point import point_goals
 
 BEAM = Beam(0.15, Gaussians(equidistant(3), 0.5, (0.02, 0.03, 0.015)))
 S = np.linspace(0.1, 1.0, 10)

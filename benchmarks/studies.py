@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from benchmarks.in_family import ALLOWED, draw, least_variance, thirds
-from onebend.beam.grid import Modes
+from onebend.beam.grid import powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Profile
 from onebend.errors import LearningError, MechanicsError, ObservationError
@@ -165,7 +165,7 @@ def rest_curvature(rng: np.random.Generator) -> Profile:
     line = s[200::200] @ height / np.sum(s[200::200] ** 2)
     precision = np.eye(3) / CURVATURE_SD**2 + np.outer(line, line) / CLAMP_SD**2
     states = np.linalg.cholesky(np.linalg.inv(precision)) @ rng.standard_normal(3)
-    return Powers(tuple(np.linalg.solve(Modes(3, "powers").to_legendre, states).tolist()))
+    return Powers(tuple(np.linalg.solve(powers_to_legendre(3), states).tolist()))
 
 
 def run(cell: str, seed: int) -> Run:

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipj, ellipk, ellipkinc
 
-from onebend.beam.clamped_ends import ClampedEquilibrium, hold_along
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push, twist, weight
 from onebend.beam.model import Beam
@@ -114,21 +113,6 @@ def compressed(shares: Array, slant: float) -> Equilibrium:
     """A column under `shares` of Euler's load along it, and `slant` times as much across."""
     axial = EULER * UNIT_FORCE * shares
     return equilibrium(UNIFORM, push(np.stack([-axial, slant * axial], axis=-1)))
-
-
-def lead_the_end() -> tuple[Array, ClampedEquilibrium]:
-    """The end's poses (P, 3) in units of L, and the beam held at each."""
-    part = np.linspace(0.0, 1.0, 41)[:, None]
-    start = np.array([np.sin(1.2) / 1.2, (1.0 - np.cos(1.2)) / 1.2, 1.2])  # an arc: bent by a moment alone
-    poses = start + part * (np.array([0.1, 0.1, np.pi]) - start) + [0.0, 0.1, 0.0] * np.sin(np.pi * part)
-    return poses, hold_along(UNIFORM, poses * [LENGTH, LENGTH, 1.0])
-
-
-def turn_the_end() -> tuple[Array, ClampedEquilibrium]:
-    """Angles (P,) of the end, over and back with the ends 0.7 L apart, and the beam held at each."""
-    over = np.linspace(1.2, -1.2, 41)
-    angle = np.concatenate([over, over[-2::-1]])
-    return angle, hold_along(UNIFORM, np.stack([0.7 * LENGTH + 0.0 * angle, 0.0 * angle, angle], axis=-1))
 
 
 def left_out(slenderness: float, *, poisson: float = 0.5, load: float = 5.0) -> tuple[float, float, float]:
@@ -249,37 +233,6 @@ def draw_buckling() -> Figure:
 
 
 @styled
-def draw_held() -> Figure:
-    """A beam held at both ends: led along a path with the holder's force, and turned over until it snaps."""
-    figure, (shapes, turned) = blank(3.4, 1, 2)
-    poses, held = lead_the_end()
-    lines, force = held.solved.xy(ALONG) / LENGTH, held.wrench[:, :2] / UNIT_FORCE
-    for i in range(0, len(poses), 8):
-        shapes.plot(*lines[i].T, color=BLUE, alpha=0.35 + 0.65 * i / (len(poses) - 1))
-        end = poses[i, :2]
-        if np.hypot(*force[i]) > 1.0:
-            head = end + 0.006 * force[i]
-            shapes.annotate("", tuple(head), tuple(end), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.4})
-    shapes.plot(*poses[:, :2].T, ":", color=INK, lw=1.0, zorder=4)
-    _plane(shapes, "The end is led along a path")
-    angle, over = turn_the_end()
-    moment, half = over.wrench[:, 2] / STIFFNESS, len(angle) // 2 + 1
-    for way, colour, label in ((slice(0, half), BLUE, "there"), (slice(half - 1, None), ORANGE, "and back")):
-        gaps = np.where(over.jumped[way], np.nan, moment[way])  # no line across a snap
-        turned.plot(np.rad2deg(angle[way]), gaps, color=colour, label=label)
-    for snap in np.flatnonzero(over.jumped):
-        turned.annotate(
-            "",
-            (np.rad2deg(angle[snap]), moment[snap]),
-            (np.rad2deg(angle[snap - 1]), moment[snap - 1]),
-            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0, "linestyle": "--"},
-        )
-    turned.set(title="Turned over: it snaps", xlabel="angle of the end [°]", ylabel="moment of the holder, $M L/EI$")
-    turned.legend(loc="center")
-    return figure
-
-
-@styled
 def draw_closed_forms() -> Figure:
     """Rolled up by a tip moment, and bent by a uniform dead load with the published tips."""
     figure, (rolled, loaded) = blank(3.2, 1, 2)
@@ -314,7 +267,6 @@ def main(out: Path) -> list[Path]:
         "elastica": draw_elastica,
         "convergence": draw_convergence,
         "buckling": draw_buckling,
-        "held": draw_held,
         "closed-forms": draw_closed_forms,
     }
     written = []

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from onebend import Beam, reach
 from onebend.beam import Table
-from onebend.control import Reach, reachable
-from onebend.report.control_figures import draw_reach, reachable_places
-from onebend.report.style import blank, png_of, styled
+from onebend.control import Reach, ReachableSet, reachable
+from onebend.report.control_figures import MM, draw_reach, draw_reachable
+from onebend.report.style import MUTED, blank, plane, png_of, styled
 
 PLACES = tuple(np.linspace(0.0, 1.0, 11).tolist())
 # k(s) [N m] of beams like the paper's: weakest at the base, in the middle, near the tip.
@@ -44,12 +44,24 @@ def draw_tasks(found: dict[tuple[str, str], Reach]) -> Figure:
     return figure
 
 
+@styled
+def draw_places(within: ReachableSet) -> Figure:
+    """All places of the point, by the force that holds it there."""
+    figure, (axes,) = blank(4.2)
+    draw_reachable(axes, within)
+    rest = within.pushed.beam.equilibrium((0.0, 0.0)).xy(np.linspace(0.0, 1.0, 121))
+    axes.plot(*(MM * rest.T), color=MUTED, label="at rest")
+    plane(axes, f"What forces at s = {within.pushed.push_s:.3g} can do with the point s = {within.pushed.point_s:.3g}")
+    axes.legend(loc="center left", bbox_to_anchor=(0.3, 0.62))
+    return figure
+
+
 def main(out: Path) -> list[Path]:
     """Write the figures into a folder; returns their paths."""
     out.mkdir(parents=True, exist_ok=True)
     drawings = {
         "reach-tasks.png": draw_tasks(solve()),
-        "reach-places.png": reachable_places(reachable(BEAMS["linear"], max_force=0.6)),
+        "reach-places.png": draw_places(reachable(BEAMS["linear"], max_force=0.6)),
     }
     for name, figure in drawings.items():
         (out / name).write_bytes(png_of(figure))

@@ -58,25 +58,6 @@ def test_error_is_spectral_unless_a_jump_lies_inside_a_panel() -> None:
     assert np.min(unknown) > 1e-4
 
 
-def test_the_led_beam_never_jumps_and_its_holder_balances_the_moment() -> None:
-    poses, held = mechanics.lead_the_end()
-    assert np.all(held.solved.stable)
-    assert not np.any(held.jumped)
-    x, y = mechanics.LENGTH * poses[:, :2].T
-    at_base = held.wrench[:, 2] + x * held.wrench[:, 1] - y * held.wrench[:, 0]  # of the holder about the clamp
-    start = held.solved.angle(np.array([1e-6]))[:, 0] / 1e-6  # curvature at the clamp
-    np.testing.assert_allclose(mechanics.STIFFNESS * start, at_base, atol=2e-5 * np.max(np.abs(at_base)))
-
-
-def test_turning_the_end_over_and_back_is_a_symmetric_loop() -> None:
-    angle, over = mechanics.turn_the_end()
-    moment, half = over.wrench[:, 2] / mechanics.STIFFNESS, len(angle) // 2
-    assert np.all(over.solved.stable)
-    assert np.sum(over.jumped) == 2
-    np.testing.assert_allclose(moment[half:], -moment[: half + 1], atol=1e-7)  # the way back mirrors the way there
-    assert abs(moment[half // 2] - moment[half + half // 2]) > 1.0  # same angle, two moments
-
-
 def test_straight_column_loses_stability_at_eulers_load() -> None:
     column = mechanics.compressed(np.array([1.6]), 0.0)
     assert 1.6 * column.buckled_at[0] == pytest.approx(1.0, abs=1e-6)

@@ -10,7 +10,7 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any, NoReturn
@@ -79,8 +79,7 @@ def check_size(path: Path, error: type[OnebendError], most: int) -> None:
 def read_text(path: Path, error: type[OnebendError], *, most: int = MOST_TEXT) -> str:
     """The text of a UTF-8 file, with or without its mark at the beginning.
 
-    Raises:
-        error: it is no file, empty, cannot be read, longer than `most` bytes, or in another encoding.
+    Raises `error`: it is no file, empty, cannot be read, longer than `most` bytes, or in another encoding.
     """
     check_size(path, error, most)
     try:
@@ -97,8 +96,7 @@ def read_text(path: Path, error: type[OnebendError], *, most: int = MOST_TEXT) -
 def read_toml(path: Path, error: type[OnebendError]) -> tuple[str, dict[str, Any]]:
     """Text and data of a TOML file.
 
-    Raises:
-        error: as `read_text`; it is not valid TOML, or nested deeper than any description is.
+    Raises `error`: as `read_text`; it is not valid TOML, or nested deeper than any description is.
     """
     content = read_text(path, error, most=MOST_TOML)
     return content, toml_data(content, path, error)
@@ -107,8 +105,7 @@ def read_toml(path: Path, error: type[OnebendError]) -> tuple[str, dict[str, Any
 def toml_data(content: str, path: Path, error: type[OnebendError]) -> dict[str, Any]:
     """Data of a text that is TOML, or is to be: of the file `path`.
 
-    Raises:
-        error: it is longer than a description is, not valid TOML, or nested deeper.
+    Raises `error`: it is longer than a description is, not valid TOML, or nested deeper.
     """
     if len(content) > MOST_TOML:
         raise error(f"{path} has more than {_in_words(MOST_TOML)}. Is it the right file?")
@@ -133,42 +130,35 @@ def toml_data(content: str, path: Path, error: type[OnebendError]) -> dict[str, 
 def read_json(path: Path, error: type[OnebendError], advice: str = "Write it anew") -> Any:
     """The data of a JSON file, as its standard has it: no NaN, no infinity. `advice`: what to do about a bad one.
 
-    Raises:
-        error: as `read_text`; it is not valid JSON, nested too deeply, or holds a number that is none.
+    Raises `error`: as `read_text`; it is not valid JSON, nested too deeply, or holds a number that is none.
     """
+
+    def refuse(constant: str) -> NoReturn:
+        raise error(f"{path}: it holds {constant}, which is no number in JSON. {advice}")
+
     content = read_text(path, error)
     try:
-        return json.loads(content, parse_constant=_refuse_constant)
+        return json.loads(content, parse_constant=refuse)
     except json.JSONDecodeError as wrong:
         raise error(f"{path}, line {wrong.lineno}: not valid JSON ({wrong.msg}). {advice}") from None
     except RecursionError:
         raise error(f"{path}: nested too deeply. {advice}") from None
-    except _ConstantError as wrong:
-        raise error(f"{path}: it holds {wrong}, which is no number in JSON. {advice}") from None
     except ValueError:
         raise error(f"{path}: it holds a whole number of more digits than any number has. {advice}") from None
-
-
-class _ConstantError(Exception):
-    """NaN or an infinity in JSON."""
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise _ConstantError(name)
 
 
 def csv_rows(path: Path, error: type[OnebendError]) -> Iterator[tuple[int, list[str]]]:
     """Line and cells of every row of a CSV file that is not blank, one after the other; the first is the header.
 
-    Raises:
-        error: it is no file, empty or too long, cannot be read, in another encoding, a line is too long or holds too
-            many columns, a quote is not closed, or there are too many rows.
+    Raises `error`: it is no file, empty or too long, cannot be read, in another encoding, a line is too long or holds
+    too many columns, a quote is not closed, or there are too many rows.
     """
     check_size(path, error, MOST_TABLE)
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(_lines(path, stream, error), skipinitialspace=True)
-            for count, row in enumerate(filter(_any, reader)):
+            filled = (row for row in reader if any(cell and not cell.isspace() for cell in row))
+            for count, row in enumerate(filled):
                 line = reader.line_num
                 if count > MOST_ROWS:
                     raise error(f"{path}, line {line}: at most {MOST_ROWS} rows are read. Cut out what is needed.")
@@ -185,10 +175,6 @@ def csv_rows(path: Path, error: type[OnebendError]) -> Iterator[tuple[int, list[
         raise error(f"{path} is not a CSV text file ({wrong}). Export it as CSV with a header.") from None
     except OSError as wrong:
         raise error(f"{path} cannot be read: {_reason(wrong)}.") from None
-
-
-def _any(row: Sequence[str]) -> bool:
-    return any(cell and not cell.isspace() for cell in row)
 
 
 def _lines(path: Path, stream: Any, error: type[OnebendError]) -> Iterator[str]:

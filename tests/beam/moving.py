@@ -10,9 +10,6 @@ from onebend.beam.dynamics import (
     Body,
     acting,
     body,
-    coriolis_matrix,
-    force_jacobian,
-    gravity_vector,
     mass_matrix,
 )
 from onebend.beam.grid import Modes
@@ -35,6 +32,34 @@ def soft_body(n: int = 4) -> Body:
 
 def odd_body(n: int = 4) -> Body:
     return body(ODD, Modes(n), rotary_inertia=THICK, damping=LOSSY)
+
+
+def directions(of: Body, theta: Array) -> tuple[Array, Array]:
+    """cos and sin of the angles at the nodes, (..., Q) each."""
+    alpha = of.rest_angle + theta @ of.to_angle.T
+    return np.cos(alpha), np.sin(alpha)
+
+
+def coriolis_matrix(of: Body, theta: Array, rate: Array) -> Array:
+    """(..., n, n) kg m^2/s: C of (7) by Christoffel's symbols, so that B' - 2 C is skew-symmetric."""
+    c, s = directions(of, theta)
+    turned = (rate @ of.to_angle.T)[..., None] * of.to_angle
+    ca, sa = c[..., None] * of.to_angle, s[..., None] * of.to_angle
+    first = np.swapaxes(sa, -1, -2) @ (of.carried @ (c[..., None] * turned))
+    return np.asarray(first - np.swapaxes(ca, -1, -2) @ (of.carried @ (s[..., None] * turned)))
+
+
+def gravity_vector(of: Body, theta: Array, gravity: Array) -> Array:
+    """(..., n) N m: G of (7) for gravity (2,) m/s^2 in the beam's frame; on the left side of the equation."""
+    c, s = directions(of, theta)
+    return np.asarray(-(of.lever * (c * gravity[1] - s * gravity[0])) @ of.to_angle)
+
+
+def force_jacobian(of: Body, theta: Array, at_s: float) -> Array:
+    """(..., 2, n) m: J(s) = d r(s) / d theta; a force F there acts as J^T F."""
+    c, s = directions(of, theta)
+    row = of.length * of.grid.integral_to(np.array([at_s]))[0]
+    return np.stack([(-row * s) @ of.to_angle, (row * c) @ of.to_angle], axis=-2)
 
 
 def by_the_matrices(of: Body, start: MotionState, duration: float, actions: Actions) -> Array:

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from onebend.beam.continuation import follow
-from onebend.beam.dynamics import body, gravity_vector, kinetic_energy, weight_energy
+from onebend.beam.dynamics import body, kinetic_energy, weight_energy
 from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
@@ -20,6 +20,7 @@ from onebend.beam.vibration import vibration
 from onebend.errors import ExportError, MechanicsError
 from onebend.export.export import chain_of, function, pyelastica
 from onebend.records import Array, PointMass
+from tests.beam.moving import gravity_vector
 
 BEAM = Beam(0.3, Steps((0.0, 0.5, 1.0), (0.05, 0.02)), Uniform(0.4), 0.2, Uniform(0.05))
 CLIPS = (PointMass(0.37, 0.004), PointMass(1.0, 0.002))

@@ -1,17 +1,13 @@
 """Every stable equilibrium of a beam with a free end under dead loads, by shooting from that end.
 
-Under dead loads the sum of all forces beyond s and the moment m(s) beyond it do not hang on the shape. With the work W
-of `nodal_forces.py` an equilibrium is a solution of
+The forces and the moment m(s) beyond s do not depend on the shape. An equilibrium is a solution of
 
     alpha' = q = q0 + (m + I) / k,    -I' = dW/dalpha,    I(1) = 0,    alpha(0) = alpha0,
 
-so that the angle a at the free end says all of it: the equilibria are the roots of one function of one number,
-`A(a) = alpha(0; a)`, which repeats itself after a full turn. It is marched from the free end to the clamp through the
-stages of Gauss's method on the panels of the grid. These are the very equations of `equilibrium.py` (for Gauss's method
-`w_j B_ji / w_i = w_j - B_ij`), so that what is found is an equilibrium there too, but for rounding.
-
-The derivative `y(s) = d alpha(s; a) / da` comes along. Where it is positive from the free end to the clamp there is no
-conjugate point and the equilibrium is stable (Jacobi); where A is level, a stable and an unstable one meet (a fold).
+so that the angle a at the free end determines it: the equilibria are the roots of `A(a) = alpha(0; a)`. It is marched
+from the free end to the clamp through the stages of Gauss's method, which gives the equations of `statics`. Where
+`y(s) = d alpha(s; a) / da` is positive from the free end to the clamp the equilibrium is stable (Jacobi); where A is
+level, a stable and an unstable one meet (a fold).
 """
 
 from __future__ import annotations
@@ -60,7 +56,7 @@ class _Panels:
 
 @dataclass(frozen=True)
 class _March:
-    """What comes out at the clamp, one row a sample."""
+    """The state at the clamp, one row a sample."""
 
     base: Array  # (S,) rad, the angle
     slope: Array  # (S,) its derivative with the angle at the free end
@@ -99,8 +95,7 @@ def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
     Those of a frame come in the order of the angle at the free end. Where the beam is like a long rope
     (`int sqrt(L N / k) ds` above 30) its end hardly tells of its base in double precision, and some may be missed.
 
-    Raises:
-        MechanicsError: follower loads, under which the force beyond a place hangs on the shape.
+    Raises `MechanicsError`: follower loads, under which the force beyond a place hangs on the shape.
     """
     if problem.follower.shape[1]:
         raise MechanicsError("follower loads are not taken: give dead forces")
@@ -116,7 +111,6 @@ def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
 
 
 def _distinct(problem: Problem, q: Array, frame: IntArray) -> tuple[Array, IntArray]:
-    """In order, each once."""
     if not len(frame):
         return q, frame
     alpha = node_angles(problem.take(frame), q)

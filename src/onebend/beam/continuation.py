@@ -1,18 +1,14 @@
-"""Loads that all push to one side of the rest shape: there is one equilibrium on that side, found without continuation.
+"""Equilibrium by continuation in the load, without steps where the loads all push to one side, and falls.
 
 With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the tangent at rest, counted to
-the side to which it pushes, and eps = (1/EA - 1/kGA) N (`nodal_forces.py`), the balance of dead forces is
+the side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of dead forces is
 
     -(k gamma')' = f(s, gamma) = L N sin(phi - gamma) (1 + eps cos(phi - gamma)),   gamma(0) = gamma'(1) = 0.
 
-Where phi is in (0, pi) all along the beam, `0 < gamma <= max phi` on the whole branch that grows from rest (maximum
-principle), at every share of the load. Where also f / gamma falls with gamma in that range, there is one solution in
-it (Brezis and Oswald 1986) and its second variation is positive: the branch neither turns back nor splits, and the
-solution at the full load is the branch's. f / gamma falls for gamma up to phi, as long as |eps| is below 1/5; beyond,
-up to max phi = phi + d, where `(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
-
-Newton's method begins at the solution of a linear balance: with `sin(phi - gamma)` replaced by the line
-`(phi - gamma) sin(phi / 2) / (phi / 2)`.
+Where phi is in (0, pi) all along the beam, `0 < gamma <= max phi` on the branch that grows from rest (maximum
+principle). Where also f / gamma falls with gamma in that range, there is one solution in it, it is stable (Brezis and
+Oswald 1986), and it is the branch's. f / gamma falls for gamma up to phi as long as |eps| is below 1/5, and beyond, up
+to max phi = phi + d, where `(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
 """
 
 from __future__ import annotations
@@ -41,6 +37,7 @@ from onebend.beam.statics import (
     Equilibrium,
     balance,
     correct,
+    found_near,
     gradient,
     is_stable,
     nodal_forces,
@@ -133,14 +130,10 @@ def terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Arra
     return second / 2.0, third / 6.0
 
 
-# Many nodes and few unknowns: bending moments that are polynomials between the loads.
+# Many nodes and few unknowns (Ritz): a k(s) with many knots needs many nodes, the moment under it does not. Equilibrium
+# is sought first in the curvatures `q0 + M / k` with M a polynomial between loads. The rest is removed on all nodes by
 #
-# A k(s) with many knots or jumps needs many nodes. The moment under it does not: `M' = -L n . u'` depends on k
-# through the angle alone. So equilibrium is sought first in the curvatures `q0 + M / k` with M a polynomial between
-# loads, on all nodes (Ritz): n unknowns instead of Q. What that leaves is taken away on all nodes by the two-grid
-# iteration
-#
-# dq = R T_n^-1 R^T g + (1 - R R^T S) S^-1 g,        S = diag(w k),
+#     dq = R T_n^-1 R^T g + (1 - R R^T S) S^-1 g,        S = diag(w k),
 #
 # R the basis, orthonormal in S, and T_n = R^T T R its tangent: T - S is compact and acts on smooth parts of g alone.
 
@@ -194,17 +187,10 @@ def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[A
     return q, near & (np.max(np.abs(apply(problem.to_nodes, q - begin)), axis=-1) < _NEARBY)
 
 
-# Falling from where a beam cannot stay: slowly, downhill, until it stands.
-#
-# The fall is that of a beam whose internal damping, in proportion to its stiffness, is so strong that nothing swings:
-# `w k q' = -g(q)`. Under dead loads it goes down the potential by the steepest way, measured by bending energy. Its
-# steps are implicit,
-#
-# (T + sigma w k) dq = -g,    sigma as small as keeps the matrix positive,
-#
-# so that near a stable equilibrium they become Newton's; each is bounded in turn and must do work. Work is integrated
-# along the step, `-int g . dq`, which needs no potential (follower forces have none) and is exact where the potential
-# changes by less than its rounding error (next to a bifurcation).
+# Falling from an unstable shape: `w k q' = -g(q)`, a fall so strongly damped that nothing swings. Under dead loads it
+# goes down the potential. Its steps are implicit, `(T + sigma w k) dq = -g` with sigma as small as keeps the matrix
+# positive, bounded in turn, and must do work. Work is integrated along the step, `-int g . dq`; it needs no potential
+# and is exact where the potential changes by less than its rounding error.
 
 Side = Literal["left", "right"]
 
@@ -258,7 +244,7 @@ def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
 def _nudged(problem: Problem, start: Array, side: Side) -> Array:
     """A little off along the least stable mode: where the out-of-balance says, else to the side asked for."""
     slope, matrices = balance(problem, start)
-    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    scale = problem.unbend
     second = scaled(problem, matrices)
     _, vectors = np.linalg.eigh(0.5 * (second + transposed(second)))
     mode = scale * vectors[..., 0]
@@ -276,7 +262,7 @@ def _downhill(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
     slope, matrices = balance(problem, q)
     second = scaled(problem, matrices)
     lowest = np.linalg.eigvalsh(0.5 * (second + transposed(second)))[:, 0]
-    scale = 1.0 / np.sqrt(problem.weights * problem.k)
+    scale = problem.unbend
     sigma = np.where(lowest > 0.0, 0.0, 1.2 * np.abs(lowest) + 1e-12)
     shifted = second + sigma[:, None, None] * np.eye(second.shape[-1])
     return -scale * solve_batch(shifted, scale * slope), np.asarray(lowest > 0.0)
@@ -301,14 +287,12 @@ def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
     return near, np.where(near[:, None], corrected, q)
 
 
-# Following the equilibrium that grows from the rest shape while all loads grow together from nothing.
+# The equilibrium that grows from the rest shape while all loads grow together.
 #
-# Each step of the load is predicted from the branch so far and corrected by Newton's method. A step counts only if
-# the corrector moved the shape by a small angle and the new shape is stable: then it cannot have landed on another
-# branch. Otherwise it is shortened. Where no step however short keeps stability, the branch has passed a bifurcation
-# (a perfectly straight beam under a perfectly axial load) and is followed on, marked unstable. Where no step succeeds
-# at all, the branch itself turns back (a limit point): a real beam would snap through. On request the beam falls from
-# such a place to a stable equilibrium (`snap_through.py`) and is followed on from there.
+# Each load step is predicted from the branch so far and corrected by Newton's method. It counts only if the corrector
+# moved the shape by a small angle and the new shape is stable; otherwise it is shortened. Where no step keeps
+# stability, the branch has passed a bifurcation and is followed on, marked unstable. Where no step succeeds, the branch
+# turns back (a limit point). On request the beam falls from such a place to a stable equilibrium.
 
 
 @dataclass(frozen=True)
@@ -370,8 +354,7 @@ def equilibrium(
 
     With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
 
-    Raises:
-        MechanicsError: k(s) is not positive somewhere.
+    Raises `MechanicsError`: k(s) is not positive somewhere.
     """
     if resolution is not None:
         return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
@@ -384,8 +367,9 @@ def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings
     resolution, problem = first, make_problem(beam, loads, first)
     on_first, chosen, before = problem, _hardest(problem), None
     while True:
-        part = problem if chosen is None else problem.take(chosen)
-        result = _solved(part, _basis(beam, loads, resolution), settings, fall, before)
+        part, nodal = problem if chosen is None else problem.take(chosen), remembered(beam, loads, resolution)
+        basis = None if nodal is None else nodal.basis
+        result = _solved(part, basis, settings, fall, before)
         missed = missed_by_angles(part.grid, result.q)
         if resolution.widest <= NARROW or np.all(missed < max(RESOLVED, AS_ROUGH * own)):
             break
@@ -395,15 +379,10 @@ def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings
         problem = make_problem(beam, loads, resolution)
     if chosen is None:
         return result
-    rough, basis, nodal = None, _basis(beam, loads, resolution), remembered(beam, loads, first)
-    if resolution != first and basis is not None and nodal is not None and fall is None:
-        rough = follow(in_basis(on_first, nodal.rough), settings=replace(settings, tolerance=_ROUGHLY))
+    rough, coarse = None, remembered(beam, loads, first)
+    if resolution != first and basis is not None and coarse is not None and fall is None:
+        rough = follow(in_basis(on_first, coarse.rough), settings=replace(settings, tolerance=_ROUGHLY))
     return _solved(problem, basis, settings, fall, rough)
-
-
-def _basis(beam: Rod, loads: Loads, resolution: Resolution) -> MomentBasis | None:
-    nodal = remembered(beam, loads, resolution)
-    return None if nodal is None else nodal.basis
 
 
 def _solved(
@@ -431,12 +410,7 @@ def _solved(
         return replace(found, problem=problem, q=q)
     if lost.size == len(q):
         return follow(problem, settings=settings)
-    rest = follow(problem.take(lost), settings=settings)
-    q[lost] = rest.q
-    out = replace(found, problem=problem, q=q, iterations=max(found.iterations, rest.iterations))
-    for name in ("converged", "stable", "load_factor", "buckled_at"):
-        getattr(out, name)[lost] = getattr(rest, name)
-    return out
+    return replace(found, problem=problem, q=q).put(lost, follow(problem.take(lost), settings=settings))
 
 
 def _hardest(problem: Problem) -> IntArray | None:
@@ -493,24 +467,14 @@ def follow(
 
 def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()) -> Equilibrium:
     """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
-    full, size = np.ones(problem.size), problem.size
+    full = np.ones(problem.size)
+    trust, remaining = settings.max_turn * full, settings.tolerance * full
     q, near, iterations = correct(
-        problem,
-        start,
-        full,
-        trust=settings.max_turn * full,
-        remaining=settings.tolerance * full,
-        max_iterations=settings.corrections,
+        problem, start, full, trust=trust, remaining=remaining, max_iterations=settings.corrections
     )
     near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
-    stable, buckled_at = near.copy(), np.full(size, np.nan)
-    lost = np.flatnonzero(~near)
-    if lost.size:
-        again = follow(problem.take(lost), settings=settings)
-        q[lost], near[lost], stable[lost], buckled_at[lost] = again.q, again.converged, again.stable, again.buckled_at
-        iterations += again.iterations
-    factor = np.where(near, 1.0, np.nan)
-    return Equilibrium(problem, q, near, stable, factor, buckled_at, np.zeros(size, dtype=bool), iterations)
+    found, lost = found_near(problem, q, near, iterations), np.flatnonzero(~near)
+    return found.put(lost, follow(problem.take(lost), settings=settings)) if lost.size else found
 
 
 def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:

@@ -1,21 +1,16 @@
 """The equation of motion (7) in curvature coordinates, on Gauss panels.
 
-The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`: coordinates count from the rest shape, so theta0 = 0 for
-any natural curvature. With `alpha = rest + A theta` at the nodes and the velocity `v = L int u' alpha'` the kinetic
-energy is that of a chain of bars whose every node carries the mass beyond it:
+The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`, so that theta0 = 0. With `alpha = rest + A theta` at the
+nodes and the velocity `v = L int u' alpha'` the kinetic energy is
 
     T = 1/2 sum_ij H_ij cos(alpha_i - alpha_j) alpha'_i alpha'_j + 1/2 sum_i D_i alpha'_i^2
     H = L^3 R^T diag(w mu) R,   D = w L iota                                    (R integrates from the base to a node)
 
-H and D do not depend on the shape, hence every matrix of (7) is a product of tables with cos(alpha), sin(alpha):
+    B = A^T (H o cos(alpha_i - alpha_j) + diag D) A,   K = int k phi phi^T,   D_theta = int d phi phi^T
+    C = A^T (H o sin(alpha_i - alpha_j)) diag(alpha') A,   G = -L^2 A^T (R^T (w mu) o u'.g)
 
-    B = A^T (H o cos(alpha_i - alpha_j) + diag D) A
-    C = A^T (H o sin(alpha_i - alpha_j)) diag(alpha') A      (= L int mu J^T dJ/dt, and = Christoffel's symbols of B)
-    G = -A^T (lever o u'.g),   lever = L^2 R^T (w mu)
-    K = int k phi phi^T,   D_theta = int d phi phi^T,   forces J^T F, moments a(s) M
-
-`B' - 2 C` is skew because H is symmetric. Assumed: the beam is inextensible, does not shear, is linear-elastic with
-Kelvin-Voigt damping, and the centre of mass of every section lies on the line that `r(s)` follows.
+Assumed: the beam is inextensible, does not shear, is linear-elastic with Kelvin-Voigt damping, and the centre of mass
+of every section lies on the line that `r(s)` follows.
 """
 
 from __future__ import annotations
@@ -25,7 +20,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from onebend.beam.grid import Grid, Modes, make_grid
 from onebend.beam.problem import Resolution, Rod, refuse_section
@@ -96,9 +90,8 @@ def body(
     resolve any k(s), with panels that end at its jumps and at masses without size: those that ride on the beam, and
     `points` besides. A `grid` given takes the place of the one made here.
 
-    Raises:
-        MechanicsError: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the equation
-            of motion has no stretch and shear), or the grid cannot carry the modes.
+    Raises `MechanicsError`: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the
+    equation of motion has no stretch and shear), or the grid cannot carry the modes.
     """
     refuse_section(beam, "the equation of motion")
     profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
@@ -139,8 +132,7 @@ def body_of_nodes(
 ) -> Body:
     """Tables from values (Q,) at the nodes, with the curvature there as coordinates; undamped.
 
-    Raises:
-        MechanicsError: a point mass that is negative, or off the beam.
+    Raises `MechanicsError`: a point mass that is negative, or off the beam.
     """
     weights, integral = grid.weights, grid.integral_to_nodes
     carried = length**3 * integral.T @ ((weights * mass_per_length)[:, None] * integral)
@@ -176,28 +168,6 @@ def mass_matrix(of: Body, theta: Array) -> Array:
     out = np.swapaxes(across[..., :n], -1, -2) @ carried[..., :n]
     out += np.swapaxes(across[..., n:], -1, -2) @ carried[..., n:]
     return np.asarray(out + of.to_angle.T @ (of.rotary[:, None] * of.to_angle))
-
-
-def coriolis_matrix(of: Body, theta: Array, rate: Array) -> Array:
-    """(..., n, n) kg m^2/s: C of (7) by Christoffel's symbols, so that B' - 2 C is skew-symmetric."""
-    c, s = _directions(of, theta)
-    turned = (rate @ of.to_angle.T)[..., None] * of.to_angle
-    ca, sa = c[..., None] * of.to_angle, s[..., None] * of.to_angle
-    first = np.swapaxes(sa, -1, -2) @ (of.carried @ (c[..., None] * turned))
-    return np.asarray(first - np.swapaxes(ca, -1, -2) @ (of.carried @ (s[..., None] * turned)))
-
-
-def gravity_vector(of: Body, theta: Array, gravity: Array) -> Array:
-    """(..., n) N m: G of (7) for gravity (2,) m/s^2 in the beam's frame; on the left side of the equation."""
-    c, s = _directions(of, theta)
-    return np.asarray(-(of.lever * (c * gravity[1] - s * gravity[0])) @ of.to_angle)
-
-
-def force_jacobian(of: Body, theta: Array, at_s: float) -> Array:
-    """(..., 2, n) m: J(s) = d r(s) / d theta; a force F there acts as J^T F."""
-    c, s = _directions(of, theta)
-    row = of.length * of.grid.integral_to(np.array([at_s]))[0]
-    return np.stack([(-row * s) @ of.to_angle, (row * c) @ of.to_angle], axis=-2)
 
 
 def kinetic_energy(
@@ -252,11 +222,8 @@ def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) 
         raise MechanicsError(f"{name} = {values[bad]:.3g} at s = {nodes[bad]:.3f}: {rule}")
 
 
-# What acts on a moving beam: forces, moments, gravity and the gripper's motion as functions of time.
-#
-# All vectors are in one fixed frame: the beam's frame while the gripper's pose is zero. A moving gripper enters
-# through the same variational principle as the rest (its velocity is part of every point's velocity), so no inertial
-# forces are to be added by hand.
+# The actions on a moving beam, in one fixed frame: the beam's frame while the gripper's pose is zero. A moving gripper
+# enters through its part of every point's velocity; no inertial forces are to be added by hand.
 
 InTime = Callable[[float], ArrayLike]
 
@@ -271,12 +238,8 @@ class AppliedForce:
 
 
 @dataclass(frozen=True)
-class AppliedMoment:
+class AppliedMoment(AppliedForce):
     """A moment about z on the beam at a fixed place of it: a number [N m], or a function of time [s]."""
-
-    value: ArrayLike | InTime
-    at_s: float = 1.0
-    breaks: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -309,7 +272,7 @@ class Actions:
             raise MechanicsError(f"gravity has two finite components [m/s^2], got {self.gravity}")
 
     @property
-    def _loads(self) -> tuple[AppliedForce | AppliedMoment, ...]:
+    def _loads(self) -> tuple[AppliedForce, ...]:
         return (*self.forces, *self.moments)
 
     @property
@@ -344,7 +307,8 @@ def acting(on: Body, actions: Actions, times: Array) -> TabulatedActions:
     forced, total = np.zeros_like(weight), np.zeros((count, 2))
     for force in actions.forces:
         values = _values(force.value, times, 2, "a force")
-        forced += np.multiply.outer(_row(on, force.at_s), values).transpose(2, 0, 1)
+        lever = on.length * on.grid.integral_to(np.array([force.at_s]))[0]
+        forced += np.multiply.outer(lever, values).transpose(2, 0, 1)
         total += values
     couple, moment = np.zeros((on.n, count)), np.zeros(count)
     for twist in actions.moments:
@@ -368,29 +332,10 @@ def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
     return np.asarray(along + carried + np.sum(now.couple * rate, axis=0))
 
 
-def spline_gripper(time: ArrayLike, pose: ArrayLike) -> Gripper:
-    """A gripper that moves through measured poses (T, 3) of (x [m], y [m], turn [rad]) by cubic splines.
-
-    The spline's knots are not breaks: its third derivative jumps there, which limits the order of motion to that of
-    the data. Beyond the data it extrapolates, so the motion should end with them.
-
-    Raises:
-        MechanicsError: times that do not rise, or poses that are not finite.
-    """
-    t, p = np.asarray(time, dtype=float), np.asarray(pose, dtype=float)
-    if t.ndim != 1 or len(t) < 2 or p.shape != (len(t), 3):
-        raise MechanicsError(f"a gripper needs T >= 2 times and poses (T, 3), got {t.shape} and {p.shape}")
-    if not (np.all(np.diff(t) > 0.0) and np.all(np.isfinite(p))):
-        raise MechanicsError("the gripper's times must rise and its poses be finite; leave out the unknown ones")
-    spline = CubicSpline(t, p)
-    return Gripper(spline, spline.derivative())
-
-
 def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> None:
     """Compare the gripper's rate with differences of its pose at a few times between two breaks.
 
-    Raises:
-        MechanicsError: they differ by more than what steps of `step` s could follow.
+    Raises `MechanicsError`: they differ by more than what steps of `step` s could follow.
     """
     times = first + (last - first) * np.array([0.07, 0.23, 0.41, 0.59, 0.77, 0.93])
     near = 0.01 * min(step, last - first)
@@ -404,11 +349,6 @@ def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> N
             f"the gripper's rate is not the derivative of its pose: at t = {times[i]:.6g} s it moves by "
             f"{np.array2string(moves[i], precision=4)} a second, and rate says {np.array2string(said[i], precision=4)}"
         )
-
-
-def _row(on: Body, at_s: float) -> Array:
-    """(Q,) m: lever of every node for a force at `at_s`."""
-    return np.asarray(on.length * on.grid.integral_to(np.array([at_s]))[0])
 
 
 def _values(value: ArrayLike | InTime, times: Array, size: int, name: str) -> Array:

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 
@@ -173,20 +172,22 @@ def _integral_to(s: Array, edges: Array, order: int) -> Array:
 
 def _integral_rows(local: Array, order: int) -> Array:
     """`int_{-1}^{x} l_j dx` of the Lagrange polynomials l_j at the Gauss nodes, x = 2 local - 1: (..., order)."""
-    p = np.polynomial.legendre.legvander(2.0 * local - 1.0, order)  # P_0 .. P_order
-    degree = np.arange(1, order)
-    integral = np.empty((*np.shape(local), order))
-    integral[..., 0] = 2.0 * local
+    return np.asarray(_integrals(local, order) @ _to_legendre(order))
+
+
+def _integrals(local: Array, count: int) -> Array:
+    """(..., count) `int_{-1}^{x} P_k dx`, x = 2 local - 1."""
+    p = np.polynomial.legendre.legvander(2.0 * local - 1.0, count)  # P_0 .. P_count
+    out = np.empty((*np.shape(local), count))
+    out[..., 0] = 2.0 * local
     # (2k + 1) int_{-1}^{x} P_k = P_{k+1}(x) - P_{k-1}(x)
-    integral[..., 1:] = (p[..., 2:] - p[..., :-2]) / (2 * degree + 1)
-    return np.asarray(integral @ _to_legendre(order))
+    out[..., 1:] = (p[..., 2:] - p[..., :-2]) / (2 * np.arange(1, count) + 1)
+    return out
 
 
-# Curvature modes `q(s) = sum_i theta_i phi_i(s)` (1), (2), and the shapes of their states (3), (4), on fixed nodes.
-#
-# The paper's modes are the powers s^i. They span the same shapes as the Legendre polynomials of 2 s - 1, which are
-# orthogonal: the condition number of K is near 10 where the powers reach 1e10 (n = 8). So computations run on
-# Legendre polynomials, and powers appear only where the paper's own rows are wanted.
+# Curvature modes `q(s) = sum_i theta_i phi_i(s)` (1), (2), and the shapes of their states (3), (4), on fixed nodes. The
+# paper's modes are the powers s^i. They span the same shapes as the Legendre polynomials of 2 s - 1, for which the
+# condition number of K is near 10 where the powers reach 1e10 (n = 8).
 
 MOST_POWERS = 8
 _GRID = make_grid(order=30)  # resolves cos(alpha) of physical shapes to machine precision
@@ -194,49 +195,34 @@ _GRID = make_grid(order=30)  # resolves cos(alpha) of physical shapes to machine
 
 @dataclass(frozen=True)
 class Modes:
-    """n curvature modes of one kind."""
+    """n curvature modes: the Legendre polynomials of 2 s - 1."""
 
     n: int
-    kind: Literal["legendre", "powers"] = "legendre"
 
     def __post_init__(self) -> None:
         if self.n < 1:
             raise MechanicsError(f"at least one curvature mode is needed, got n = {self.n}")
-        if self.kind == "powers" and self.n > MOST_POWERS:
-            raise MechanicsError(
-                f"{self.n} powers of s cannot be told apart in double precision (the condition number of K passes "
-                f"1e10 at n = {MOST_POWERS}); use kind='legendre', which spans the same shapes"
-            )
 
     def curvature(self, s: Array) -> Array:
         """phi_i(s): `s.shape + (n,)`."""
-        s = np.asarray(s, dtype=float)
-        if self.kind == "powers":
-            return np.asarray(s[..., None] ** np.arange(self.n))
-        return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, self.n - 1))
+        return np.asarray(np.polynomial.legendre.legvander(2.0 * np.asarray(s, dtype=float) - 1.0, self.n - 1))
 
     def angle(self, s: Array) -> Array:
         """a_i(s), the integral of phi_i from 0 to s (3): `s.shape + (n,)`."""
-        s = np.asarray(s, dtype=float)
-        if self.kind == "powers":
-            i = np.arange(1, self.n + 1)
-            return np.asarray(s[..., None] ** i / i)
-        p = np.polynomial.legendre.legvander(2.0 * s - 1.0, self.n)
-        out = np.empty((*s.shape, self.n))
-        out[..., 0] = s
-        degree = np.arange(1, self.n)
-        out[..., 1:] = 0.5 * (p[..., 2:] - p[..., :-2]) / (2 * degree + 1)
-        return out
-
-    @property
-    def to_legendre(self) -> Array:
-        """(n, n): Legendre states from states of this kind."""
-        return np.eye(self.n) if self.kind == "legendre" else _powers_to_legendre(self.n)
+        return 0.5 * _integrals(np.asarray(s, dtype=float), self.n)
 
 
 @lru_cache(maxsize=16)
-def _powers_to_legendre(n: int) -> Array:
-    """Columns: Legendre coefficients (in x = 2 s - 1) of s^i."""
+def powers_to_legendre(n: int) -> Array:
+    """(n, n) with the Legendre states (in x = 2 s - 1) of s^i in column i.
+
+    Raises `MechanicsError` for more than `MOST_POWERS`: double precision cannot tell them apart.
+    """
+    if n > MOST_POWERS:
+        raise MechanicsError(
+            f"{n} powers of s cannot be told apart in double precision (the condition number of K passes "
+            f"1e10 at n = {MOST_POWERS}); use Legendre polynomials, which span the same shapes"
+        )
     out = np.zeros((n, n))
     for i in range(n):
         coefficients = np.polynomial.polynomial.polypow([0.5, 0.5], i)  # s = (1 + x) / 2

@@ -163,8 +163,7 @@ class Stepper:
     def advance(self, theta: Array, momentum: Array, guess: Array, now: TabulatedActions, time: float) -> Step:
         """One step from (theta, momentum) under what acts at the stages; `guess` (n, s) of the stage velocities.
 
-        Raises:
-            StepError: the stage equations were not solved; the message names the time and the cure.
+        Raises `StepError`: the stage equations were not solved; the message names the time and the cure.
         """
         if now is not self._now:
             self._take(now)
@@ -197,7 +196,7 @@ class Stepper:
         )
 
     def _prepare(self, q: int, s: int) -> None:
-        """Work arrays and the views of them that a residual needs: c, s for cos, sin; y, x for the momenta Y, -X."""
+        """Work arrays, and views of them: c, s for cos, sin; y, x for the momenta Y, -X."""
         self._turned = np.empty((q, 3 * s))
         self._twice, self._alpha = self._turned[:, : 2 * s], self._turned[:, 2 * s :]
         self._directions, self._moving = np.empty((q, 2 * s)), np.empty((q, 2 * s))
@@ -209,7 +208,7 @@ class Stepper:
         self._pi, self._tau, self._other = np.empty((q, s)), np.empty((q, s)), np.empty((q, s))
 
     def _take(self, now: TabulatedActions) -> None:
-        """What acts from here on; absent kinds of action cost nothing in the residual."""
+        """The actions from here on."""
         self._now = now
         self._pull = now.pull if np.any(now.pull) else None
         moves = np.any(now.base_rate) or np.any(now.base)
@@ -372,8 +371,7 @@ class Motion:
     def states_at(self, time: ArrayLike) -> Array:
         """(R, n) states between the steps, by cubic interpolation of states and rates (fourth order in the spacing).
 
-        Raises:
-            MechanicsError: a time outside the motion.
+        Raises `MechanicsError`: a time outside the motion.
         """
         wanted = np.asarray(time, dtype=float)
         if np.any(wanted < self.time[0]) or np.any(wanted > self.time[-1]):
@@ -393,9 +391,8 @@ def simulate(
 ) -> Motion:
     """Motion from `start` for `duration` s in equal steps of at most `step` s.
 
-    Raises:
-        MechanicsError: a start that does not fit the body, more steps than allowed, actions that are not finite, or
-            stage equations that could not be solved (the message names the time).
+    Raises `MechanicsError`: a start that does not fit the body, more steps than allowed, actions that are not finite,
+    or stage equations that could not be solved (the message names the time).
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
     return _follow(body, start, stretches, actions, settings)
@@ -420,8 +417,7 @@ def converged(
     below `tolerance`: what no step resolved yet is wrong in both runs by as much, so the change is not divided by
     2^order - 1 as if all errors fell with the order.
 
-    Raises:
-        MechanicsError: as `simulate`, or the tolerance was not met after `halvings`.
+    Raises `MechanicsError`: as `simulate`, or the tolerance was not met after `halvings`.
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
     places, change, running = np.atleast_1d(np.asarray(at_s, dtype=float)), np.inf, replace(settings, every=1)
@@ -474,7 +470,6 @@ def _attempt(
 
 
 def _thinned(motion: Motion, every: int) -> Motion:
-    """Every so many of the times kept, and the last."""
     count = len(motion.time)
     kept = np.unique(np.append(np.arange(0, count, every), count - 1))
     names = ("time", "theta", "rate", "base", "kinetic", "elastic", "weight", "work", "loss")

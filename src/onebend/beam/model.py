@@ -91,19 +91,14 @@ class Beam:
         gravity: ArrayLike | None = None,
         fall: Side | None = None,
     ) -> Shape:
-        """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, and under its weight.
+        """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, one place or (T,), and its weight.
 
-        Args:
-            force: N, in the beam's frame.
-            at_s: one place or (T,) places.
-            gravity: (2,) or (T, 2) m/s^2 in the beam's frame.
-            fall: None stays on the branch that grows from rest, even where it is unstable. "left" or "right": where
-                that branch loses stability or ends, the beam falls to where it stands; to this side of it, where the
-                loads leave that open (a perfectly axial force).
+        `gravity`: (2,) or (T, 2) m/s^2 in the beam's frame. `fall`: None stays on the branch that grows from rest, even
+        where it is unstable. "left" or "right": where that branch loses stability or ends, the beam falls to where it
+        stands; to this side of it, where the loads leave that open (a perfectly axial force).
 
-        Raises:
-            MechanicsError: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
-                before the full load (the beam snaps through) and no `fall` was asked for, or led nowhere.
+        Raises `MechanicsError`: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
+        before the full load (the beam snaps through) and no `fall` was asked for, or led nowhere.
         """
         if fall not in (None, "left", "right"):
             raise MechanicsError(f"a beam falls to its 'left' or to its 'right' (or None: not at all), got {fall!r}")

@@ -1,7 +1,6 @@
 """What is solved: the arrays of a batch of beams under loads, on a grid with an edge at every load and every jump.
 
-With the sum N(s) of all forces and the sum m(s) of all point moments beyond s known at the nodes, nothing else of the
-loads enters the statics of dead loads; see `nodal_forces.py` and `equilibrium.py` for what is made of them.
+The statics of dead loads needs nothing of them but the sums N(s) of all forces and m(s) of all moments beyond s.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from onebend.beam.stiffness import Profile, RectangularSection, common_section, 
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray, PointMass
 
-# What a beam is at the nodes of a grid: all of a problem that its loads do not change, remembered by the beam.
-
 _Made = TypeVar("_Made")
 _REMEMBERED, _MADE = 8, 24  # grids a beam, and what others made
 RESOLVED = 3e-10  # share of a curvature that angles may miss; positions miss less
@@ -36,7 +33,7 @@ _MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two 
 
 @dataclass(frozen=True)
 class NodalBeam:
-    """One beam at the Q nodes of one grid."""
+    """One beam at the Q nodes of one grid: all of a problem that its loads do not change."""
 
     grid: Grid
     nodes: Array  # (Q,)
@@ -44,7 +41,7 @@ class NodalBeam:
     to_nodes: Array  # (Q, Q): B
     k: Array  # (Q,) N m
     q0: Array  # (Q,) rad
-    mass_beyond: Array  # (Q,) kg, with what rides on the beam
+    mass_beyond: Array  # (Q,) kg, with the masses that ride on the beam
     places: tuple[float, ...]  # of all loads
 
     @cached_property
@@ -78,57 +75,31 @@ class MomentBasis:
     rest: Array  # (n,): q0 in the basis, which holds it exactly
 
 
-@dataclass(frozen=True)
-class FirstGrid:
-    """The coarsest grid that carries the beam's own curvatures: at rest, and under the least of forces at its tip."""
-
-    order: int
-    widest: float
-    at_knots: bool  # an edge also where a derivative of k(s) or q0(s) jumps
-    missed: float  # share of those curvatures by which angles are off
-
-
 @dataclass
 class GridMemory:
-    """What a beam remembers from one call to the next: its arrays on the last few grids, and what calls begin with."""
+    """Arrays that a beam keeps from one call to the next, for the grids used last."""
 
     beams: dict[Hashable, NodalBeam] = field(default_factory=dict)
-    made: dict[Hashable, Any] = field(default_factory=dict)  # whatever else calls want again
+    made: dict[Hashable, Any] = field(default_factory=dict)  # of other modules
 
-    def keep(self, key: Hashable, beam: NodalBeam) -> None:
-        """Remember one more, and forget the oldest where there are many."""
-        for oldest in list(self.beams)[: 1 - _REMEMBERED]:
-            self.beams.pop(oldest, None)
-        self.beams[key] = beam
+    def nodal(self, key: Hashable, make: Callable[[], NodalBeam]) -> NodalBeam:
+        """The arrays of the key, made once."""
+        return _kept(self.beams, key, make, _REMEMBERED)
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
-        """What `make` gives for the key, made once; the oldest is forgotten where there are many."""
-        found = self.made.get(key)
-        if found is None:
-            for oldest in list(self.made)[: 1 - _MADE]:
-                self.made.pop(oldest, None)
-            found = self.made[key] = make()
-        return cast(_Made, found)
+        """The result of `make` for the key, made once."""
+        return cast(_Made, _kept(self.made, key, make, _MADE))
 
 
-def nodal_beam(
-    length: float,
-    stiffness: Profile,
-    rest_curvature: Profile,
-    mass: Profile,
-    riding: tuple[PointMass, ...],
-    grid: Grid,
-    places: tuple[float, ...],
-) -> NodalBeam:
-    """Arrays for loads at `places`. Raises `MechanicsError` where k(s) is not positive at every node."""
-    nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
-    k = np.asarray(stiffness(nodes), dtype=float)
-    check_positive(k, nodes)
-    line = length * np.asarray(mass(nodes), dtype=float)
-    q0 = np.asarray(rest_curvature(nodes), dtype=float)
-    mass_beyond = np.sum(weights * line) - to_nodes @ line + riding_beyond(nodes, riding)
-    loaded = (*places, *(one.s for one in riding))
-    return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond, loaded)
+def _kept(where: dict[Hashable, _Made], key: Hashable, make: Callable[[], _Made], most: int) -> _Made:
+    """An entry, made if it is new; the oldest one goes where there are `most`."""
+    found = where.get(key)
+    if found is None:
+        found = make()
+        for oldest in list(where)[: 1 - most]:
+            where.pop(oldest, None)
+        where[key] = found
+    return found
 
 
 def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
@@ -139,29 +110,34 @@ def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
     return out
 
 
-def first_grid(
-    stiffness: Profile, rest_curvature: Profile, edges: tuple[float, ...], knots: tuple[float, ...], order: int
-) -> FirstGrid:
-    """A grid on which q0 and (1 - s) / k are resolved, with an edge at `edges`, and at the `knots` if need be.
+def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
+    """The coarsest grid that resolves q0 and (1 - s) / k, and the share of them by which its angles are off.
 
-    Where neither that nor halving the panels resolves them, the first that turns and moves the tip as the one before.
-    The beam bends by (1 - s) / k under a small force across its tip: what k(s) asks of the grid, without a solve.
+    The beam bends by (1 - s) / k under a small force across its tip. The grid has an edge at the knots where that is
+    enough. Where halving the panels does not resolve the two, it is the first whose tip agrees with the one before.
+    The beam remembers it.
     """
-    if 0 < len(knots) <= _MOST_KNOTS and _own(stiffness, rest_curvature, make_grid(edges, order=order))[0] > RESOLVED:
+    places = loads.places
+    common = tuple(float(place) for place in places[0]) if are_common(places) else ()
+    return beam.memory.once((first_resolution, common), lambda: _first_resolution(beam, common))
+
+
+def _first_resolution(beam: Rod, common: tuple[float, ...]) -> tuple[Resolution, float]:
+    edges, knots, order = (*common, *_jumps([beam])), _knots([beam]), Resolution().order
+    if 0 < len(knots) <= _MOST_KNOTS and _own(beam, make_grid(edges, order=order))[0] > RESOLVED:
         between = _widest((*edges, *knots))
         for fewer, share in _BETWEEN_KNOTS:
-            grid = make_grid((*edges, *knots), order=fewer, widest=share * between)
-            missed, _ = _own(stiffness, rest_curvature, grid)
+            missed, _ = _own(beam, make_grid((*edges, *knots), order=fewer, widest=share * between))
             if AS_ROUGH * missed < RESOLVED:
-                return FirstGrid(fewer, share * between, True, missed)
+                return Resolution(fewer, share * between, True), missed
     tips, widest = np.full((2, 3), np.nan), 2.0 * _widest(edges)
     while widest > NARROW:
         before, widest = tips, 0.5 * widest
-        missed, tips = _own(stiffness, rest_curvature, make_grid(edges, order=order, widest=widest))
+        missed, tips = _own(beam, make_grid(edges, order=order, widest=widest))
         same = np.all(np.abs(tips - before) <= _SAME_TIP * np.array([[tips[0, 0]], [1.0]]))
         if missed < RESOLVED or same:
             break
-    return FirstGrid(order, widest, False, missed)
+    return Resolution(order, widest), missed
 
 
 def _widest(edges: tuple[float, ...]) -> float:
@@ -177,12 +153,12 @@ def missed_by_angles(grid: Grid, q: Array) -> Array:
     return grid.legendre_tail(q) * float(np.max(np.diff(grid.edges))) / (2 * grid.order + 1)
 
 
-def _own(stiffness: Profile, rest_curvature: Profile, grid: Grid) -> tuple[float, Array]:
+def _own(beam: Rod, grid: Grid) -> tuple[float, Array]:
     """Of (1 - s) / k and q0: the share that angles miss; (2, 3) turn and way of the tip by them."""
     arm = 1.0 - grid.nodes
-    k = np.asarray(stiffness(grid.nodes), dtype=float)
+    k = np.asarray(beam.stiffness(grid.nodes), dtype=float)
     check_positive(k, grid.nodes)
-    bent = np.stack([arm / k, np.asarray(rest_curvature(grid.nodes), dtype=float)])
+    bent = np.stack([arm / k, np.asarray(beam.rest_curvature(grid.nodes), dtype=float)])
     return float(np.max(missed_by_angles(grid, bent))), bent @ (grid.weights * arm**_MOMENTS).T
 
 
@@ -239,9 +215,6 @@ def grid_for(places: Array, jumps: tuple[float, ...], order: int, widest: float)
     edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
     edges[:, -1] = 1.0
     return Grid(edges, order)
-
-
-# What mechanics needs to know of a beam.
 
 
 class Rod(Protocol):
@@ -330,6 +303,11 @@ class Problem:
         """(Q,) or (T, Q) N m: w k; (n,) 1 for modes, which are orthonormal in it."""
         return self.weights * self.k if self.modes is None else np.ones(self.modes.shape[-1])
 
+    @property
+    def unbend(self) -> Array:
+        """(Q,) or (T, Q) 1 / sqrt(w k): curvature of unit bending energy, times two, at each node."""
+        return np.asarray(1.0 / np.sqrt(self.weights * self.k))
+
     @cached_property
     def couple(self) -> Array:
         """(T, Q) or (T, n) N m: w times the point moments beyond the nodes, their work for each unknown."""
@@ -359,11 +337,10 @@ class Problem:
         return np.asarray((stretch - shear) / (self.length * self.weights))
 
     def under(self, dead_force: Array, q0: Array, alpha0: Array) -> Problem:
-        """The same beams under these dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle; what
-        follows from the beams by themselves is not worked out again."""
+        """The same beams under these dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle."""
         size, nodes = dead_force.shape[:2]
         none = np.zeros((size, 0, nodes))
-        out = replace(
+        return replace(
             self,
             q0=q0,
             alpha0=alpha0,
@@ -373,9 +350,6 @@ class Problem:
             follower_beyond=none,
             follower_rows=none,
         )
-        of_beam = (self.compliance, self.strain_lever)
-        out.__dict__.update(zip(("compliance", "strain_lever"), of_beam, strict=True))
-        return out
 
     def strained(self, share: Array) -> Problem:
         """With 1/EA and 1/kGA times `share` (T,): 0 is the beam that neither stretches nor shears."""
@@ -421,24 +395,32 @@ class Problem:
 
 
 def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
-    """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame."""
+    """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame.
+
+    Raises `MechanicsError`: k(s) is not positive at every node.
+    """
     if not are_common(loads.places):
         return None
     places = tuple(float(place) for place in loads.places[0])
-    nodal = beam.memory.beams.get((*places, resolution))
-    if nodal is None:
+
+    def make() -> NodalBeam:
         grid = grid_for(loads.places, _edges([beam], resolution), resolution.order, resolution.widest)
-        line = (beam.stiffness, beam.rest_curvature, beam.mass_per_length)
-        nodal = nodal_beam(beam.length, *line, beam.masses, grid, places)
-        beam.memory.keep((*places, resolution), nodal)
-    return nodal
+        nodes, weights, to_nodes = grid.nodes, grid.weights, grid.integral_to_nodes
+        k = np.asarray(beam.stiffness(nodes), dtype=float)
+        check_positive(k, nodes)
+        line = beam.length * np.asarray(beam.mass_per_length(nodes), dtype=float)
+        q0 = np.asarray(beam.rest_curvature(nodes), dtype=float)
+        mass_beyond = np.sum(weights * line) - to_nodes @ line + riding_beyond(nodes, beam.masses)
+        loaded = (*places, *(one.s for one in beam.masses))
+        return NodalBeam(grid, nodes, weights, to_nodes, k, q0, mass_beyond, loaded)
+
+    return beam.memory.nodal((*places, resolution), make)
 
 
 def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of a beam under loads; the beam remembers those that do not depend on the loads.
 
-    Raises:
-        MechanicsError: k(s) is not positive at every node.
+    Raises `MechanicsError`: k(s) is not positive at every node.
     """
     loads = loads.spread(loads.size)
     nodal = remembered(beam, loads, resolution)
@@ -460,8 +442,7 @@ def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution())
 def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
     """The arrays of several beams, one a frame (or one for all frames), on one grid.
 
-    Raises:
-        MechanicsError: k(s) is not positive at a node; as many beams as frames are needed, or one.
+    Raises `MechanicsError`: k(s) is not positive at a node; as many beams as frames are needed, or one.
     """
     size = max(loads.size, len(beams))
     if len(beams) not in (1, size):
@@ -490,19 +471,6 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
         section=common_section([beam.section for beam in beams]),
         **loads_at_nodes(grid, nodes, loads, mass_beyond),
     )
-
-
-def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
-    """The coarsest that carries the beam's own curvatures, and the share of them by which its angles are off."""
-    places = loads.places
-    common = tuple(float(place) for place in places[0]) if are_common(places) else ()
-
-    def make() -> FirstGrid:
-        edges, knots = (*common, *_jumps([beam])), _knots([beam])
-        return first_grid(beam.stiffness, beam.rest_curvature, edges, knots, Resolution().order)
-
-    first = beam.memory.once((FirstGrid, common), make)
-    return Resolution(first.order, first.widest, first.at_knots), first.missed
 
 
 def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:

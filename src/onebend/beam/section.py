@@ -1,14 +1,13 @@
 """Cross-sections: from shapes and materials along the beam to bending stiffness, mass, rotary inertia and rest shape.
 
-A section is a set of parts, each a plane shape of one material. Bending is about the axis through the modulus-weighted
-centroid (the neutral axis), across the plane of motion; y counts from an arbitrary reference line towards the beam's
-left, z across. With area A, centroid y_c and second moment I about its own centroid, per part:
+Bending is about the modulus-weighted centroid (the neutral axis); y counts towards the beam's left, z across. With area
+A, centroid y_c and second moment I about its own centroid, per part:
 
     EA = sum E A,   y_n = sum E A y_c / EA,   EI = sum E (I + A (y_c - y_n)^2)
     mu = sum rho A, iota = sum rho (I + A (y_c - y_n)^2),   curvature at rest = -sum E A (y_c - y_n) e / EI
 
-(e: the strain that a part would have if it were free, as from heat, swelling or pre-stretch; Timoshenko 1925). Plane
-sections stay plane and parts do not slip. Width is measured along z, thickness along y.
+(e: the strain of a part if it were free, as from heat or swelling; Timoshenko 1925). Parts do not slip. Width is
+measured along z, thickness along y.
 """
 
 from __future__ import annotations
@@ -184,8 +183,7 @@ class SectionProfiles:
 def section(parts: tuple[SectionPart, ...], s: Array) -> SectionProperties:
     """Properties of a section of several parts at places `s` (S,).
 
-    Raises:
-        MechanicsError: no part, or a size that is not positive.
+    Raises `MechanicsError`: no part, or a size that is not positive.
     """
     if not parts:
         raise MechanicsError("a section needs at least one part")
@@ -226,8 +224,7 @@ def laminate(layers: tuple[LaminateLayer, ...]) -> tuple[SectionPart, ...]:
 def along(parts: tuple[SectionPart, ...], length: float) -> SectionProfiles:
     """Profiles of a beam of `length` m with this section, to 1e-12 of their largest values, with all jumps kept.
 
-    Raises:
-        MechanicsError: as `section`, or a size that jumps without saying so in its `jumps`.
+    Raises `MechanicsError`: as `section`, or a size that jumps without saying so in its `jumps`.
     """
     if not length > 0.0:
         raise MechanicsError(f"a beam's length must be positive, got {length} m")
@@ -329,8 +326,7 @@ def second_moment(section: StatedSection, s: Array) -> tuple[Array, Array]:
 
     The sd is 0 where nobody says how exactly the sizes were measured.
 
-    Raises:
-        MechanicsError: sizes that are not positive, or fewer than two places.
+    Raises `MechanicsError`: sizes that are not positive, or fewer than two places.
     """
     s = np.asarray(s, dtype=float)
     inside = (s >= section.s[0]) & (s <= section.s[-1])
@@ -360,8 +356,7 @@ def relative_moment(section: StatedSection) -> Polyline:
 
     Its `jumps` are the section's steps, and its sharpest corners.
 
-    Raises:
-        MechanicsError: as `second_moment`.
+    Raises `MechanicsError`: as `second_moment`.
     """
     s, logs, steps = _log_moment(section)
     logs = logs - np.trapezoid(logs, s)
@@ -480,8 +475,7 @@ def modulus_band(
     the section's shape times a modulus they are not, and E is that modulus (`UncertainStiffness.nominal`). Of a k(s)
     without a band E has none, and no place counts as identified.
 
-    Raises:
-        MechanicsError: a length or a size that is not positive.
+    Raises `MechanicsError`: a length or a size that is not positive.
     """
     if not length > 0.0:
         raise MechanicsError(f"a beam's length must be positive, got {length} m")

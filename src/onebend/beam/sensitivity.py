@@ -1,9 +1,7 @@
 """Derivatives of an equilibrium by the implicit function theorem: `dq/dp = -T^-1 dg/dp`, T the tangent.
 
-A `Perturbation` gives the derivatives of the balance's residual g with parameters: through the internal force and
-moment, the elastic term, the clamp's angle. Perturbations are joined with `+` and solved together: the tangent is
-factorised once, for the parameters or, where those are fewer, for the quantities asked for (the adjoint method).
-Nothing is differentiated through the iterations.
+Perturbations are joined with `+` and solved together: the tangent is factorised once, for the parameters or, where
+those are fewer, for the quantities asked for (the adjoint method).
 """
 
 from __future__ import annotations
@@ -208,7 +206,8 @@ class Response:
     @cached_property
     def q(self) -> Array:
         """(T, Q, P) rad per unit, of the curvature at the nodes."""
-        return solve_each(tangent(self.solved.problem, self.solved.q), self._right)
+        right = minus_gradient(self.solved, self.perturbation)
+        return solve_each(tangent(self.solved.problem, self.solved.q), right)
 
     @property
     def alpha(self) -> Array:
@@ -243,7 +242,7 @@ class Response:
         base, along = _at_base(self.solved.problem), self.solved.forces.along
         out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
         out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
-        for columns, part in self._parts:
+        for columns, part in self.perturbation.columns:
             turning = work_by_angle(self.solved, part)
             if turning is not None:
                 out[:, 2, columns] -= np.sum(turning, axis=1)
@@ -252,14 +251,6 @@ class Response:
             if part.moment is not None:
                 out[:, 2, columns] -= np.einsum("q,tqp->tp", base, part.moment)
         return out
-
-    @cached_property
-    def _right(self) -> Array:
-        return minus_gradient(self.solved, self.perturbation)
-
-    @property
-    def _parts(self) -> list[tuple[slice, Perturbation]]:
-        return self.perturbation.columns
 
     def _ways(self, integral: Array) -> tuple[Array, Array]:
         """(T, S, 2, Q) m: how positions go with the curvature at the nodes; (T, S, 2) m: with a common turn.
@@ -288,19 +279,21 @@ class Response:
         """
         flat = rows.reshape(len(rows), -1, rows.shape[-1])
         clamp = self.perturbation.clamp
-        if "q" in self.__dict__ or flat.shape[1] >= len(clamp):
+        if flat.shape[1] >= len(clamp):
             out = flat @ self.q
         else:
             matrices = tangent(self.solved.problem, self.solved.q)
             adjoint = transposed(solve_each(transposed(matrices), transposed(flat)))
-            out = np.concatenate([adjoint_times(adjoint, self.solved, part) for _, part in self._parts], axis=-1)
+            out = np.concatenate(
+                [adjoint_times(adjoint, self.solved, part) for _, part in self.perturbation.columns], axis=-1
+            )
         out = out.reshape(*rows.shape[:-1], len(clamp))
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
     def _add_strain(self, out: Array, integral: Array) -> None:
         """Adds how positions (T, S, 2, P) move by strain alone."""
         rows = self.solved.problem.length[..., None] * integral
-        for columns, part in self._parts:
+        for columns, part in self.perturbation.columns:
             moved = moved_by_strain(self.solved, rows, part)
             if moved is not None:
                 out[..., columns] += moved
@@ -341,25 +334,12 @@ def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
 def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
     """One parameter, with which log h0, the section's thickness, grows by `slope`; 1/EA and 1/kGA go with its square.
 
-    Raises:
-        MechanicsError: the problem has no section.
+    Raises `MechanicsError`: the problem has no section.
     """
-    return _of_compliance(problem, problem.compliance, 2.0 * slope)
-
-
-def of_poisson(problem: Problem) -> Perturbation:
-    """One parameter: the section's Poisson's ratio; 1/kGA goes with `1 + nu`. Raises as `of_section_thickness`."""
     if problem.section is None or problem.compliance is None:
-        return _of_compliance(problem, None, 0.0)
-    shear = problem.compliance[1]
-    return _of_compliance(problem, (np.zeros_like(shear), shear), 1.0 / (1.0 + problem.section.poisson))
-
-
-def _of_compliance(problem: Problem, size: tuple[Array, Array] | None, factor: float) -> Perturbation:
-    if problem.section is None or size is None:
         raise MechanicsError("there is no section whose thickness sets 1/EA and 1/kGA: give the problem a `section`")
-    functions = np.full((problem.to_nodes.shape[-1], 1), factor)
-    return Perturbation(None, None, None, np.zeros(1), (size, functions))
+    functions = np.full((problem.to_nodes.shape[-1], 1), 2.0 * slope)
+    return Perturbation(None, None, None, np.zeros(1), (problem.compliance, functions))
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:

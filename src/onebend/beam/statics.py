@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -12,19 +12,15 @@ from onebend.beam.grid import apply, paired, solve_each, transposed
 from onebend.beam.problem import Problem
 from onebend.records import Array, BoolArray, IntArray
 
-# Internal force at the nodes, the strains it causes, and what the balance of moments takes of it.
+# Planar rod of Simo and Reissner. With the directors d1 = (cos alpha, sin alpha) and d2 = (-sin alpha, cos alpha), the
+# internal force n(s) (the sum of all forces beyond s), N = n . d1 and Q = n . d2:
 #
-# Planar rod of Simo and Reissner. With the directors d1 = (cos alpha, sin alpha) along the section's normal and
-# d2 = (-sin alpha, cos alpha), the internal force n(s) (the sum of all forces beyond s), N = n . d1 and Q = n . d2:
+#     r' = L [(1 + N/EA) d1 + (Q/kGA) d2]
 #
-# r' = L [(1 + N/EA) d1 + (Q/kGA) d2]
-#
-# Stretch and shear follow from n, so the curvature stays the only unknown. The work of the loads per s,
+# Stretch and shear follow from n, so that the curvature is the only unknown. The work of the loads per s,
 # `W(alpha) = L (N + N^2 / 2 EA + Q^2 / 2 kGA)`, has with delta = 1/EA - 1/kGA the derivatives
 #
-# dW/dalpha = L Q (1 + delta N) = -M' - m',    -d2W/dalpha2 = L (N + delta (N^2 - Q^2)).
-#
-# 1/EA = 1/kGA = 0 is the inextensible, unshearable beam, which takes no more work than without the terms.
+#     dW/dalpha = L Q (1 + delta N) = -M' - m',    -d2W/dalpha2 = L (N + delta (N^2 - Q^2)).
 
 
 @dataclass(frozen=True)
@@ -130,21 +126,15 @@ def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
     return out
 
 
-# Equilibrium of a clamped beam, exact: nodal Gauss collocation (5)-(11).
+# Equilibrium by nodal Gauss collocation (5)-(11). The potential of dead loads is
+# `V(q) = int k/2 (q - q0)^2 - L int N . (cos alpha, sin alpha) - int m q`, where `N(s)` and `m(s)` are the sums of all
+# forces and moments beyond s. Gauss's rule on panels that end at every load and at every jump of k gives
 #
-# The potential of dead loads is `V(q) = int k/2 (q - q0)^2 - L int N . (cos alpha, sin alpha) - int m q`, where
-# `N(s)` is the sum of all forces beyond s and `m(s)` the sum of all point moments beyond s. With the integrals done
-# by Gauss's rule on panels that end at every load and at every jump of k, the gradient and the tangent are
+#     g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
 #
-# g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
-#
-# B the integration matrix, u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). The stiffness enters at the
-# nodes: no mode shapes, no quadrature of k against them. A beam that stretches and shears takes other values of `L N
-# . u'` and `L N . u`, and nothing else (`nodal_forces.py`): V is then its potential with the strains eliminated,
-# which minimise it at every angle, so that stability is decided by the same T. A follower force turns with the
-# tangent where it acts; it has no potential, and its part of T is not symmetric.
-#
-# `continuation.py` finds the branch of g = 0 that grows from the rest shape.
+# B the integration matrix, u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). A beam that stretches and shears
+# takes other values of `L N . u'` and `L N . u` (see above); V is then its potential with the strains eliminated. A
+# follower force has no potential, and its part of T is not symmetric.
 
 _TABULATED = 300_000  # numbers up to which B^T diag(d) B is done by a table
 RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
@@ -170,9 +160,15 @@ class Equilibrium:
 
     def take(self, chosen: IntArray) -> Equilibrium:
         """Some of the frames."""
-        problem, q, converged, stable = self.problem.take(chosen), self.q[chosen], self.converged, self.stable
-        reached, buckled_at, fell = self.load_factor[chosen], self.buckled_at[chosen], self.fell[chosen]
-        return Equilibrium(problem, q, converged[chosen], stable[chosen], reached, buckled_at, fell, self.iterations)
+        parts = {name: getattr(self, name)[chosen] for name in _OF_FRAMES}
+        return replace(self, problem=self.problem.take(chosen), **parts)
+
+    def put(self, frames: IntArray, by: Equilibrium) -> Equilibrium:
+        """With other solutions of these frames."""
+        parts = {name: getattr(self, name).copy() for name in _OF_FRAMES}
+        for name, values in parts.items():
+            values[frames] = getattr(by, name)
+        return replace(self, iterations=max(self.iterations, by.iterations), **parts)
 
     @cached_property
     def alpha(self) -> Array:
@@ -212,30 +208,32 @@ class Equilibrium:
 
     def xy(self, s: Array) -> Array:
         """(T, S, 2) m, position at places `s` (S,) or (T, S). Equation (4)."""
-        slope = centreline_slope(self.problem, self.q, self._factor)
-        rows = self.problem.grid.integral_to(s)
-        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
-        return np.asarray(self.problem.length[..., None] * unit)
+        return self._slope_by(self.problem.grid.integral_to(s))
 
     def xy_by_s(self, s: Array) -> Array:
         """(T, S, 2) m, d r / d s at places `s` (S,): how positions go along the beam, stretch and shear included."""
-        slope = centreline_slope(self.problem, self.q, self._factor)
-        rows = self.problem.grid.value_at(s)
-        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
-        return np.asarray(self.problem.length[..., None] * unit)
-
-    def strains(self) -> tuple[Array, Array]:
-        """(T, Q) each: stretch N/EA and shear Q/kGA at the nodes."""
-        return strains(self.problem, self.q, self._factor)
+        return self._slope_by(self.problem.grid.value_at(s))
 
     def moment(self) -> Array:
         """(T, Q) N m, internal bending moment k (q - q0) at the nodes."""
         return self.problem.k * (self.q - self.problem.q0)
 
-    @property
-    def _factor(self) -> Array:
-        """(T,) share of the loads that acts on the shapes."""
-        return np.where(np.isfinite(self.load_factor), self.load_factor, 1.0)
+    def _slope_by(self, rows: Array) -> Array:
+        """(T, S, 2) m: rows (S, Q) or (T, S, Q) times r', under the share of the loads that acts on the shapes."""
+        factor = np.where(np.isfinite(self.load_factor), self.load_factor, 1.0)
+        slope = centreline_slope(self.problem, self.q, factor)
+        unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
+        return np.asarray(self.problem.length[..., None] * unit)
+
+
+_OF_FRAMES = ("q", "converged", "stable", "load_factor", "buckled_at", "fell")
+
+
+def found_near(problem: Problem, q: Array, found: BoolArray, iterations: int = 0) -> Equilibrium:
+    """Shapes that are stable equilibria where `found`, and none elsewhere; no branch was followed to them."""
+    none = np.full(len(q), np.nan)
+    factor = np.where(found, 1.0, np.nan)
+    return Equilibrium(problem, q, found, found.copy(), factor, none, np.zeros(len(q), dtype=bool), iterations)
 
 
 def potential(problem: Problem, q: Array) -> Array:
@@ -252,18 +250,33 @@ def potential(problem: Problem, q: Array) -> Array:
 
 def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
     """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads; `forces`: of q, where known."""
-    return _gradient(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
+    forces = forces or nodal_forces(problem, q, load_factor)
+    factor = np.asarray(load_factor, dtype=float)[..., None]
+    elastic = problem.stiff * (q - problem.q0) - factor * problem.couple
+    return elastic - apply(transposed(problem.to_nodes), forces.across)
 
 
 def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
     """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
-    return _tangent(problem, q, load_factor, forces or nodal_forces(problem, q, load_factor))
+    forces = forces or nodal_forces(problem, q, load_factor)
+    out = second_variation(problem, forces.along, problem.stiff)
+    if problem.follower.shape[1]:
+        _, turning = turned_followers(problem, q)
+        x, y, cos, sin = turning[..., 0, None], turning[..., 1, None], forces.cos[:, None], forces.sin[:, None]
+        per_turn = y * cos - x * sin  # (T, c, Q)
+        if forces.turned is not None:
+            first, second = (part[:, None] for part in forces.turned)
+            per_turn = first * (x * cos + y * sin) + second * per_turn
+        lw = np.asarray(load_factor, dtype=float)[..., None, None] * (problem.length * problem.weights)[..., None, :]
+        moved = lw * per_turn * problem.follower_beyond @ problem.to_nodes
+        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
+    return out
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
     """Gradient and tangent together, for Newton's method."""
     forces = nodal_forces(problem, q, load_factor)
-    return _gradient(problem, q, load_factor, forces), _tangent(problem, q, load_factor, forces)
+    return gradient(problem, q, load_factor, forces), tangent(problem, q, load_factor, forces)
 
 
 def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
@@ -274,7 +287,7 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
     """
     forces = nodal_forces(problem, q, load_factor)
     if problem.follower.shape[1]:
-        values = np.linalg.eigvals(scaled(problem, _tangent(problem, q, load_factor, forces)))
+        values = np.linalg.eigvals(scaled(problem, tangent(problem, q, load_factor, forces)))
         real = np.abs(values.imag) < 1e-9 * np.abs(values)
         return np.asarray(np.all(~real | (values.real > 0.0), axis=-1))
     stable = _surely_stable(problem, forces.along)
@@ -288,8 +301,7 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
 def is_convex(problem: Problem) -> BoolArray:
     """(T,) True where a bound proves the potential of dead loads convex at every shape: then there is one equilibrium.
 
-    It is that of `_surely_stable`, all forces taken as compression. Shear may add to what a force gains by turning the
-    beam, so that nothing is said of beams that are compliant.
+    It is that of `_surely_stable`, all forces taken as compression. It holds for beams that neither stretch nor shear.
     """
     if problem.compliance is not None or problem.follower.shape[1]:
         return np.zeros(problem.size, dtype=bool)
@@ -300,30 +312,6 @@ def scaled(problem: Problem, matrices: Array) -> Array:
     """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
     scale = 1.0 / np.sqrt(problem.stiff)
     return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
-
-
-def _gradient(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
-    factor = np.asarray(load_factor, dtype=float)[..., None]
-    elastic = problem.stiff * (q - problem.q0) - factor * problem.couple
-    return elastic - apply(transposed(problem.to_nodes), forces.across)
-
-
-def _tangent(problem: Problem, q: Array, load_factor: Array | float, forces: NodalForces) -> Array:
-    out = second_variation(problem, forces.along, problem.stiff)
-    if problem.follower.shape[1]:
-        _, turning = turned_followers(problem, q)
-        factor = np.asarray(load_factor, dtype=float)[..., None, None]
-        lw = (problem.length * problem.weights)[..., None, :]
-        per_turn = (
-            turning[..., 1, None] * forces.cos[:, None] - turning[..., 0, None] * forces.sin[:, None]
-        )  # (T, c, Q)
-        if forces.turned is not None:
-            first, second = (x[:, None] for x in forces.turned)
-            along = turning[..., 0, None] * forces.cos[:, None] + turning[..., 1, None] * forces.sin[:, None]
-            per_turn = first * along + second * per_turn
-        moved = factor * lw * per_turn * problem.follower_beyond @ problem.to_nodes
-        out -= np.einsum("tcq,tcp->tqp", moved, problem.follower_rows)
-    return out
 
 
 def second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:

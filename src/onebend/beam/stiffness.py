@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.interpolate import BSpline, PchipInterpolator
@@ -21,14 +21,58 @@ from onebend.errors import MechanicsError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
+
+@runtime_checkable
+class Profile(Protocol):
+    """A quantity along the beam."""
+
+    def __call__(self, s: Array | float) -> Array:
+        """Value at `s` (any shape, in [0, 1])."""
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """Places strictly inside (0, 1) where the profile or its slope is not continuous."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data from which `profile_from_dict` makes an equal profile."""
+
+
+class _Family:
+    """A frozen record that is smooth, unless it says otherwise, and is written as its `kind` and its fields."""
+
+    kind: ClassVar[str]
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        return ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"kind": self.kind} | _plain_fields(self)
+
+
+def _plain_fields(record: Any) -> dict[str, Any]:
+    """The fields that are not None, as JSON has them."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value.tolist()
+        if isinstance(value, tuple):
+            return list(value)
+        return value.as_dict() if hasattr(value, "as_dict") else value
+
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
+    return {name: plain(value) for name, value in values.items() if value is not None}
+
+
 # Values that go straight from place to place, as a drawing or a table of measured sizes gives them.
 
 
 @dataclass(frozen=True)
-class Polyline:
+class Polyline(_Family):
     """Straight between places, constant beyond the first and the last. A place that stands twice is a step: there the
     second value holds."""
 
+    kind = "polyline"
     s: tuple[float, ...]
     values: tuple[float, ...]
     jumps: tuple[float, ...] = ()  # steps, and corners so sharp that a grid needs an edge there
@@ -49,9 +93,6 @@ class Polyline:
         share = (inside - places[i]) / (places[i + 1] - places[i])
         return np.asarray(values[i] + share * (values[i + 1] - values[i]))
 
-    def as_dict(self) -> dict[str, Any]:
-        return {"kind": "polyline", "s": list(self.s), "values": list(self.values), "jumps": list(self.jumps)}
-
 
 # A profile in polynomial pieces: any smooth function between given places, to machine precision, jumps kept.
 #
@@ -63,9 +104,10 @@ _NARROWEST = 2.0**-12  # in s: a piece is not cut further
 
 
 @dataclass(frozen=True)
-class Pieces:
+class Pieces(_Family):
     """On each piece between `edges` a Legendre series of the given degree, in x from -1 to 1 across the piece."""
 
+    kind = "pieces"
     edges: tuple[float, ...]  # rising from 0 to 1
     degree: int
     coefficients: tuple[float, ...]  # (P * (degree + 1),), piece after piece
@@ -90,15 +132,6 @@ class Pieces:
         values = np.sum(np.polynomial.legendre.legvander(x, self.degree) * series[piece], axis=-1)
         return np.asarray(values).reshape(places.shape)
 
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "kind": "pieces",
-            "edges": list(self.edges),
-            "degree": self.degree,
-            "coefficients": list(self.coefficients),
-            "jumps": list(self.jumps),
-        }
-
 
 def taper(first: float, last: float) -> Pieces:
     """A profile that runs in a straight line from `first` at the base to `last` at the tip."""
@@ -108,8 +141,7 @@ def taper(first: float, last: float) -> Pieces:
 def broken_line(s: tuple[float, ...], values: tuple[float, ...]) -> Pieces:
     """Straight lines through values at places from 0 to 1; a place given twice is a jump from one value to the next.
 
-    Raises:
-        MechanicsError: places that do not run from 0 to 1, or not one value a place.
+    Raises `MechanicsError`: places that do not run from 0 to 1, or not one value a place.
     """
     if len(s) != len(values) or len(s) < 2:
         raise MechanicsError(f"a broken line needs one value a place, got {len(s)} places and {len(values)} values")
@@ -131,8 +163,7 @@ def in_pieces(
 
     `tolerance` is a share of the largest value. `jumps` are the places where the value or slope may jump.
 
-    Raises:
-        MechanicsError: values that are not finite, or a piece that halving does not resolve (a jump not listed).
+    Raises `MechanicsError`: values that are not finite, or a piece that halving does not resolve (a jump not listed).
     """
     inner = sorted({b for b in (*breaks, *jumps) if 0.0 < b < 1.0})
     x = np.polynomial.legendre.leggauss(_DEGREE + 1)[0]
@@ -155,42 +186,22 @@ def in_pieces(
     return Pieces(tuple(edges), _DEGREE, tuple(np.concatenate(rows).tolist()), tuple(j for j in inner if j in jumps))
 
 
-@runtime_checkable
-class Profile(Protocol):
-    """A quantity along the beam."""
-
-    def __call__(self, s: Array | float) -> Array:
-        """Value at `s` (any shape, in [0, 1])."""
-
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        """Places strictly inside (0, 1) where the profile or its slope is not continuous."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data from which `profile_from_dict` makes an equal profile."""
-
-
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(_Family):
     """The same value everywhere."""
 
+    kind = "uniform"
     value: float
 
     def __call__(self, s: Array | float) -> Array:
         return np.full(np.shape(s), float(self.value))
 
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        return ()
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"kind": "uniform", "value": self.value}
-
 
 @dataclass(frozen=True)
-class Gaussians:
+class Gaussians(_Family):
     """`k(s) = sum_w gamma_w Pi_w(s)` with the paper's normalised Gaussians (15) at fixed centres."""
 
+    kind = "gaussians"
     centres: tuple[float, ...]
     width: float  # sigma of (15), in units of s
     coefficients: tuple[float, ...]  # gamma, N m
@@ -204,40 +215,23 @@ class Gaussians:
     def __call__(self, s: Array | float) -> Array:
         return np.asarray(gaussian_basis(s, self.centres, self.width) @ np.asarray(self.coefficients))
 
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        return ()
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "kind": "gaussians",
-            "centres": list(self.centres),
-            "width": self.width,
-            "coefficients": list(self.coefficients),
-        }
-
 
 @dataclass(frozen=True)
-class Powers:
+class Powers(_Family):
     """`k(s) = sum_w gamma_w s^w`, the paper's polynomial family (12)."""
 
+    kind = "powers"
     coefficients: tuple[float, ...]  # gamma, N m, of s^0, s^1, ...
 
     def __call__(self, s: Array | float) -> Array:
         return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s, dtype=float), np.asarray(self.coefficients)))
 
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        return ()
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"kind": "powers", "coefficients": list(self.coefficients)}
-
 
 @dataclass(frozen=True)
-class Table:
+class Table(_Family):
     """Values at given places: monotone cubic between them, constant beyond. For measured or computed profiles."""
 
+    kind = "table"
     s: tuple[float, ...]
     values: tuple[float, ...]
 
@@ -255,18 +249,12 @@ class Table:
     def _interpolator(self) -> PchipInterpolator:
         return PchipInterpolator(self.s, self.values)
 
-    @property
-    def jumps(self) -> tuple[float, ...]:
-        return ()
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"kind": "table", "s": list(self.s), "values": list(self.values)}
-
 
 @dataclass(frozen=True)
-class Steps:
+class Steps(_Family):
     """Constant pieces: `values[i]` between `edges[i]` and `edges[i + 1]`; edges run from 0 to 1."""
 
+    kind = "steps"
     edges: tuple[float, ...]
     values: tuple[float, ...]
 
@@ -284,14 +272,12 @@ class Steps:
     def jumps(self) -> tuple[float, ...]:
         return self.edges[1:-1]
 
-    def as_dict(self) -> dict[str, Any]:
-        return {"kind": "steps", "edges": list(self.edges), "values": list(self.values)}
-
 
 @dataclass(frozen=True)
-class LogSpline:
+class LogSpline(_Family):
     """`log k(s)` as a B-spline, positive whatever the coefficients; beside a known part of log k where there is one."""
 
+    kind = "log-spline"
     knots: tuple[float, ...]  # with the ends repeated, as scipy's BSpline takes them
     coefficients: tuple[float, ...]  # of log(k / (N m))
     degree: int = 3
@@ -309,20 +295,12 @@ class LogSpline:
     def jumps(self) -> tuple[float, ...]:
         return () if self.offset is None else self.offset.jumps
 
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "kind": "log-spline",
-            "knots": list(self.knots),
-            "coefficients": list(self.coefficients),
-            "degree": self.degree,
-            **({} if self.offset is None else {"offset": self.offset.as_dict()}),
-        }
-
 
 @dataclass(frozen=True)
-class Scaled:
+class Scaled(_Family):
     """Another profile times a constant, e.g. E times the second moment of area over L."""
 
+    kind = "scaled"
     factor: float
     profile: Profile
 
@@ -332,9 +310,6 @@ class Scaled:
     @property
     def jumps(self) -> tuple[float, ...]:
         return self.profile.jumps
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"kind": "scaled", "factor": self.factor, "profile": self.profile.as_dict()}
 
 
 def knots_of(profile: Profile) -> tuple[float, ...]:
@@ -361,27 +336,16 @@ def equidistant(m: int) -> tuple[float, ...]:
     return tuple(float(c) for c in np.linspace(0.0, 1.0, m))
 
 
-_KINDS: dict[str, Callable[..., Profile]] = {
-    "uniform": Uniform,
-    "gaussians": Gaussians,
-    "powers": Powers,
-    "table": Table,
-    "steps": Steps,
-    "log-spline": LogSpline,
-    "pieces": Pieces,
-    "polyline": Polyline,
-}
+_FAMILIES = (Uniform, Gaussians, Powers, Table, Steps, LogSpline, Pieces, Polyline, Scaled)
+_KINDS: dict[str, Callable[..., Profile]] = {family.kind: family for family in _FAMILIES}
 
 
 def profile_from_dict(data: dict[str, Any]) -> Profile:
     """The profile that `as_dict` wrote. Raises `MechanicsError` on an unknown kind or missing entry."""
-    entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items() if key != "kind"}
     try:
-        if data["kind"] == "scaled":
-            return Scaled(float(data["factor"]), profile_from_dict(data["profile"]))
-        if "offset" in entries:
-            entries["offset"] = profile_from_dict(data["offset"])
-        return _KINDS[data["kind"]](**entries)
+        entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+        inner = {key: profile_from_dict(value) for key, value in entries.items() if isinstance(value, dict)}
+        return _KINDS[entries.pop("kind")](**(entries | inner))
     except (KeyError, TypeError) as error:
         raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error
 
@@ -448,8 +412,7 @@ class RectangularSection:
 def common_section(sections: Sequence[RectangularSection | None]) -> RectangularSection | None:
     """One section for a batch, of thickness (T, 1) where several beams differ in it; None where no beam has one.
 
-    Raises:
-        MechanicsError: some have one and others none, or they differ in more than the thickness.
+    Raises `MechanicsError`: some have one and others none, or they differ in more than the thickness.
     """
     first, *others = sections
     if first is None or not others or all(other == first for other in others):
@@ -595,17 +558,7 @@ class UncertainStiffness:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "knots": self.knots.tolist(),
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance.tolist(),
-            "gain_sd": self.gain_sd,
-            "degree": self.degree,
-            "doubts": list(self.doubts),
-            "shape": None if self.shape is None else self.shape.tolist(),
-            **({} if self.offset is None else {"offset": self.offset.as_dict()}),
-            **({} if self.nominal is None else {"nominal": self.nominal.as_dict()}),
-        }
+        return _plain_fields(self)
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> UncertainStiffness:

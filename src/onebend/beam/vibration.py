@@ -53,8 +53,7 @@ def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_st
 
     Loads grow in equal steps, each solved by Newton's method from the one before.
 
-    Raises:
-        MechanicsError: no equilibrium found, or the one found is not stable.
+    Raises `MechanicsError`: no equilibrium found, or the one found is not stable.
     """
     now = acting(on, actions, np.array([time]))
     pull, couple = now.pull[:, :, 0], now.couple[:, 0]
@@ -79,8 +78,7 @@ def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_st
 def vibration_of(on: Body, state: MotionState, actions: Actions = Actions(), *, count: int = 6) -> Vibration:
     """The `count` slowest small vibrations of a body about an equilibrium `state` under steady actions.
 
-    Raises:
-        MechanicsError: the state is not an equilibrium under these actions.
+    Raises `MechanicsError`: the state is not an equilibrium under these actions.
     """
     now = acting(on, actions, np.array([state.time]))
     alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ state.theta
@@ -101,9 +99,8 @@ def vibration(
 
     `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; without it the beam is Euler-Bernoulli's.
 
-    Raises:
-        MechanicsError: no equilibrium was found for this frame, it is of another beam, the beam has no mass or has a
-            thickness, or follower forces act (their vibrations are `exponents`).
+    Raises `MechanicsError`: no equilibrium was found for this frame, it is of another beam, the beam has no mass or has
+    a thickness, or follower forces act (their vibrations are `exponents`).
     """
     if solved.problem.follower.shape[1]:
         raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
@@ -194,23 +191,21 @@ class FrequencySlopes:
 def natural_frequencies(
     beam: Rod, *, gravity: ArrayLike = (0.0, 0.0), points: Sequence[PointMass] = (), count: int = 3
 ) -> Array:
-    """(count,) Hz, undamped and small, the slowest first, about the beam's rest under its weight; its far end is free.
+    """(count,) Hz, undamped and small, the slowest first, about the rest of a beam with a mass; its far end is free.
 
-    Args:
-        beam: with a mass; it neither stretches nor shears, and its sections have no rotary inertia.
-        gravity: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, and (0, 0) swings
-            across gravity (level, and so stiff that it does not sag).
-        points: masses on the beam.
+    `gravity`: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, and (0, 0) swings
+    across gravity (level, and so stiff that it does not sag). `points`: masses on the beam.
 
-    Raises:
-        MechanicsError: a beam without a mass, or with a thickness; one that gravity makes buckle; a `count` out of
-            range, a point mass off the beam.
+    Raises `MechanicsError`: a beam without a mass, or with a thickness; one that gravity makes buckle; a `count` out of
+    range, a point mass off the beam.
     """
     if not 1 <= count <= _MOST:
         raise MechanicsError(f"frequencies of 1 to {_MOST} modes can be had, not of {count}")
     on = body(beam, resolution=_RESOLUTION, points=points)
     actions = Actions(gravity=gravity)
-    return vibration_of(on, settle(on, actions, load_steps=_steps(gravity)), actions, count=count).frequency
+    return vibration_of(
+        on, settle(on, actions, load_steps=20 if np.any(np.asarray(gravity)) else 1), actions, count=count
+    ).frequency
 
 
 def frequency_slopes(found: Vibration, gravity: Array, modes: Sequence[int]) -> FrequencySlopes:
@@ -261,7 +256,3 @@ def shear_share(found: Vibration, compliance: Array, modes: Sequence[int]) -> Ar
         shear = (cos * y - sin * x) / (on.length * on.grid.weights)
         out.append(on.length * float(on.grid.weights @ (compliance * shear**2)) / squared)
     return np.array(out)
-
-
-def _steps(gravity: ArrayLike) -> int:
-    return 20 if np.any(np.asarray(gravity)) else 1

@@ -227,15 +227,6 @@ class Goals:
         return replace(self.targets, xy=xy[0], angle=angle[0])
 
 
-def point_goals(time: ArrayLike, xy: ArrayLike, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
-    """One point of the beam, at `point_s`, wanted at xy (K, 2) m at times (K,) s."""
-    times, wanted = np.asarray(time, dtype=float), np.asarray(xy, dtype=float)
-    if times.ndim != 1 or wanted.shape != (len(times), 2):
-        raise ControlError(f"{len(times)} times need positions ({len(times)}, 2), got {wanted.shape}")
-    first = Targets(np.array([point_s]), wanted[:1], np.array([np.nan]), np.ones(1))
-    return Goals(times, first, wanted[:, None], np.full((len(times), 1), np.nan), between)
-
-
 def _curve(time: Array, values: Array, between: Between) -> Callable[[Array], Array]:
     """The values (K, c) as functions of time; a spline through fewer than four goals is of a lower degree."""
     if between == "monotone":
@@ -266,7 +257,7 @@ def read_targets(path: Path, length: float) -> Targets:
         with _in(path):
             return curve_of_length(np.stack([table["x_m"], table["y_m"]], axis=1), length)
     with _in(path):
-        return _targets(table, np.ones(len(table["s"]), dtype=bool))
+        return _targets(table, slice(None))
 
 
 def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
@@ -293,27 +284,21 @@ def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth")
                 "first time; give the same rows of s for every time"
             )
     with _in(path):
-        every = [_targets(table, _rows_of(table, a, count)) for a in first]
+        every = [_targets(table, slice(a, a + count)) for a in first]
         xy, angle = np.stack([row.xy for row in every]), np.stack([row.angle for row in every])
         return Goals(time, every[0], xy, angle, between)
 
 
-def _rows_of(table: dict[str, Array], first: int, count: int) -> Array:
-    rows = np.zeros(len(table["line"]), dtype=bool)
-    rows[first : first + count] = True
-    return rows
-
-
-def _targets(table: dict[str, Array], rows: Array) -> Targets:
-    blank = np.full(int(np.sum(rows)), np.nan)
-    x, y, angle = (table[name][rows] if name in table else blank for name in _MAY_BE_BLANK)
-    weight = table["weight"][rows] if "weight" in table else np.ones(len(blank))
-    return Targets(table["s"][rows], np.stack([x, y], axis=1), angle, weight)
+def _targets(table: dict[str, Array], rows: slice) -> Targets:
+    s = table["s"][rows]
+    x, y, angle = (table[name][rows] if name in table else np.full(len(s), np.nan) for name in _MAY_BE_BLANK)
+    weight = table["weight"][rows] if "weight" in table else np.ones(len(s))
+    return Targets(s, np.stack([x, y], axis=1), angle, weight)
 
 
 @contextmanager
 def _in(path: Path) -> Iterator[None]:
-    """Errors of what is made of a file, with the file's name."""
+    """Errors name the file."""
     try:
         yield
     except ControlError as error:

@@ -74,19 +74,14 @@ class PushedBeam:
         self.rest = np.array(problem.q0[:n], dtype=float)
         self._beyond = problem.alpha0 + problem.to_nodes[:, n:] @ problem.q0[n:]
         self._angle_row = problem.grid.integral_to(np.array([point_s]))[0]
-        self._minus_row = -problem.length * self._angle_row
         self.row = problem.length * self._angle_row
-        self._push_row = problem.length * problem.grid.integral_to(np.array([push_s]))[0]
         self._base_row = problem.grid.value_at(np.zeros(1))[0, :n]
         self.force_scale = float(np.mean(problem.k)) / (problem.length * push_s**2)
         self.scale = np.array([self.force_scale, self.force_scale, self.force_scale * problem.length])
-        self.start = LoadedState(self._hanging() if heavy else self.rest, np.zeros(3))
-
-    def _hanging(self) -> Array:
-        hanging = follow(self.problem)
-        if not (hanging.converged[0] and hanging.stable[0]):
+        hangs = follow(self.problem) if heavy else None
+        if hangs is not None and not (hangs.converged[0] and hangs.stable[0]):
             raise ControlError("the beam does not stand under its own weight. Turn the clamp, or the gravity")
-        return np.asarray(hanging.q[0])
+        self.start = LoadedState(self.rest if hangs is None else hangs.q[0], np.zeros(3))
 
     def loaded(self, load: Array) -> Problem:
         """The problem of `beam.statics` under the load (3,)."""
@@ -103,13 +98,6 @@ class PushedBeam:
         alpha = self.angles(q)
         return self.place(np.cos(alpha), np.sin(alpha), q, 3)
 
-    def shape_xy(self, q: Array, s: Array) -> Array:
-        """(S, 2) m: places `s` (S,) of the beam."""
-        alpha = self.angles(q)
-        return np.asarray(
-            self.problem.length * self.problem.grid.integral_to(s) @ np.stack([np.cos(alpha), np.sin(alpha)], 1)
-        )
-
     def whole(self, q: Array) -> Array:
         """(Q,) the curvature at all nodes."""
         return np.concatenate([q, self.problem.q0[self.count :]])
@@ -119,9 +107,8 @@ class PushedBeam:
         alpha = self.angles(q)
         cos, sin = np.cos(alpha), np.sin(alpha)
         n = self.count
-        across, tangent = self._pulled(load, cos[:n], sin[:n])
-        unbalanced = self.stiff * (q - self.rest) - load[2] * self._twist - across @ self.square
-        return unbalanced, tangent, cos, sin
+        across, matrix = self._pulled(load, cos[:n], sin[:n])
+        return self.stiff * (q - self.rest) - load[2] * self._twist - across @ self.square, matrix, cos, sin
 
     def linear(self, q: Array, load: Array, cos: Array, sin: Array, loads: int) -> tuple[Array, bool]:
         """(n, 1 + P) X = T^-1 g and Y = T^-1 R beside it, NaN for a singular T; whether T is positive definite."""
@@ -156,19 +143,19 @@ class PushedBeam:
     def place(self, cos: Array, sin: Array, q: Array, size: int) -> Array:
         """(2,) m or (3,) m, m, rad: as `pose`, where cos and sin are known."""
         x, y = float(self.row @ cos), float(self.row @ sin)
-        return np.array([x, y]) if size == 2 else np.array([x, y, self._turn(q)])
+        if size == 2:
+            return np.array([x, y])
+        n = self.count
+        turn = self.problem.alpha0 + self._angle_row[:n] @ q + self._angle_row[n:] @ self.problem.q0[n:]
+        return np.array([x, y, float(turn)])
 
     def point_motion(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
         """(2 or 3, P): the point's motion when curvatures (n, P) turn the nodes by (Q, P)."""
         rows = np.empty((2, len(cos)))
-        np.multiply(self._minus_row, sin, out=rows[0])
+        np.multiply(self.row, -sin, out=rows[0])
         np.multiply(self.row, cos, out=rows[1])
         moved = rows @ turned
         return moved if size == 2 else np.vstack([moved, self._angle_row[: self.count] @ curved])
-
-    def _turn(self, q: Array) -> float:
-        n = self.count
-        return float(self.problem.alpha0 + self._angle_row[:n] @ q + self._angle_row[n:] @ self.problem.q0[n:])
 
     def of_load(self, cos: Array, sin: Array) -> Array:
         """(n, 3) R: minus the derivative of the gradient with the load."""
@@ -193,6 +180,10 @@ class PushedBeam:
         _, _, solved, info = dgesv(tangent, self.of_load(cos, sin))
         return self.of_shape(cos, sin) @ solved if info == 0 else np.full((3, 3), np.nan)
 
+    def same(self, first: LoadedState, other: LoadedState) -> bool:
+        """Whether two shapes differ by no more than rounding."""
+        return float(np.max(np.abs(self.b @ (first.q - other.q)))) < _SAME_SHAPE
+
     def stable(self, state: LoadedState) -> bool:
         """Whether the tangent is positive definite."""
         _, tangent, _, _ = self.balance(state.q, state.load)
@@ -207,15 +198,13 @@ def prepared(
     return beam.memory.once(key, lambda: PushedBeam(beam, push_s, point_s, gravity=gravity, resolution=resolution))
 
 
-# Newton's method on shape and load together: the load at one place that puts a point on a goal, (23) made exact.
+# Newton's method on shape and load together: the load at s_a that puts a point on a goal, (23) made exact. Unknown are
+# the curvature q at the nodes and the load p: the balance `g(q, p) = 0` and the goal `r(s_p; q) = goal`. With
+# `X = T^-1 g` and `Y = T^-1 R` (T the tangent, R = -dg/dp, J = dr(s_p)/dq) one step is
 #
-# Unknown are the curvature q at the nodes and the load p at s_a: the balance `g(q, p) = 0` of
-# `beam/statics.py` and the goal `r(s_p; q) = goal`. With `X = T^-1 g` and `Y = T^-1 R` (T the tangent, R
-# = -dg/dp) one step is
+#     dq = Y dp - X,      S dp = goal - r(s_p) + J X,      S = J Y.
 #
-# dq = Y dp - X,      S dp = goal - r(s_p) + J X,      S = J Y,
-#
-# J = dr(s_p)/dq. S is the Jacobian J_F of (25) with the exact tangent in place of K.
+# S is the Jacobian J_F of (25) with the exact tangent in place of K.
 
 TOLERANCE = 3e-7  # rad, of the last update: convergence is quadratic, the error its square
 _REMAINING = 1e-8  # rad, of the error that may remain
@@ -289,9 +278,7 @@ def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:
     return np.asarray(scale * (np.linalg.pinv(s * scale) @ (wanted + s @ load) - now))
 
 
-# Numerical continuation of equilibria: as a load grows in proportion, or as a goal moves.
-
-_LARGEST_STEP_TURN, _TRUST, _TRUST_GROWTH, _LEAST_TRUST = 0.7, 0.25, 0.5, 1e-3  # as `continuation.Search`
+LARGEST_STEP_TURN = 0.7  # rad, of a prediction
 _GOAL_TRUST, _SHORTEST_GOAL_STEP = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
 _SHORTEST_LOAD_STEP = 1e-6  # share of the load: a shorter step has met the end of the branch
 _SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
@@ -302,7 +289,6 @@ class EquilibriumPath:
     """Equilibria under a load that grows in proportion, each reached from the one before."""
 
     states: tuple[LoadedState, ...]  # the first at rest
-    share: tuple[float, ...]  # of the load
     arrived: bool  # at the full load, stable all the way
 
 
@@ -321,51 +307,50 @@ def trace(
     As in `beam/continuation.py`, a step counts only where the corrector moved the shape little and it is
     stable.
     """
-    begin_state = start or pushed.start
-    begin, way = begin_state.load, load - begin_state.load
-    states, shares = [begin_state], [0.0]
-    share, step = 0.0, 1.0
-    q = begin_state.q
+    states = [start or pushed.start]
+    begin, q = states[0].load, states[0].q
+    way, share, step = load - begin, 0.0, 1.0
     _, tangent, cos, sin = pushed.balance(q, begin)
     while share < 1.0:
         _, slope, info = dposv(tangent, pushed.of_load(cos, sin) @ way, lower=1)
         if info != 0:
-            return EquilibriumPath(tuple(states), tuple(shares), False)
+            return EquilibriumPath(tuple(states), False)
         turn = float(np.max(np.abs(pushed.b @ slope)))
-        step = min(step, 1.0 - share, widest, _LARGEST_STEP_TURN / max(turn, 1e-300))
+        step = min(step, 1.0 - share, widest, LARGEST_STEP_TURN / max(turn, 1e-300))
         corrected = None
         while corrected is None:
             if step < shortest:
-                return EquilibriumPath(tuple(states), tuple(shares), False)
+                return EquilibriumPath(tuple(states), False)
             now = 1.0 if share + step > 1.0 - 1e-12 else share + step
-            trust = min(_TRUST, _LEAST_TRUST + _TRUST_GROWTH * step * turn)
-            corrected = _correct(pushed, q + step * slope, begin + now * way, trust)
+            corrected = _correct(pushed, q + step * slope, begin + now * way, trusted(step * turn))
             step = step * (2.0 if corrected is not None else 0.25)
         q, tangent, cos, sin = corrected
         share = now
         states.append(LoadedState(q, begin + share * way))
-        shares.append(share)
-    return EquilibriumPath(tuple(states), tuple(shares), True)
+    return EquilibriumPath(tuple(states), True)
+
+
+def trusted(turn: float) -> float:
+    """rad by which Newton's method may move a shape that was predicted to turn by so much, to stay on its branch."""
+    return min(0.25, 1e-3 + 0.5 * turn)
 
 
 def lead(pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) -> EquilibriumPath:
     """Equilibria while the goal moves straight from where `start` has the point to `goal`, stable all the way.
 
-    The loads follow the goal; `share` is of the way. It ends early where no force leads on (the edge of what can be
-    reached, or of stability).
+    The loads follow the goal. It ends early where no force leads on (the edge of what can be reached, or of stability).
     """
     begin = pushed.pose(start.q)[: len(goal)]
-    states, shares, step = [start], [0.0], 1.0
-    while shares[-1] < 1.0 and step > _SHORTEST_GOAL_STEP:
-        now = min(1.0, shares[-1] + step)
+    states, share, step = [start], 0.0, 1.0
+    while share < 1.0 and step > _SHORTEST_GOAL_STEP:
+        now = min(1.0, share + step)
         result = solve_goal(pushed, states[-1], begin + now * (goal - begin), loads, most=8, trust=_GOAL_TRUST)
         if result.converged and pushed.stable(result.state):
             states.append(result.state)
-            shares.append(now)
-            step *= 2.0
+            share, step = now, 2.0 * step
         else:
             step *= 0.25
-    return EquilibriumPath(tuple(states), tuple(shares), shares[-1] == 1.0)
+    return EquilibriumPath(tuple(states), share == 1.0)
 
 
 def _correct(pushed: PushedBeam, q: Array, load: Array, trust: float) -> tuple[Array, Array, Array, Array] | None:
@@ -392,17 +377,14 @@ def densified(pushed: PushedBeam, states: tuple[LoadedState, ...], steps: int) -
     out = [states[0]]
     for begin, end in pairwise(states):
         finer = trace(pushed, end.load, start=begin, widest=1.0 / between)
-        same = finer.arrived and float(np.max(np.abs(pushed.b @ (finer.states[-1].q - end.q)))) < _SAME_SHAPE
+        same = finer.arrived and pushed.same(finer.states[-1], end)
         out += [*(finer.states[1:-1] if same else ()), end]
     return tuple(out)
 
 
-# Starts of Newton's method on shape and load: shapes bent by simple moments, one of which is near the goal.
-#
-# A push at s_a bends the beam by a moment that falls to nothing at s_a. Two such moments, a straight line and one
-# that changes sign, make a family of shapes; the point's places in them are a table that is made once for a beam. Its
-# entry nearest to a goal, of near ones the least bent, is the start; the load that fits its moments best goes with
-# it.
+# Starts of Newton's method. A push at s_a bends the beam by a moment that falls to nothing at s_a: a straight line and
+# a moment that changes sign make a family of shapes. The start is the one that brings the point nearest to the goal, of
+# near ones the least bent, with the load that fits its moments best.
 
 _TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
 _CURLS = np.array([-1.6, -1.1, -0.7, -0.4, -0.2, 0.0, 0.2, 0.4, 0.7, 1.1, 1.6])  # rad, by the second
@@ -458,14 +440,11 @@ def starts_of(pushed: PushedBeam) -> StartTable:
     return StartTable(pushed, shapes, amounts, places)
 
 
-# Algorithm 1 of the paper to the letter: gradient iteration on the force of a modal beam, (23)-(25).
-#
-# Per turn: `theta <- theta0 + K^-1 J(s_a)^T F` with J at the theta before (line 2), the point by the forward
-# kinematics (line 3), `F <- F + gamma J_F^+ (goal - point)` with `J_F = J(s_p) K^-1 J(s_a)^T` (lines 4, 5, (25)). K
-# is that of (6), not the tangent. The modes are the paper's span of powers, carried by Legendre polynomials (the
-# iteration does not depend on the basis). The paper leaves gamma and the tolerance open: ours are settings. So is the
-# cutoff of the pseudo-inverse: a straight beam does not feel a force along itself, J_F is all but singular next to
-# it, and without a cutoff the iteration runs away from rest at its second or third turn.
+# Algorithm 1 of the paper: gradient iteration on the force of a modal beam, (23)-(25). Per turn:
+# `theta <- theta0 + K^-1 J(s_a)^T F` with J at the theta before (line 2), the point by the forward kinematics (line 3),
+# `F <- F + gamma J_F^+ (goal - point)` with `J_F = J(s_p) K^-1 J(s_a)^T` (lines 4, 5, (25)). K is that of (6), not the
+# tangent. The paper leaves gamma, the tolerance and the cutoff of the pseudo-inverse open; here they are settings.
+# Without a cutoff the iteration runs away from rest: a straight beam does not feel a force along itself.
 
 
 @dataclass(frozen=True)
@@ -516,8 +495,6 @@ def paper_force(
     return PaperForce(force, point, settings.most, False)
 
 
-# Settings and bounds of a reach, and checks against them.
-
 FARTHEST_GOAL = 1e9  # m or rad
 
 
@@ -546,8 +523,8 @@ class ReachSettings:
                 object.__setattr__(self, name, None)
         if not self.tolerance > 0.0 or self.steps < 1:
             raise ControlError("the tolerance must be positive, and the path needs at least one step")
-        bound = self.max_force is not None or self.max_curvature is not None or self.direction is not None
-        if self.method == "paper" and (bound or self.moment or any(self.gravity)):
+        bounded = any(bound is not None for bound in (self.max_force, self.max_curvature, self.direction))
+        if self.method == "paper" and (bounded or self.moment or any(self.gravity)):
             raise ControlError("the paper's iteration knows no bounds, moment or weight; take the method newton")
 
     @property

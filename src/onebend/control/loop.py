@@ -69,8 +69,7 @@ def plant_at(
 
     `damping_ratio`: of the slowest vibration; those above have more in proportion to their frequency (Kelvin-Voigt).
 
-    Raises:
-        MechanicsError: no stable equilibrium under this force.
+    Raises `MechanicsError`: no stable equilibrium under this force.
     """
     loads = push(np.asarray(force, dtype=float)[None], push_s)
     if gravity is not None:
@@ -173,20 +172,26 @@ class SampledLoop:
     gains: Gains
     timing: Timing
 
+    def _frame(self) -> tuple[Array, Array, Array, Array, int, float]:
+        """Over one frame: the state from state (N, N) and force (N, 2), the same of what the camera sees (2, N) and
+        (2, 2); the whole frames of the delay, and the share of the filter's state that stays."""
+        linear, frames = behind_actuator(self.plant, self.timing.lag), self.timing.delay * self.timing.fps
+        whole = int(np.floor(frames + 1e-9))
+        a, b = linear.over(1.0 / self.timing.fps)
+        seen, pushed = linear.over((1.0 - max(frames - whole, 0.0)) / self.timing.fps)
+        return a, b, linear.c @ seen, linear.c @ pushed, whole, float(np.exp(-self.gains.corner / self.timing.fps))
+
     def matrix(self) -> Array:
         """(M, M): the closed loop from one frame to the next."""
-        linear, frame = behind_actuator(self.plant, self.timing.lag), 1.0 / self.timing.fps
-        whole, part = _split(self.timing)
-        (a, b), (a_seen, b_seen) = linear.over(frame), linear.over((1.0 - part) * frame)
-        keep, n = float(np.exp(-self.gains.corner * frame)), len(linear.a)
+        a, b, seen, seen_by_force, whole, keep = self._frame()
+        n = len(a)
         eye = np.eye(n + 2 * (whole + 4))
         state, late = eye[:n], eye[n : n + 2 * whole]  # what the camera saw and has not delivered yet, then the oldest
         arrived, f, g, u = np.split(eye[n + 2 * whole :], 4)
         f = keep * f - (1.0 - keep) * arrived
         g = keep * g + (1.0 - keep) * f
-        u = u + self.gains.rate * frame * self.inverse @ g
-        seen = linear.c @ (a_seen @ state + b_seen @ u)
-        return np.vstack([a @ state + b @ u, seen, late, f, g, u])
+        u = u + self.gains.rate / self.timing.fps * self.inverse @ g
+        return np.vstack([a @ state + b @ u, seen @ state + seen_by_force @ u, late, f, g, u])
 
     @property
     def radius(self) -> float:
@@ -195,15 +200,12 @@ class SampledLoop:
 
     def loci(self, frequency: Array) -> ComplexArray:
         """(R, 2): characteristic loci at frequencies (R,) [rad/s], each a continuous curve."""
-        linear, frame = behind_actuator(self.plant, self.timing.lag), 1.0 / self.timing.fps
-        whole, part = _split(self.timing)
-        (a, b), (a_seen, b_seen) = linear.over(frame), linear.over((1.0 - part) * frame)
-        keep = np.exp(-self.gains.corner * frame)
-        z = np.exp(1j * frequency * frame)
+        a, b, seen, seen_by_force, whole, keep = self._frame()
+        z = np.exp(1j * frequency / self.timing.fps)
         inside = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - a, np.broadcast_to(b, (len(z), *b.shape)))
-        seen = linear.c @ (a_seen @ inside + b_seen)
-        of_error = self.gains.rate * frame * z / (z - 1.0) * ((1.0 - keep) * z / (z - keep)) ** 2
-        found = np.linalg.eigvals((of_error * z ** -(whole + 1.0))[:, None, None] * (seen @ self.inverse))
+        of_error = self.gains.rate / self.timing.fps * z / (z - 1.0) * ((1.0 - keep) * z / (z - keep)) ** 2
+        transfer = (seen @ inside + seen_by_force) @ self.inverse
+        found = np.linalg.eigvals((of_error * z ** -(whole + 1.0))[:, None, None] * transfer)
         before, here = found[:-1], found[1:]
         crossed = np.sum(np.abs(here - before), axis=1) > np.sum(np.abs(here[:, ::-1] - before), axis=1)
         swapped = np.append(False, np.cumsum(crossed) % 2 == 1)
@@ -282,25 +284,15 @@ def _least_lag(curve: ComplexArray) -> float:
     return float(np.min(lags, initial=np.inf))
 
 
-def _split(timing: Timing) -> tuple[int, float]:
-    """The delay in frames: whole ones, and the rest in [0, 1)."""
-    frames = timing.delay * timing.fps
-    whole = int(np.floor(frames + 1e-9))
-    return whole, max(frames - whole, 0.0)
-
-
-# The force on the beam, felt while the loop runs: what is asked of the robot is put right by it.
+# The force on the beam, felt while the loop runs. A robot that is asked for a force gives another one. The force felt
+# in a frame is compared with the force that was wanted at the moment it shows, behind two filters as the position is,
+# at half its rate. Where the camera sees the point, its position alone corrects the force, and the excess that is felt
+# is remembered. Where it does not, an offset is added to the request, so that as much is felt as then or, where the
+# point never was seen, as is wanted. With C the covariance of the felt force and `sd^2 I` that of the robot's error,
+# `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
 #
-# A robot that is asked for a force gives another one: its own estimate of the force is off, and its hand has
-# friction. The force felt in a frame is compared with the force that was wanted at the moment it shows, behind two
-# filters as the position is, at half its rate. Where the camera sees the point, its position alone corrects the
-# force, and how much more is felt than wanted is remembered. Where it does not, an offset is added to what is asked
-# for, so that as much is felt as then or, where the point never was seen, as is wanted. With C the covariance of what
-# is felt and `sd^2 I` that of how far the robot is off, `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
-#
-# A force that was told by the model from the beam's shape is the force under which the model has this shape. Where
-# all of k(s) is wrong by a factor it is wrong by that factor, and so is the force that the model wants for a goal:
-# the beam still comes to the goal, which with the true force it does not.
+# A force estimated from the beam's shape is wrong by the factor by which k(s) is wrong, and so is the force that the
+# model wants for a goal: the beam still comes to the goal.
 
 # Of the position's rate and corner: inertia counts as force, in the direction in which little force bends the beam too.
 _SLOWER = 0.5
@@ -336,38 +328,6 @@ class Offset:
     correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at the moment of exposure
     filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) N more, behind the first filter and both
     frame_at: float = 0.0  # s: when the last frame that told a force arrived
-
-
-@dataclass(frozen=True)
-class FeltFrame:
-    """A frame that told a force."""
-
-    felt: Felt
-    wanted: Array  # (2,) N on the beam at the moment of exposure, by the feedforward
-    correction: Array  # (2,) N, the integral of the position now
-    seen: bool  # whether it showed the point as well
-    time: float  # s, when it arrived
-    late: float  # s, from exposure to then
-
-
-def felt_in(offset: Offset, frame: FeltFrame, gains: Gains, *, fps: float, sd: float) -> Offset:
-    """After a frame; `sd` N of how far the robot's force is off."""
-    told = np.asarray(frame.felt.force, dtype=float)
-    passed = min(frame.time - offset.frame_at, 1.0 / fps)
-    if not (passed > 0.0 and np.isfinite(told).all()):
-        return offset
-    then = frame.correction + np.exp(-passed / max(frame.late, 1e-9)) * (offset.correction - frame.correction)
-    keep = np.exp(-_SLOWER * gains.corner * passed)
-    once = keep * offset.filtered[0] + (1.0 - keep) * (told - frame.wanted - then)
-    twice = keep * offset.filtered[1] + (1.0 - keep) * once
-    filtered = np.stack([once, twice])
-    if frame.seen:
-        return Offset(offset.force, twice, then, filtered, frame.time)
-    believed = believed_share(np.asarray(frame.felt.covariance, dtype=float), sd)
-    step = believed @ (offset.more - twice) - (np.eye(2) - believed) @ offset.force
-    force = offset.force + _SLOWER * gains.rate * passed * step
-    size = float(np.linalg.norm(force))
-    return Offset(force * min(1.0, _MOST_OFF * sd / max(size, 1e-300)), offset.more, then, filtered, frame.time)
 
 
 def believed_share(covariance: Array, sd: float) -> Array:
@@ -453,14 +413,10 @@ def _largest(loci: ComplexArray, wanted: RequiredMargins) -> float:
     return min(_FASTEST, 1.0 / unit, 1.0 / (wanted.gain * real))
 
 
-# The closed loop: the model's force for a goal, corrected by what the camera sees.
-#
-# The model gives forces that lead from the beam's present state to the goal (feedforward), and the positions that
-# belong to them (the reference). In every frame the measured position is compared with the reference at the time of
-# exposure. The error is filtered, multiplied by the inverse compliance of the model at that working point, and
-# integrated (integral action in task space). Where k(s) is wrong, the integral converges to the force that was
-# missing. Where the force on the beam is felt as well, the robot is asked for more or less until it is the wanted one
-# (`felt.py`).
+# The closed loop. The model gives forces that lead from the beam's present state to the goal (feedforward), and the
+# positions that belong to them (the reference). In every frame the measured position is compared with the reference at
+# the time of exposure. The error is filtered, multiplied by the inverse compliance of the model at that working point,
+# and integrated. Where k(s) is wrong, the integral converges to the missing force.
 
 _REFERENCE_PLACES = 33  # of the reference path
 _GOAL_TOLERANCE = 1e-4  # share of the length by which the path's end may miss the goal
@@ -581,13 +537,9 @@ class Controller:
             if shown:
                 state = self._corrected(state, position, time)
         if felt is not None:
-            timing = self.settings.timing
-            late = timing.delay + timing.lag
-            wanted = self._feedforward(time - state.began - late)
-            frame = FeltFrame(felt, wanted, state.correction, shown, time, late)
-            put_right = felt_in(state.offset, frame, self.gains, fps=timing.fps, sd=self.settings.force_sd)
-            state = replace(state, offset=put_right)
-        return state, self._wished(state, time)
+            state = replace(state, offset=self._offset(state, felt, time, seen=shown))
+        wanted = self._feedforward(time - state.began) + state.correction
+        return state, bounded(wanted, self.settings.most_force) + state.offset.force
 
     @one_blas_thread
     def margins(self) -> Margins:
@@ -602,14 +554,12 @@ class Controller:
             return state
         late = self.settings.timing.delay + self.settings.timing.lag
         error = self.reference.position(since - late) - position
-        keep = np.exp(-self.gains.corner * passed)
-        once = keep * state.filtered[0] + (1.0 - keep) * error
-        twice = keep * state.filtered[1] + (1.0 - keep) * once
+        filtered = _filtered(state.filtered, error, self.gains.corner * passed)
         feedforward = self._feedforward(since)
         inverse = self.inverse_at(feedforward + state.correction, since)
-        correction = state.correction + self.gains.rate * passed * inverse @ twice
+        correction = state.correction + self.gains.rate * passed * inverse @ filtered[1]
         within = bounded(feedforward + correction, self.settings.most_force) - feedforward
-        return replace(state, correction=within, filtered=np.stack([once, twice]), frame_at=time)
+        return replace(state, correction=within, filtered=filtered, frame_at=time)
 
     def inverse_at(self, force: Array, since: float) -> Array:
         """(2, 2) N/m: the map from position error to force where the beam stands under `force` at `since` s.
@@ -631,12 +581,32 @@ class Controller:
         compliance = respond(solved, of_force(solved.problem, np.array([self.push_s]))).xy(point)[best, 0]
         return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
-    def _wished(self, state: ControllerState, time: float) -> Array:
-        wanted = self._feedforward(time - state.began) + state.correction
-        return bounded(wanted, self.settings.most_force) + state.offset.force
+    def _offset(self, state: ControllerState, felt: Felt, time: float, *, seen: bool) -> Offset:
+        """The offset after a frame that told a force; `seen`: it showed the point as well."""
+        offset, gains, sd = state.offset, self.gains, self.settings.force_sd
+        told, timing = np.asarray(felt.force, dtype=float), self.settings.timing
+        passed, late = min(time - offset.frame_at, 1.0 / timing.fps), timing.delay + timing.lag
+        if not (passed > 0.0 and np.isfinite(told).all()):
+            return offset
+        wanted = self._feedforward(time - state.began - late)
+        then = state.correction + np.exp(-passed / max(late, 1e-9)) * (offset.correction - state.correction)
+        filtered = _filtered(offset.filtered, told - wanted - then, _SLOWER * gains.corner * passed)
+        if seen:
+            return Offset(offset.force, filtered[1], then, filtered, time)
+        believed = believed_share(np.asarray(felt.covariance, dtype=float), sd)
+        step = believed @ (offset.more - filtered[1]) - (np.eye(2) - believed) @ offset.force
+        force = bounded(offset.force + _SLOWER * gains.rate * passed * step, _MOST_OFF * sd)
+        return Offset(force, offset.more, then, filtered, time)
 
     def _feedforward(self, since: float) -> Array:
         return self.reference.force(since) if self.settings.feedforward else self.reference.begins
+
+
+def _filtered(before: Array, value: Array, decay: float) -> Array:
+    """(2, 2) a value behind one first-order filter, and behind two equal ones."""
+    keep = np.exp(-decay)
+    once = keep * before[0] + (1.0 - keep) * value
+    return np.stack([once, keep * before[1] + (1.0 - keep) * once])
 
 
 def bounded(force: Array, most: float) -> Array:
@@ -658,7 +628,9 @@ def controller(
 ) -> Controller:
     """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
     wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
-    result = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=_as_reach(gravity, settings))
+    x, y = np.asarray(gravity, dtype=float).tolist()
+    bounds = ReachSettings(gravity=(x, y), max_force=settings.most_force)
+    result = reach(beam, wanted, push_s=push_s, point_s=point_s, settings=bounds)
     if not result.converged:
         raise ControlError(result.reason)
     ends = result.force
@@ -691,9 +663,3 @@ def damped_inverse(compliance: Array, weak: float) -> Array:
     """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`. A direction with little compliance is corrected slowly."""
     least = weak * np.linalg.norm(compliance, 2)
     return np.asarray(compliance.T @ np.linalg.inv(compliance @ compliance.T + least**2 * np.eye(2)))
-
-
-def _as_reach(gravity: ArrayLike, settings: ControllerSettings) -> ReachSettings:
-    x, y = np.asarray(gravity, dtype=float)
-    most = settings.most_force if isfinite(settings.most_force) else None
-    return ReachSettings(gravity=(float(x), float(y)), max_force=most)

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -103,8 +104,7 @@ def simulate_loop(
     """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s. `feel` tells the
     force in every frame that arrives, hidden point or not; it may remember, so give each run its own.
 
-    Raises:
-        MechanicsError: the beam's mass is not known, or its motion could not be followed.
+    Raises `MechanicsError`: the beam's mass is not known, or its motion could not be followed.
     """
     arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
     moving = _MovingBeam(truth, tick)
@@ -120,18 +120,13 @@ def simulate_loop(
             first = max(0, int(exposed / tick))
             before = rows[first : i + 1]
             position = np.array([np.interp(exposed, before[:, 0], before[:, c]) for c in (1, 2)]) + noise
-            felt = None if feel is None else feel(_exposure(moving, exposed, before, bent[first : i + 1]))
+            share = 0.0 if i == first else min((exposed - before[0, 0]) / (before[1, 0] - before[0, 0]), 1.0)
+            last = min(first + 1, i)
+            force, theta = ((1.0 - share) * each[first] + share * each[last] for each in (rows[:, 5:], bent))
+            felt = None if feel is None else feel(Exposure(exposed, force, partial(moving.pose, theta)))
             state, row[3:5] = control.step(state, position, row[0], felt=felt)
         moving.advance(row[3:5], row[0])
     return LoopSimulation(control.goal, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:], axis)
-
-
-def _exposure(moving: _MovingBeam, exposed: float, rows: Array, bent: Array) -> Exposure:
-    """At `exposed` s, between the first two of the `rows` or at the only one, where the modes were `bent`."""
-    share = 0.0 if len(rows) < 2 else min((exposed - rows[0, 0]) / (rows[1, 0] - rows[0, 0]), 1.0)
-    last = min(1, len(rows) - 1)
-    force, theta = ((1.0 - share) * each[0] + share * each[last] for each in (rows[:, 5:], bent))
-    return Exposure(exposed, force, lambda s: moving.pose(theta, s))
 
 
 class _MovingBeam:
@@ -246,8 +241,7 @@ def trial_settings(fps: float, delay: float, k_error: float = 0.3, most_force: f
 def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
     """The model itself, and beams whose k(s) is `k_error` lower and higher everywhere.
 
-    Raises:
-        ControlError: an error of k that is not in [0, 1).
+    Raises `ControlError`: an error of k that is not in [0, 1).
     """
     if not 0.0 <= k_error < 1.0:
         raise ControlError(f"the error of k is a share from 0 to below 1, got {k_error}")
@@ -259,8 +253,7 @@ def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
 def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
     """The model itself, and `count` beams as probable as the band of its k(s) says.
 
-    Raises:
-        ControlError: the model has no band, or the count is not from 1 to `MOST_DRAWN`.
+    Raises `ControlError`: the model has no band, or the count is not from 1 to `MOST_DRAWN`.
     """
     if known is None:
         raise ControlError("the model has no band to draw beams from: give an error of k instead, or learn with a band")
@@ -289,8 +282,7 @@ def simulate_trials(
     The robot's force is off by `force_off` [N], to the left of the force that the model needs; `feel` makes what tells
     the force on the beam that moves.
 
-    Raises:
-        ControlError: a duration below two seconds, a force that is off by less than nothing.
+    Raises `ControlError`: a duration below two seconds, a force that is off by less than nothing.
     """
     if not duration >= 2.0:
         raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
@@ -298,9 +290,23 @@ def simulate_trials(
         raise ControlError(f"a robot's force is off by a finite size, got {force_off} N")
     x, y = along(control) * force_off
     hand = Actuator(lag=control.settings.timing.lag, bias=(-float(y), float(x)))
+    model, weighed = control.beam, has_mass(control.beam)
     for beam in beams:
-        truth = _true_system(control, beam, eye, hand)
-        yield LoopTrial(beam, _run(control, truth, duration, seed, None if feel is None else feel(truth.beam)))
+        mass = model.mass_per_length if weighed else Uniform(_LEAST_MASS)
+        truth = TrueSystem(
+            replace(model, stiffness=beam.stiffness, mass_per_length=mass),
+            damping_ratio=control.settings.damping_ratio,
+            push_s=control.push_s,
+            point_s=control.point_s,
+            gravity=(float(control.gravity[0]), float(control.gravity[1])),
+            eye=eye,
+            hand=hand,
+        )
+        try:
+            sense = None if feel is None else feel(truth.beam)
+            yield LoopTrial(beam, simulate_loop(control, truth, duration, seed=seed, feel=sense))
+        except MechanicsError:
+            yield LoopTrial(beam, None)
 
 
 def along(control: Controller) -> Array:
@@ -323,33 +329,8 @@ def simulate_range(
 ) -> tuple[LoopTrial, ...]:
     """The loop on the `wrong_beams` of its model, as `simulate_trials`.
 
-    Raises:
-        ControlError: as `wrong_beams` and `simulate_trials`.
+    Raises `ControlError`: as `wrong_beams` and `simulate_trials`.
     """
     beams = wrong_beams(control.beam, k_error)
     trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)
     return tuple(trials)
-
-
-def _true_system(control: Controller, beam: TrialBeam, eye: LoopCamera, hand: Actuator) -> TrueSystem:
-    model = control.beam
-    mass = model.mass_per_length if has_mass(model) else Uniform(_LEAST_MASS)
-    return TrueSystem(
-        replace(model, stiffness=beam.stiffness, mass_per_length=mass),
-        damping_ratio=control.settings.damping_ratio,
-        push_s=control.push_s,
-        point_s=control.point_s,
-        gravity=(float(control.gravity[0]), float(control.gravity[1])),
-        eye=eye,
-        hand=hand,
-    )
-
-
-@one_blas_thread
-def _run(
-    control: Controller, truth: TrueSystem, duration: float, seed: int, feel: ForceSense | None
-) -> LoopSimulation | None:
-    try:
-        return simulate_loop(control, truth, duration, seed=seed, feel=feel)
-    except MechanicsError:
-        return None

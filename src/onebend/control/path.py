@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -24,7 +25,6 @@ from onebend.control.shape import (
     Actuators,
     BeamState,
     DescentResult,
-    DescentSettings,
     Grip,
     Pusher,
     ShapeSettings,
@@ -40,11 +40,6 @@ from onebend.errors import ControlError, MechanicsError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
-# Many shapes along a path at once: Newton's method on the conditions of the optimum, from shapes close by.
-#
-# With the multipliers l of equilibrium the conditions of the closest shape are `r_q^T r + T l = 0`, `A l = 0` and
-# `g = 0`; Newton's matrix holds the exact second derivatives, and is symmetric.
-
 _LAST_STEP = 1e-10  # rad, of the last step
 _MOST_ITERATIONS = 6  # Newton iterations
 _LARGEST_TURN = 0.05  # rad, from the shape to start from
@@ -59,7 +54,7 @@ class PathSamples:
     u: Array  # (T, m) N, N m
     multipliers: Array  # (T, Q)
 
-    def take(self, chosen: slice | BoolArray) -> PathSamples:
+    def take(self, chosen: IntArray) -> PathSamples:
         """Some of them."""
         return PathSamples(self.q[chosen], self.u[chosen], self.multipliers[chosen])
 
@@ -69,39 +64,28 @@ def settle(
 ) -> tuple[PathSamples, BoolArray]:
     """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from ones `near`; True where found there.
 
-    Bounds on forces are not looked at.
+    Newton's method on the conditions of the optimum. Bounds on forces are not looked at.
     """
-    out = PathSamples(near.q.copy(), near.u.copy(), near.multipliers.copy())
-    converged = np.zeros(len(near.q), dtype=bool)
-    for i in range(0, len(converged), _BATCH):
-        part = slice(i, i + _BATCH)
-        here, ok = _settle(actuators, near.take(part), targets, xy[part], angle[part], arm)
-        out.q[part], out.u[part], out.multipliers[part], converged[part] = here.q, here.u, here.multipliers, ok
-    return out, converged
-
-
-def _settle(
-    actuators: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
-) -> tuple[PathSamples, BoolArray]:
     q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
-    settled, b = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes
-    for _ in range(_MOST_ITERATIONS):
-        todo = np.flatnonzero(~settled)
-        if todo.size == 0:
-            break
-        dq, du, new = _step(actuators, PathSamples(q[todo], u[todo], prices[todo]), targets, xy[todo], angle[todo], arm)
-        q[todo], u[todo], prices[todo] = q[todo] + dq, u[todo] + du, new
-        settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _LAST_STEP
-    settled &= np.max(np.abs((q - near.q) @ b.T), axis=1) < _LARGEST_TURN
-    settled[settled] &= stable(actuators, q[settled], u[settled])
-    return PathSamples(q, u, prices), settled
+    settled, b, out = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes, PathSamples(q, u, prices)
+    for first in range(0, len(q), _BATCH):
+        batch = np.arange(first, min(first + _BATCH, len(q)))
+        for _ in range(_MOST_ITERATIONS):
+            todo = batch[~settled[batch]]
+            if todo.size == 0:
+                break
+            dq, du, prices[todo] = _step(actuators, out.take(todo), targets, xy[todo], angle[todo], arm)
+            q[todo], u[todo] = q[todo] + dq, u[todo] + du
+            settled[todo] = np.max(np.abs(dq @ b.T), axis=1) < _LAST_STEP
+        found = batch[settled[batch] & (np.max(np.abs((q[batch] - near.q[batch]) @ b.T), axis=1) < _LARGEST_TURN)]
+        settled[batch] = False
+        settled[found] = stable(actuators, q[found], u[found])
+    return out, settled
 
 
 def stable(actuators: Actuators, q: Array, u: Array) -> BoolArray:
     """(T,) whether the shapes stand: pushes are dead loads, a gripped end stays where it is."""
-    if len(q) == 0:
-        return np.zeros(0, dtype=bool)
-    if actuators.grip is None:
+    if actuators.grip is None or len(q) == 0:
         return is_stable(actuators.loaded(u), q)
     bare = u.copy()
     bare[:, -3:] = 0.0
@@ -111,13 +95,17 @@ def stable(actuators: Actuators, q: Array, u: Array) -> BoolArray:
 def _step(
     actuators: Actuators, samples: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[Array, Array, Array]:
-    """Newton's step of q and u, and the new multipliers; curvature and controls in units that make numbers about 1."""
+    """Newton's step of q and u, and the new multipliers; curvature and controls in units that make numbers about 1.
+
+    With the multipliers l of equilibrium the conditions are `r_q^T r + T l = 0`, `A l = 0` and `g = 0`. Newton's matrix
+    holds the exact second derivatives, and is symmetric.
+    """
     solved, b = actuators.solved(samples.q, samples.u), actuators.problem.to_nodes
     problem, count, controls = solved.problem, samples.q.shape[1], actuators.count
     residuals = target_residuals_along(solved, targets, xy, angle, arm)
     out, matrix = balance(problem, samples.q)
     stiff, root = scaled(problem, matrix), np.sqrt(actuators.mean_stiffness)
-    unbend, unit = 1.0 / np.sqrt(problem.weights * problem.k), actuators.scale / root
+    unbend, unit = problem.unbend, actuators.scale / root
     turned = samples.multipliers @ b.T
     bent = residuals.curvature_term + nodal_forces(problem, samples.q).across * turned
     rows = residuals.jacobian * unbend
@@ -126,11 +114,8 @@ def _step(
     acting = unit[:, None] * actions(actuators, solved) * unbend
     a, z = count + controls, np.s_[:]
     system = np.zeros((len(samples.q), a + count, a + count))
-    system[z, :count, :count], system[z, :count, count:a], system[z, count:a, :count] = (
-        second,
-        transposed(coupled),
-        coupled,
-    )
+    system[z, :count, :count], system[z, count:a, :count] = second, coupled
+    system[z, :count, count:a] = transposed(coupled)
     system[z, :count, a:], system[z, a:, :count] = stiff, stiff
     system[z, count:a, a:], system[z, a:, count:a] = -acting, -transposed(acting)
     right = np.zeros((len(samples.q), a + count))
@@ -139,8 +124,6 @@ def _step(
     answer = solve_batch(system, right)
     return root * unbend * answer[:, :count], actuators.scale * answer[:, count:a], root * unbend * answer[:, a:]
 
-
-# A path's first pass: shapes at knots along it, each found from the one before.
 
 _KNOT_SPACING = 0.02  # of L: the way of a target from knot to knot
 _FEWEST_KNOTS = 12  # knots
@@ -157,38 +140,6 @@ def knots_of(goals: Goals, length: float) -> Array:
     done = done / max(done[-1], 1e-12) + 0.25 * (time - time[0]) / (time[-1] - time[0])
     count = max(_FEWEST_KNOTS, int(np.ceil(np.sum(np.maximum(way, turn)) / _KNOT_SPACING)) + 1)
     return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
-
-
-def first_pass(
-    beam: Rod,
-    goals: Goals,
-    knots: Array,
-    arm: float,
-    pushes: tuple[Pusher, ...],
-    grip: Grip | None,
-    gravity: ArrayLike | None,
-    settings: ShapeSettings,
-) -> list[DescentResult]:
-    """The shapes at the knots: the first from rest, each other one from that before."""
-    first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings)
-    if first.open_freedoms:
-        raise ControlError(
-            f"the goals leave {first.open_freedoms} of {first.state.actuators.count} freedoms of the forces and the "
-            "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
-            "a force or the gripper"
-        )
-    resting = resting_state(beam, pushes, grip, gravity, settings.resolution)
-    grid = first.state.actuators.problem.grid
-    state = BeamState(
-        resting.actuators, grid.value_at(resting.actuators.problem.grid.nodes) @ first.state.q, first.state.u
-    )
-    results = [descend(state, goals.at(knots[0]), arm, settings.descent)]
-    warm = replace(settings.descent, damping=0.0)
-    for before, time in pairwise(knots):
-        _check(results[-1], float(before))
-        results.append(descend(results[-1].state, goals.at(float(time)), arm, warm))
-    _check(results[-1], float(knots[-1]))
-    return results
 
 
 def _check(result: DescentResult, time: float) -> None:
@@ -221,23 +172,23 @@ def by_force(
 ) -> Goals:
     """The same goals at the same times, and more between them, all within reach of a force at `push_s`.
 
-    Raises:
-        ControlError: goals of more than one point or of an angle, a goal out of reach (with its time), or a force that
-            goes from goal to goal through a place where the beam would jump.
+    Raises `ControlError`: goals of more than one point or of an angle, a goal out of reach (with its time), or a force
+    that goes from goal to goal through a place where the beam would jump.
     """
     if len(goals.targets.s) != 1 or not bool(goals.targets.placed[0]) or bool(goals.targets.turned[0]):
         raise ControlError("a single force leads one point, without an angle; lead more with a grip or more forces")
     point_s = float(goals.targets.s[0])
     settings = ReachSettings(max_force=max_force, gravity=gravity)
-    forces = np.array([_force(beam, goals, k, push_s, point_s, settings) for k in range(len(goals.time))])
-    time = np.unique(
-        np.concatenate(
-            [np.linspace(*ends, _GOALS_PER_STEP + 1) for ends in zip(goals.time, goals.time[1:], strict=False)]
-        )
-    )
+    forces = []
+    for at, goal in zip(goals.time, goals.xy[:, 0], strict=True):
+        result = reach(beam, goal, push_s=push_s, point_s=point_s, settings=settings)
+        if not result.converged:
+            raise ControlError(f"the goal at {at:.4g} s: {result.reason}")
+        forces.append(result.force)
+    time = np.unique(np.concatenate([np.linspace(*ends, _GOALS_PER_STEP + 1) for ends in pairwise(goals.time)]))
     try:
-        forces = PchipInterpolator(goals.time, forces)(time)
-        shape = beam.equilibrium(forces, push_s, gravity=gravity if any(gravity) else None)
+        led = PchipInterpolator(goals.time, np.array(forces))(time)
+        shape = beam.equilibrium(led, push_s, gravity=gravity if any(gravity) else None)
     except MechanicsError as error:
         raise ControlError(f"on the way from goal to goal {error}") from error
     xy = shape.xy(np.array([point_s]))
@@ -247,15 +198,6 @@ def by_force(
         raise ControlError(f"the goal at {at:.4g} s lies on another branch of shapes: the beam would jump on its way")
     return replace(goals, time=time, xy=xy, angle=np.full((len(time), 1), np.nan))
 
-
-def _force(beam: Beam, goals: Goals, k: int, push_s: float, point_s: float, settings: ReachSettings) -> Array:
-    result = reach(beam, goals.xy[k, 0], push_s=push_s, point_s=point_s, settings=settings)
-    if not result.converged:
-        raise ControlError(f"the goal at {goals.time[k]:.4g} s: {result.reason}")
-    return np.asarray(result.force)
-
-
-# Limits on the rates of forces and of the gripper, and the time that a path needs to keep them.
 
 _SLACK = 1.002  # a little slower than the limit asks, so that sampling anew does not break it again
 
@@ -275,51 +217,50 @@ class RateLimits:
 
 
 @dataclass(frozen=True)
-class LimitedQuantities:
-    """Quantities at T moments of a path, each with the limit on its rate."""
+class _Limited:
+    """A quantity at T moments of a path, and the limit on its rate."""
 
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: tuple[Array, ...]  # each (T, d)
-    most: tuple[float, ...]  # per second
-
-    def excess(self, time: Array) -> Array:
-        """(T - 1, n) rate over limit between one moment and the next."""
-        step = np.diff(time)
-        rates = [np.linalg.norm(np.diff(quantity, axis=0), axis=1) / step for quantity in self.values]
-        return np.stack([rate / most for rate, most in zip(rates, self.most, strict=True)], axis=1)
+    name: str
+    unit: str
+    values: Array  # (T, d)
+    most: float  # per second
 
 
-def refuse(moving: LimitedQuantities, time: Array) -> None:
+def _excess(moving: list[_Limited], time: Array) -> Array:
+    """(T - 1, n) rate over limit of each quantity between one moment and the next."""
+    step = np.diff(time)
+    return np.stack([np.linalg.norm(np.diff(one.values, axis=0), axis=1) / step / one.most for one in moving], axis=1)
+
+
+def _refuse(moving: list[_Limited], time: Array) -> None:
     """Raise `ControlError` with the first moment at which a limit is broken, and by how much."""
-    excess = moving.excess(time)
+    excess = _excess(moving, time)
     broken = np.flatnonzero(np.any(excess > 1.0 + 1e-9, axis=1))
     if broken.size:
         i = int(broken[0])
         j = int(np.argmax(excess[i]))
         raise ControlError(
-            f"at {time[i]:.4g} s the rate of {moving.names[j]} is {excess[i, j] * moving.most[j]:.4g} "
-            f"{moving.units[j]}, its limit {moving.most[j]:.4g}; the worst is {np.max(excess):.3g} times the limit. "
+            f"at {time[i]:.4g} s the rate of {moving[j].name} is {excess[i, j] * moving[j].most:.4g} "
+            f"{moving[j].unit}, its limit {moving[j].most:.4g}; the worst is {np.max(excess):.3g} times the limit. "
             "Give the path more time, or let it be stretched"
         )
 
 
-def stretched(moving: LimitedQuantities, time: Array, smooth: int = 5) -> Array:
+def _stretched(moving: list[_Limited], time: Array, smooth: int = 5) -> Array:
     """(T,) the moments moved apart where a limit is broken, and only there.
 
     The largest excess over `smooth` neighbours counts, so that finer moments in between keep the limits as well.
     """
-    excess = np.max(moving.excess(time), axis=1)
-    slower = np.where(excess > 1.0, _SLACK * excess, 1.0)
-    slower = maximum_filter1d(slower, smooth, mode="nearest")
+    if not moving:
+        return time
+    excess = np.max(_excess(moving, time), axis=1)
+    slower = maximum_filter1d(np.where(excess > 1.0, _SLACK * excess, 1.0), smooth, mode="nearest")
     return np.append(time[0], time[0] + np.cumsum(np.diff(time) * slower))
 
 
-# Goals in time to forces, or gripper poses, in time: at 1 kHz if asked, within limits on their rates.
-#
-# The beam is taken as it stands under the forces of the moment (quasi-static). Shapes are sought one after the other
-# at knots along the path, each from the one before; between the knots they are interpolated and then corrected
-# together.
+# Goals in time to forces, or gripper poses, in time. The beam is taken as it stands under the forces of the moment
+# (quasi-static). Shapes are sought one after the other at knots along the path; between the knots they are interpolated
+# and then corrected together.
 
 _LARGEST_TAIL = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
 _FINEST_PANEL = 1.0 / 16.0  # widest panel
@@ -392,84 +333,175 @@ def follow_goals(
 
     The first sample serves the first goal: how the beam comes there is not part of the path.
 
-    Raises:
-        ControlError: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or a
-            broken limit on a rate where `too_fast` is "refuse"; each says at what time. Too many samples.
-        MechanicsError: k(s) not positive.
+    Raises `ControlError`: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or
+    a broken limit on a rate where `too_fast` is "refuse"; each says at what time. Too many samples; `MechanicsError`:
+    k(s) not positive.
     """
     if not settings.rate > 0.0:
         raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")
     _even(goals.time[-1] - goals.time[0], settings.rate)  # too many samples are said before the work
     check_metres(goals.xy, float(beam.length))
     knots = knots_of(goals, float(beam.length))
-    arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
     resolution = settings.shape.resolution
     while True:
-        trying = replace(settings.shape, resolution=resolution)
-        results = first_pass(beam, goals, knots, arm, pushes, grip, gravity, trying)
-        tail = max(
-            float(knot_result.state.solved.problem.grid.legendre_tail(knot_result.state.q)) for knot_result in results
-        )
+        search = replace(settings.shape, resolution=resolution)
+        path = _first_pass(beam, goals, knots, pushes, grip, gravity, replace(settings, shape=search))
+        tail = max(float(state.solved.problem.grid.legendre_tail(state.q)) for state in path.states)
         if tail < _LARGEST_TAIL or resolution.widest <= _FINEST_PANEL:
-            break
+            return path.sampled()
         resolution = resolution.finer()
-    return _sampled(results, goals, knots, arm, settings)
 
 
-def _sampled(
-    results: list[DescentResult], goals: Goals, knots: Array, arm: float, settings: PathSettings
-) -> FollowedPath:
-    """Samples at the asked rate, the time stretched where a limit wants it."""
-    actuators, near = results[0].state.actuators, _between(results, goals, knots, arm)
-    duration = goals.time[-1] - goals.time[0]
-    goal_time = goals.time[0] + np.minimum(_even(duration, settings.rate), duration)
-    frames = _corrected(actuators, _split(near(goal_time), actuators), results, goals, knots, goal_time, arm, settings)
-    for trial in range(_MOST_STRETCHES):
-        time = np.arange(len(goal_time)) / settings.rate
-        moving = _moving(actuators, frames, settings.limits)
-        if not moving.names or np.max(moving.excess(time)) <= 1.0 + 1e-9:
-            break
-        if settings.too_fast == "refuse":
-            refuse(moving, time)
-        goal_time, near = _slower(moving, actuators, frames, time, goal_time, settings, everywhere=trial > 1)
-        frames = _corrected(
-            actuators, _split(near(goal_time), actuators), results, goals, knots, goal_time, arm, settings
-        )
-    else:
-        raise ControlError("the limits on rates could not be kept by stretching the path; are they far too low?")
-    xy, angle = goals.along(goal_time)
-    residuals = target_residuals_along(actuators.solved(frames.q, frames.u), goals.targets, xy, angle, arm)
-    length = float(actuators.problem.length)
-    miss = length * np.sqrt(residuals.cost / np.sum(goals.targets.weight))
-    margin = np.array([knot_result.state.margin for knot_result in results])
-    warnings = _warnings(miss, goal_time, margin, knots, actuators, frames, settings, length)
-    return FollowedPath(time, goal_time, goals, actuators, frames.q, frames.u, miss, margin, knots, warnings)
-
-
-def _slower(
-    moving: LimitedQuantities,
-    actuators: Actuators,
-    frames: PathSamples,
-    time: Array,
-    goal_time: Array,
+def _first_pass(
+    beam: Rod,
+    goals: Goals,
+    knots: Array,
+    pushes: tuple[Pusher, ...],
+    grip: Grip | None,
+    gravity: ArrayLike | None,
     settings: PathSettings,
-    *,
-    everywhere: bool,
-) -> tuple[Array, CubicSpline]:
-    """Other times of the goals for the samples, so that the limits are kept; and the samples so far as a spline.
+) -> _KnottedPath:
+    """The shapes at the knots: the first from rest, each other one from that before."""
+    first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings.shape)
+    if first.open_freedoms:
+        raise ControlError(
+            f"the goals leave {first.open_freedoms} of {first.state.actuators.count} freedoms of the forces and the "
+            "gripper open, so that there is no one path; want more of the beam (angle_rad, more points), or leave out "
+            "a force or the gripper"
+        )
+    actuators = resting_state(beam, pushes, grip, gravity, settings.shape.resolution).actuators
+    rows = first.state.actuators.problem.grid.value_at(actuators.problem.grid.nodes)
+    arm = float(beam.length) if settings.shape.arm is None else settings.shape.arm
+    state, descent = BeamState(actuators, rows @ first.state.q, first.state.u), settings.shape.descent
+    results = []
+    for time in knots.tolist():
+        results.append(descend(state, goals.at(time), arm, descent))
+        _check(results[-1], time)
+        state, descent = results[-1].state, replace(descent, damping=0.0)
+    return _KnottedPath(goals, knots, tuple(results), arm, settings)
 
-    Slower only where a limit wants it, or `everywhere`, where that was tried and kinks of the path still break one.
-    """
-    inside = np.append(True, np.diff(goal_time) > 0.0)
-    values = np.concatenate([frames.q, frames.u, frames.multipliers], axis=1)[inside]
-    near = CubicSpline(goal_time[inside], values)
-    if everywhere:
-        fine, law = goal_time[inside], time[inside] * float(np.max(moving.excess(time))) * 1.001
-    else:
-        fine = np.linspace(goal_time[0], goal_time[-1], _MOMENTS_PER_SAMPLE * len(goal_time))
-        law = np.interp(fine, goal_time[inside], time[inside])
-        law = stretched(_moving(actuators, _split(near(fine), actuators), settings.limits), law)
-    return np.interp(_even(law[-1], settings.rate), law, fine), near
+
+@dataclass(frozen=True)
+class _KnottedPath:
+    """The goals, and the shapes closest to them at knots in time."""
+
+    goals: Goals
+    knots: Array  # (K,) s
+    results: tuple[DescentResult, ...]
+    arm: float  # m
+    settings: PathSettings
+
+    @property
+    def states(self) -> list[BeamState]:
+        return [result.state for result in self.results]
+
+    @property
+    def actuators(self) -> Actuators:
+        return self.results[0].state.actuators
+
+    def sampled(self) -> FollowedPath:
+        """Samples at the asked rate, the time stretched where a limit wants it."""
+        rate, goals, actuators = self.settings.rate, self.goals, self.actuators
+        duration, near = goals.time[-1] - goals.time[0], self._between
+        goal_time = goals.time[0] + np.minimum(_even(duration, rate), duration)
+        for trial in range(_MOST_STRETCHES + 1):
+            frames = self._corrected(self._split(near(goal_time)), goal_time)
+            time, moving = np.arange(len(goal_time)) / rate, self._moving(frames)
+            if trial == _MOST_STRETCHES:
+                raise ControlError(
+                    "the limits on rates could not be kept by stretching the path; are they far too low?"
+                )
+            if not moving or np.max(_excess(moving, time)) <= 1.0 + 1e-9:
+                break
+            if self.settings.too_fast == "refuse":
+                _refuse(moving, time)
+            goal_time, near = self._slower(moving, frames, time, goal_time, everywhere=trial > 1)
+        xy, angle = goals.along(goal_time)
+        residuals = target_residuals_along(actuators.solved(frames.q, frames.u), goals.targets, xy, angle, self.arm)
+        miss = float(actuators.problem.length) * np.sqrt(residuals.cost / np.sum(goals.targets.weight))
+        margin = np.array([state.margin for state in self.states])
+        warnings = self._warnings(miss, goal_time, margin, frames)
+        return FollowedPath(time, goal_time, goals, actuators, frames.q, frames.u, miss, margin, self.knots, warnings)
+
+    def _slower(
+        self, moving: list[_Limited], frames: PathSamples, time: Array, goal_time: Array, *, everywhere: bool
+    ) -> tuple[Array, CubicSpline]:
+        """Other times of the goals for the samples, so that the limits are kept; and the samples so far as a spline.
+
+        Slower only where a limit wants it, or `everywhere`, where that was tried and kinks of the path still break one.
+        """
+        inside = np.append(True, np.diff(goal_time) > 0.0)
+        near = CubicSpline(goal_time[inside], np.concatenate([frames.q, frames.u, frames.multipliers], axis=1)[inside])
+        if everywhere:
+            fine, law = goal_time[inside], time[inside] * float(np.max(_excess(moving, time))) * 1.001
+        else:
+            fine = np.linspace(goal_time[0], goal_time[-1], _MOMENTS_PER_SAMPLE * len(goal_time))
+            law = np.interp(fine, goal_time[inside], time[inside])
+            law = _stretched(self._moving(self._split(near(fine))), law)
+        return np.interp(_even(law[-1], self.settings.rate), law, fine), near
+
+    @cached_property
+    def _between(self) -> CubicSpline:
+        """Shapes, controls and multipliers between the knots."""
+        rows = []
+        for time, state in zip(self.knots.tolist(), self.states, strict=True):
+            residuals = target_residuals(state.solved, self.goals.at(time), self.arm)
+            rows.append(np.concatenate([state.q, state.u, multipliers(state, residuals)]))
+        return CubicSpline(self.knots, np.array(rows))
+
+    def _split(self, values: Array) -> PathSamples:
+        """Interpolated values as the shapes, controls and multipliers that they stand for."""
+        count = len(self.actuators.problem.weights)
+        return PathSamples(*np.split(values, [count, count + self.actuators.count], axis=1))
+
+    def _corrected(self, start: PathSamples, goal_time: Array) -> PathSamples:
+        """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
+        actuators, knots = self.actuators, self.knots
+        xy, angle = self.goals.along(goal_time)
+        frames, ok = settle(actuators, start, self.goals.targets, xy, angle, self.arm)
+        at_bound = np.array([bool(np.any(result.multipliers > 0.0)) for result in self.results])
+        after = np.clip(np.searchsorted(knots, goal_time), 1, len(knots) - 1)
+        held = at_bound[after] | at_bound[after - 1]
+        for bound in actuators.bounds:
+            held |= np.linalg.norm(frames.u[:, bound.columns], axis=1) > bound.most
+        warm = replace(self.settings.shape.descent, damping=0.0)
+        for i in np.flatnonzero(~ok | held):
+            before = BeamState(actuators, frames.q[i - 1], frames.u[i - 1])
+            begin = self.states[after[i] - 1] if i == 0 else before
+            result = descend(begin, self.goals.at(float(goal_time[i])), self.arm, warm)
+            if not result.converged:
+                found = "no stable shape closest to the goal was found on the way from the last one"
+                raise ControlError(f"at {goal_time[i]:.4g} s {found}")
+            frames.q[i], frames.u[i] = result.state.q, result.state.u
+        return frames
+
+    def _moving(self, frames: PathSamples) -> list[_Limited]:
+        """The quantities that have a finite limit."""
+        limits, every = self.settings.limits, []
+        for i, pusher in enumerate(self.actuators.pushes):
+            force = frames.u[:, 2 * i : 2 * i + 2]
+            every.append(_Limited(f"the force at s = {pusher.at_s:g}", "N/s", force, limits.force))
+        if self.actuators.grip is not None:
+            poses = end_pose(self.actuators.problem, frames.q)
+            every.append(_Limited("the gripper's place", "m/s", poses[:, :2], limits.speed))
+            every.append(_Limited("the gripper's angle", "rad/s", poses[:, 2:], limits.turning))
+        return [one for one in every if np.isfinite(one.most)]
+
+    def _warnings(self, miss: Array, goal_time: Array, margin: Array, frames: PathSamples) -> tuple[str, ...]:
+        out, knots = [], self.knots
+        if np.max(miss) > 1e-6 * float(self.actuators.problem.length):
+            worst, most = goal_time[np.argmax(miss)], 1e3 * np.max(miss)
+            out.append(f"the goals cannot all be met: at worst {most:.3g} mm are missing, at {worst:.4g} s")
+        if np.min(margin) < self.settings.shape.warn_margin:
+            out.append(
+                f"close to buckling at {knots[np.argmin(margin)]:.4g} s: the tangent's smallest eigenvalue is "
+                f"{np.min(margin):.3f} of that without loads"
+            )
+        for bound in self.actuators.bounds:
+            at_limit = np.linalg.norm(frames.u[:, bound.columns], axis=1) > (1.0 - 1e-6) * bound.most
+            if np.any(at_limit):
+                out.append(f"{bound.name} is at its limit from {goal_time[np.argmax(at_limit)]:.4g} s")
+        return tuple(out)
 
 
 def _even(duration: float, rate: float) -> Array:
@@ -480,113 +512,6 @@ def _even(duration: float, rate: float) -> Array:
             "are made. Take a lower rate of samples, larger limits on rates, or fewer goals"
         )
     return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
-
-
-def _between(results: list[DescentResult], goals: Goals, knots: Array, arm: float) -> CubicSpline:
-    """Shapes, controls and multipliers between the knots."""
-    rows = []
-    for time, knot_result in zip(knots, results, strict=True):
-        residuals = target_residuals(knot_result.state.solved, goals.at(float(time)), arm)
-        rows.append(
-            np.concatenate([knot_result.state.q, knot_result.state.u, multipliers(knot_result.state, residuals)])
-        )
-    return CubicSpline(knots, np.array(rows))
-
-
-def _split(values: Array, actuators: Actuators) -> PathSamples:
-    """Interpolated values as what they stand for."""
-    count = len(actuators.problem.weights)
-    return PathSamples(
-        values[:, :count], values[:, count : count + actuators.count], values[:, count + actuators.count :]
-    )
-
-
-def _corrected(
-    actuators: Actuators,
-    start: PathSamples,
-    results: list[DescentResult],
-    goals: Goals,
-    knots: Array,
-    goal_time: Array,
-    arm: float,
-    settings: PathSettings,
-) -> PathSamples:
-    """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
-    xy, angle = goals.along(goal_time)
-    frames, ok = settle(actuators, start, goals.targets, xy, angle, arm)
-    at_bound = np.array([bool(np.any(knot_result.multipliers > 0.0)) for knot_result in results])
-    after = np.clip(np.searchsorted(knots, goal_time), 1, len(knots) - 1)
-    held = at_bound[after] | at_bound[after - 1]
-    for bound in actuators.bounds:
-        held |= np.linalg.norm(frames.u[:, bound.columns], axis=1) > bound.most
-    warm = replace(settings.shape.descent, damping=0.0)
-    for i in np.flatnonzero(~ok | held):
-        frames.q[i], frames.u[i] = _alone(results, after, frames, int(i), goals, float(goal_time[i]), arm, warm)
-    return frames
-
-
-def _alone(
-    results: list[DescentResult],
-    after: IntArray,
-    frames: PathSamples,
-    i: int,
-    goals: Goals,
-    time: float,
-    arm: float,
-    warm: DescentSettings,
-) -> tuple[Array, Array]:
-    """One sample, from the one before it."""
-    first = results[after[i] - 1].state
-    begin = first if i == 0 else BeamState(first.actuators, frames.q[i - 1], frames.u[i - 1])
-    result = descend(begin, goals.at(time), arm, warm)
-    if not result.converged:
-        raise ControlError(
-            f"at {time:.4g} s no stable shape closest to the goal was found on the way from the last one"
-        )
-    return result.state.q, result.state.u
-
-
-def _moving(actuators: Actuators, frames: PathSamples, limits: RateLimits) -> LimitedQuantities:
-    """What has a finite limit."""
-    rows: list[tuple[str, str, Array, float]] = [
-        (f"the force at s = {pusher.at_s:g}", "N/s", frames.u[:, 2 * i : 2 * i + 2], limits.force)
-        for i, pusher in enumerate(actuators.pushes)
-    ]
-    if actuators.grip is not None:
-        poses = end_pose(actuators.problem, frames.q)
-        rows.append(("the gripper's place", "m/s", poses[:, :2], limits.speed))
-        rows.append(("the gripper's angle", "rad/s", poses[:, 2:], limits.turning))
-    rows = [row for row in rows if np.isfinite(row[3])]
-    names, units, values, most = (tuple(row[i] for row in rows) for i in range(4))
-    return LimitedQuantities(names, units, values, most)  # type: ignore[arg-type]
-
-
-def _warnings(
-    miss: Array,
-    goal_time: Array,
-    margin: Array,
-    knots: Array,
-    actuators: Actuators,
-    frames: PathSamples,
-    settings: PathSettings,
-    length: float,
-) -> tuple[str, ...]:
-    out = []
-    if np.max(miss) > 1e-6 * length:
-        worst = goal_time[np.argmax(miss)]
-        out.append(f"the goals cannot all be met: at worst {1e3 * np.max(miss):.3g} mm are missing, at {worst:.4g} s")
-    if np.min(margin) < settings.shape.warn_margin:
-        out.append(
-            f"close to buckling at {knots[np.argmin(margin)]:.4g} s: the tangent's smallest eigenvalue is "
-            f"{np.min(margin):.3f} of that without loads"
-        )
-    for bound in actuators.bounds:
-        size = np.linalg.norm(frames.u[:, bound.columns], axis=1)
-        if np.max(size) > (1.0 - 1e-6) * bound.most:
-            out.append(
-                f"{bound.name} is at its limit from {goal_time[np.argmax(size > (1.0 - 1e-6) * bound.most)]:.4g} s"
-            )
-    return tuple(out)
 
 
 # The spread of a path that follows from the band on k(s), to first order; the actuators do as commanded.
@@ -606,7 +531,5 @@ class PathSpread:
 def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
     """The spread of a path at up to `moments` of its samples, evenly spaced, the first and the last among them."""
     chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))
-    stands = [BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen]
-    return PathSpread(
-        way.time[chosen], np.array([spread(state, way.goals.targets.s, uncertain).rms for state in stands])
-    )
+    states = (BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen)
+    return PathSpread(way.time[chosen], np.array([spread(one, way.goals.targets.s, uncertain).rms for one in states]))

@@ -21,6 +21,7 @@ from onebend.beam.statics import Equilibrium, tangent
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import BEYOND, METRES
 from onebend.control.loaded_beam import (
+    LARGEST_STEP_TURN,
     EquilibriumPath,
     LoadedState,
     NewtonResult,
@@ -36,24 +37,21 @@ from onebend.control.loaded_beam import (
     solve_goal,
     starts_of,
     trace,
+    trusted,
 )
 from onebend.control.reach_set import NearestPoint, ReachableSet, reachable
 from onebend.errors import ControlError
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-# Equilibria that are known beforehand, and the load for a goal near one of them.
-#
-# Forces in all directions and sizes are laid on a beam once; each equilibrium is followed from rest while its force
-# grows, and counts where it is stable. A goal near the place of one is a step away: its load and shape are predicted
-# by the derivatives there and corrected by Newton's method. As in `continuation.py` the step counts only where the
-# corrector moves the shape little beside the prediction and every tangent is positive: then it is on the same branch.
+# Equilibria that are known beforehand: forces in all directions and sizes, each followed from rest. A goal near the
+# place of one is a step away: its load and shape are predicted by the derivatives there and corrected by Newton's
+# method. The step counts only where the corrector moves the shape little and every tangent is positive.
 
 _DIRECTIONS = 20
 _SIZES = 0.5 * 2.0 ** np.arange(6)  # times k / (L s_a^2): up to 16
 _WAY = ContinuationSettings(tolerance=1e-8, min_step=0.05, max_steps=7)  # what takes more steps is left out
 _TURN_WEIGHT = 0.03  # of L: the distance that a radian of turn weighs, so that of two ways the less bent is taken
-_LARGEST_STEP_TURN, _TRUST, _TRUST_GROWTH, _LEAST_TRUST = 0.7, 0.25, 0.5, 1e-3  # as in `continuation.py`
 _LEAST_DETERMINANT = 1e-9  # of the compliance, over its size squared: below it the goal does not say the force
 
 
@@ -83,11 +81,11 @@ def step_to(pushed: PushedBeam, goal: Array) -> tuple[LoadedState, NewtonResult]
     change = known.force_by_place[i] @ away[i]
     curve = known.shape_by_force[i] @ change
     turn = float(np.abs(pushed.b @ curve).max())
-    if not turn < _LARGEST_STEP_TURN:
+    if not turn < LARGEST_STEP_TURN:
         return None
     x, y = known.force[i] + change
     ahead = LoadedState(known.q[i] + curve, np.array([x, y, 0.0]))
-    result = solve_goal(pushed, ahead, goal, most=8, trust=min(_TRUST, _LEAST_TRUST + _TRUST_GROWTH * turn))
+    result = solve_goal(pushed, ahead, goal, most=8, trust=trusted(turn))
     if not (result.converged and result.positive):
         return None
     return LoadedState(known.q[i], np.array([*known.force[i], 0.0])), result
@@ -118,11 +116,8 @@ def _sampled(pushed: PushedBeam) -> KnownEquilibria:
     return KnownEquilibria(q[told], force[told], places[told], weighs[told], by_force[told], inverse)
 
 
-# The search for an equilibrium with the point on its goal, connected to rest; the quickest attempts come first.
-
 _MOST_STARTS = 8  # starts that are tried
 _MOST_SAMPLES = 5  # sampled equilibria that the goal is led from
-_SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
 _FORCE_WITHOUT_BOUND = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
 _MOST_REFINEMENTS = 3  # halvings of the panels that are tried
 _SURELY_FINE = 0.01  # of the tolerance
@@ -165,7 +160,7 @@ def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -
             iterations += result.iterations
             if not (result.converged and pushed.stable(result.state)):
                 continue
-            if not any(_same(pushed, result.state, known) for known in before):
+            if not any(pushed.same(result.state, known) for known in before):
                 before.append(result.state)
                 yield result.state, iterations
 
@@ -173,11 +168,7 @@ def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -
 def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
     """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
     trail = trace(pushed, state.load)
-    return trail if trail.arrived and _same(pushed, trail.states[-1], state) else None
-
-
-def _same(pushed: PushedBeam, first: LoadedState, other: LoadedState) -> bool:
-    return float(np.max(np.abs(pushed.b @ (first.q - other.q)))) < _SAME_SHAPE
+    return trail if trail.arrived and pushed.same(trail.states[-1], state) else None
 
 
 @lru_cache(maxsize=8)
@@ -260,12 +251,8 @@ def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) ->
     return candidate
 
 
-# The force that brings a point of a beam to a goal: (23)-(25), exactly or by the paper's own iteration.
-#
-# `method="newton"`: Newton's method on shape and force together (`newton.py`) from a start near the goal
-# (`starts.py`). A solution counts only if it is stable and connected to rest by stable equilibria: as the force grows
-# in proportion, or else as the goal moves there from a sampled equilibrium (`search.py`). `method="paper"`: Algorithm
-# 1 exactly as printed (`paper_iteration.py`); its force is then applied to the exact beam.
+# `method="newton"`: Newton's method on shape and force together. A solution counts only if it is stable and connected
+# to rest by stable equilibria. `method="paper"`: Algorithm 1 as printed; its force is then applied to the exact beam.
 
 __all__ = ["Reach", "ReachSettings", "reach"]
 
@@ -368,18 +355,12 @@ def reach(
     settings: ReachSettings = ReachSettings(),
     start: Reach | None = None,
 ) -> Reach:
-    """The force at `push_s` that puts the point at `point_s` on `goal`.
+    """The force at `push_s` that puts the point at `point_s` on `goal`; a goal out of reach is no error (`converged`).
 
-    Args:
-        goal: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment.
-        start: an earlier result for the same beam and places, from which the goal is led first.
+    `goal`: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment. `start`:
+    an earlier result for the same beam and places, from which the goal is led first.
 
-    Returns:
-        the result; look at `converged` and `reason`: a goal that cannot be reached is not an error.
-
-    Raises:
-        ControlError: a goal, place or bound without meaning.
-        MechanicsError: k(s) is not positive somewhere.
+    Raises `ControlError`: a goal, place or bound without meaning; `MechanicsError`: k(s) is not positive somewhere.
     """
     wanted = checked_goal(goal, settings)
     pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
@@ -403,9 +384,9 @@ def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
     for state in start.states[1:]:
         step = trace(pushed, state.load, start=states[-1])
         if not step.arrived:
-            return EquilibriumPath(tuple(states), (0.0,), False)
+            return EquilibriumPath(tuple(states), False)
         states.append(step.states[-1])
-    return EquilibriumPath(tuple(states), (1.0,), True)
+    return EquilibriumPath(tuple(states), True)
 
 
 def _too_far(pushed: PushedBeam, goal: Array) -> str:
@@ -485,26 +466,18 @@ def _result(
 
 
 def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
-    """Algorithm 1, and what its force does to the exact beam."""
+    """Algorithm 1, and the shape of the exact beam under its force."""
     force = paper_force(pushed.beam, goal, pushed.push_s, pushed.point_s, settings.paper)
-    trail = trace(pushed, np.append(force.force, 0.0))
-    last = trail.states[-1]
+    trail, why = trace(pushed, np.append(force.force, 0.0)), ""
+    off = float(np.linalg.norm(pushed.pose(trail.states[-1].q)[:2] - goal))
     if not force.converged:
         why = f"the paper's iteration did not settle within {force.iterations} turns"
     elif not trail.arrived:
         why = "the paper's iteration ends at a force under which the exact beam has no stable shape on its branch"
-    else:
-        off = float(np.linalg.norm(pushed.pose(last.q)[:2] - goal))
-        near = off <= 2.0 * settings.paper.tolerance
-        why = (
-            ""
-            if near
-            else f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
-        )
+    elif off > 2.0 * settings.paper.tolerance:
+        why = f"the paper's iteration settled, but under its force the exact beam is {1e3 * off:.3g} mm off"
     return _result(ReachCandidate(pushed, trail.states, force.iterations), goal, settings, why)
 
-
-# One goal after another, for control loops: each force is found from the one before.
 
 _LARGEST_TURN = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
 
@@ -538,8 +511,7 @@ class WarmReach:
     ) -> None:
         """The beam at rest.
 
-        Raises:
-            ControlError: a place without meaning, or settings that only `reach` knows (paper, one direction).
+        Raises `ControlError`: a place without meaning, or settings that only `reach` knows (paper, one direction).
         """
         if settings.method != "newton" or settings.direction is not None:
             raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
@@ -569,8 +541,7 @@ class WarmReach:
     def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 
-        Raises:
-            ControlError: a goal without meaning, or one that cannot be reached (the beam stays where it is).
+        Raises `ControlError`: a goal without meaning, or one that cannot be reached (the beam stays where it is).
         """
         wanted = checked_goal(goal, self._settings)
         if self._state is not None:
@@ -620,8 +591,6 @@ class WarmReach:
         self._state, self._last = state, last
         return HoldingLoad(state.load[:2].copy(), float(state.load[2]), route, count)
 
-
-# The error of a reached point that follows from the band on k(s), through the exact equilibrium.
 
 SURE = 0.95  # probability of the ellipse that is shown and written
 
@@ -681,20 +650,13 @@ def predicted_error(
     draws: int = 400,
     seed: int = 0,
 ) -> PredictedError:
-    """The uncertainty of the point's position under the load that was found.
+    """The uncertainty of the point's position under the load that was found, by k(s) with its band (`uncertain`).
 
-    Args:
-        beam: the beam that was led to the goal.
-        uncertain: its k(s) with the band.
-        same_sensor: the force is given by the sensor that the beam was learned with. Then its scale error, which
-            makes all of k wrong alike, makes the force wrong as much, and cancels.
-        draws: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which
-            takes a millisecond, and makes the ellipse too thin where it is long.
-        seed: of the draws.
+    `same_sensor`: the force is given by the sensor that the beam was learned with; its scale error then cancels.
+    `draws`: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which takes
+    a millisecond, and makes the ellipse too thin where it is long.
 
-    Raises:
-        ControlError: beam, band and result do not belong together; or so few of the beams within the band stand near
-            the shape that nothing can be said.
+    Raises `ControlError`: beam, band and result do not belong together, or too few of the beams within the band stand.
     """
     s = np.linspace(0.0, 1.0, 41)
     if beam != result.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):

@@ -8,6 +8,7 @@ the nearest samples on.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -23,6 +24,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.control.goals import numbers
 from onebend.control.loaded_beam import (
+    EquilibriumPath,
     LoadedState,
     PushedBeam,
     ReachSettings,
@@ -38,10 +40,8 @@ from onebend.records import Array, BoolArray, IntArray
 _START_SAMPLES = 4  # samples from which the nearest point is sought
 _MOST_STEPS = 60  # steps of the search
 _LEAST_SHARE_OF_LENGTH = 1e-9  # of L: a step that brings the point no nearer than this ends the search
-_SHORTEST_SEARCH_STEP, _SHORTEST_FOLLOW = (
-    1e-4,
-    1e-3,
-)  # of a step of the search, and of those by which the shape follows it
+_HALVES = tuple(0.5**i for i in range(14))  # of a step of the search
+_SHORTEST_FOLLOW = 1e-3  # of such a step, by which the shape follows it
 
 
 @dataclass(frozen=True)
@@ -98,35 +98,19 @@ class ReachableSet:
 
     def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
         """Gauss-Newton in the disc of allowed forces; every step is followed as an equilibrium."""
-        pushed, length, state = self.pushed, float(self.pushed.problem.length), way[-1]
-        point = pushed.pose(state.q)[:2]
-        along = self._only_direction()
+        pushed, least = self.pushed, _LEAST_SHARE_OF_LENGTH * float(self.pushed.problem.length)
+        forces = np.eye(2) if len(self.force) > 1 else np.asarray(self.force[0, -1] / self.max_force)[:, None]
         for _ in range(_MOST_STEPS):
-            away, share, better = float(np.linalg.norm(goal - point)), 1.0, False
-            s = pushed.response(state)[:2, :2] @ along
-            if away < _LEAST_SHARE_OF_LENGTH * length or not np.all(np.isfinite(s)):
+            if float(np.linalg.norm(goal - pushed.pose(way[-1].q)[:2])) < least:
                 break
-            now = along.T @ state.load[:2]
-            aim = best_in_ball(s, s @ now + goal - point, self.max_force, one_sided=along.shape[1] == 1)
-            while share > _SHORTEST_SEARCH_STEP and not better:
-                load = np.append(along @ (now + share * (aim - now)), 0.0)
-                trail = trace(pushed, load, start=state, shortest=_SHORTEST_FOLLOW)
-                there = float(np.linalg.norm(goal - pushed.pose(trail.states[-1].q)[:2]))
-                better = (
-                    trail.arrived and self._allowed(trail.states[-1]) and there < away - _LEAST_SHARE_OF_LENGTH * length
-                )
-                share *= 0.5
-            if not better:
+            ahead = _nearer(
+                pushed, way[-1], goal, self.max_force, forces, _HALVES, _SHORTEST_FOLLOW, least, self._allowed
+            )
+            if ahead is None:
                 break
-            way, state = (*way, *trail.states[1:]), trail.states[-1]
-            point = pushed.pose(state.q)[:2]
-        return NearestPoint(point, state.load[:2], float(np.linalg.norm(goal - point)), way)
-
-    def _only_direction(self) -> Array:
-        """(2, P) the forces that may be given: both components, or one direction."""
-        if len(self.force) > 1:
-            return np.eye(2)
-        return np.asarray(self.force[0, -1] / self.max_force)[:, None]
+            way = (*way, *ahead.states[1:])
+        point = pushed.pose(way[-1].q)[:2]
+        return NearestPoint(point, way[-1].load[:2], float(np.linalg.norm(goal - point)), way)
 
     def _allowed(self, state: LoadedState) -> bool:
         return self.max_curvature is None or self.pushed.bend(state.q) <= self.max_curvature
@@ -147,14 +131,10 @@ def reachable(
 ) -> ReachableSet:
     """Where forces up to `max_force` [N] at `push_s` can hold the point at `point_s`.
 
-    Args:
-        max_curvature: 1/m beyond the curvature at rest that the beam may take anywhere.
-        direction: rad; only forces in this direction.
-        directions, sizes: of the sampled forces; sizes grow evenly.
-        gravity: (2,) m/s^2 in the beam's frame.
+    `max_curvature`: 1/m beyond the curvature at rest, anywhere. `direction`: rad, of the only forces that are given.
+    `directions`, `sizes`: of the sampled forces. `gravity`: (2,) m/s^2 in the beam's frame.
 
-    Raises:
-        ControlError: a place or bound without meaning.
+    Raises `ControlError`: a place or bound without meaning.
     """
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
@@ -164,19 +144,40 @@ def reachable(
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()
     pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
-    turns = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
-    grow = max_force * np.arange(1, sizes + 1) / sizes
-    force = grow[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None]
-    loads = push(force.reshape(-1, 2), push_s) + weight(gravity)
-    solved = follow(make_problem(beam, loads, Resolution()))
-    point = solved.xy(np.array([point_s]))[:, 0]
-    q = solved.q[:, : pushed.count] if solved.q.shape[1] >= pushed.count else solved.q
-    good = solved.converged & solved.stable
+    turns: Array = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
+    grow: Array = max_force * np.arange(1, sizes + 1) / sizes
+    q, points = _sampled(pushed, turns, grow)
     if max_curvature is not None:
-        good &= np.array([pushed.bend(shape) <= max_curvature for shape in q])
-    point[~good] = np.nan
-    shape = force.shape[:2]
-    return ReachableSet(pushed, max_force, max_curvature, force, point.reshape(*shape, 2), q.reshape(*shape, -1))
+        points[np.array([[pushed.bend(shape) > max_curvature for shape in row] for row in q])] = np.nan
+    return ReachableSet(pushed, max_force, max_curvature, _forces(turns, grow), points, q)
+
+
+def _nearer(
+    pushed: PushedBeam,
+    state: LoadedState,
+    goal: Array,
+    most: float,
+    forces: Array,
+    shares: tuple[float, ...],
+    shortest: float,
+    least: float,
+    allowed: Callable[[LoadedState], bool] = lambda _: True,
+) -> EquilibriumPath | None:
+    """A Gauss-Newton step of the point towards a goal, by forces (2, P) of up to `most` N, followed as an equilibrium.
+
+    The first of the `shares` of the step counts that brings the point nearer by `least` m; None where none does.
+    """
+    s = pushed.response(state)[:2, :2] @ forces
+    if not np.all(np.isfinite(s)):
+        return None
+    away, now = goal - pushed.pose(state.q)[:2], forces.T @ state.load[:2]
+    aim = best_in_ball(s, s @ now + away, most, one_sided=forces.shape[1] == 1)
+    for share in shares:
+        way = trace(pushed, np.append(forces @ (now + share * (aim - now)), 0.0), start=state, shortest=shortest)
+        there = float(np.linalg.norm(goal - pushed.pose(way.states[-1].q)[:2]))
+        if way.arrived and allowed(way.states[-1]) and there < float(np.linalg.norm(away)) - least:
+            return way
+    return None
 
 
 def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:
@@ -196,12 +197,10 @@ def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> 
     return np.asarray(vt.T @ (c / (d**2 + damping)))
 
 
-# A map of the reachable set, made once: whether a goal can be reached is then a look at it, and costs no search.
-#
-# Forces are laid out by direction and size, as in `reachable.py`, and joined to triangles; each goes with a triangle
-# of places of the point. Where neighbouring directions lead to shapes far apart (the beam falls to its other side),
-# the directions between are halved until the gap is narrow, and no triangle goes across. Either side of such a gap
-# the force is turned on, as a hand would turn it, until the beam is no longer stable: there is the edge of stability.
+# A map of the reachable set, made once. Forces are laid out by direction and size and joined to triangles; each goes
+# with a triangle of places of the point. Where neighbouring directions lead to shapes far apart (the beam falls to its
+# other side), the directions between are halved until the gap is narrow, and no triangle goes across. Either side of
+# such a gap the force is turned on until the beam is no longer stable: there is the edge of stability.
 
 _DIRECTIONS = 72
 _SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # of the largest force: the first of it bends the beam most
@@ -479,11 +478,9 @@ def _chains(edges: IntArray) -> list[list[int]]:
     return lines
 
 
-# A point of a beam that is dragged: the force for each place of the pointer, at once and always on the branch.
-#
-# A goal inside the map (`reach_map.py`) is a Newton's method away from where the beam stands or from the map; a goal
-# outside is answered by the map's nearest edge, from where the point slides nearer as long as the force allows it.
-# There is no search: an answer costs some milliseconds at most, a refusal too.
+# A point of a beam that is dragged. A goal inside the map is a Newton's method away from where the beam stands or from
+# the map; a goal outside is answered by the map's nearest edge, from where the point slides nearer as long as the force
+# allows it. There is no search.
 
 _TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
 _SHORTEST_EDGE_STEP = 1e-3  # of the way to a force of the map's edge
@@ -511,13 +508,26 @@ class DragAnswer:
         return float(np.hypot(*(self.pose - self.goal[:3] if len(self.goal) > 3 else self.pose[:2] - self.goal[:2])))
 
 
-class DraggedPoint:
-    """A point that a force at one place leads; it remembers where the beam stands. Not for two threads at once."""
+class _Hand:
+    """A beam that is led, and where it stands now. Not for two threads at once."""
+
+    holds = False  # the end's angle as well as its place
+
+    def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
+        self.pushed, self.state, self.max_force = pushed, start, max_force
+
+    def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
+        """How the beam stands now."""
+        margin = stability_margin(self.pushed, self.state, held=self.holds)
+        return DragAnswer(goal, self.pushed.pose(self.state.q), self.state, margin, limit)
+
+
+class DraggedPoint(_Hand):
+    """A point that a force at one place leads."""
 
     def __init__(self, pushed: PushedBeam, max_force: float) -> None:
-        self.pushed, self.max_force = pushed, max_force
+        super().__init__(pushed, pushed.start, max_force)
         self.map: ReachMap | None = None  # until it is there only Newton's method answers
-        self.state = pushed.start
 
     @one_blas_thread
     def to(self, goal: ArrayLike) -> DragAnswer:
@@ -555,28 +565,13 @@ class DraggedPoint:
         limit: Edge | None = None if way.arrived and size <= _OVER * self.max_force else "stability"
         return self.answer(self.pushed.pose(self.state.q)[:2], limit)
 
-    def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
-        """How the beam stands now."""
-        pose = self.pushed.pose(self.state.q)
-        return DragAnswer(goal, pose, self.state, stability_margin(self.pushed, self.state), limit)
-
     def _approach(self, goal: Array) -> bool:
         """Nearer to a goal by forces within the bound, each step followed as an equilibrium; whether it got there."""
         for _ in range(_SLIDES):
-            s = self.pushed.response(self.state)[:2, :2]
-            away = goal - self.pushed.pose(self.state.q)[:2]
-            if not np.isfinite(s).all():
+            way = _nearer(self.pushed, self.state, goal, self.max_force, np.eye(2), (1.0, 0.3, 0.1), 0.05, _LEAST_DRAG)
+            if way is None:
                 return False
-            now, left = self.state.load[:2], float(np.hypot(*away))
-            change = best_in_ball(s, s @ now + away, self.max_force, one_sided=False) - now
-            for share in (1.0, 0.3, 0.1):
-                way = trace(self.pushed, np.append(now + share * change, 0.0), start=self.state, shortest=0.05)
-                there = float(np.hypot(*(goal - self.pushed.pose(way.states[-1].q)[:2])))
-                if way.arrived and there < left - _LEAST_DRAG:
-                    self.state = way.states[-1]
-                    break
-            else:
-                return False
+            self.state = way.states[-1]
             if self._solved(self.state, goal):
                 return True
         return False
@@ -591,8 +586,10 @@ class DraggedPoint:
         return True
 
 
-class HeldEnd:
-    """A hand that holds the end s = 1 at a place and an angle. Not for two threads at once."""
+class HeldEnd(_Hand):
+    """A hand that holds the end s = 1 at a place and an angle."""
+
+    holds = True
 
     def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
         """`start`: an equilibrium under a force at the end, which the hand takes over.
@@ -601,7 +598,7 @@ class HeldEnd:
         """
         if (pushed.push_s, pushed.point_s) != (1.0, 1.0):
             raise ControlError("a hand holds the end of the beam: s = 1")
-        self.pushed, self.state, self.max_force = pushed, start, max_force
+        super().__init__(pushed, start, max_force)
 
     @one_blas_thread
     def to(self, goal: ArrayLike) -> DragAnswer:
@@ -618,11 +615,6 @@ class HeldEnd:
             if self.state is before:
                 break
         return self.answer(wanted, limit or "stability")
-
-    def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
-        """How the beam stands now."""
-        pose = self.pushed.pose(self.state.q)
-        return DragAnswer(goal, pose, self.state, stability_margin(self.pushed, self.state, held=True), limit)
 
     def _step(self, wanted: Array) -> Edge | None:
         """One step towards the pose, as long as it may be; what forbids to go on, or None."""

@@ -13,7 +13,7 @@ from onebend.beam.clamped_ends import end_jacobian, end_pose
 from onebend.beam.continuation import equilibrium, follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.problem import Problem, Resolution, Rod, make_problem, refuse_section
-from onebend.beam.statics import Equilibrium, balance, nodal_forces, scaled, tangent
+from onebend.beam.statics import Equilibrium, balance, found_near, nodal_forces, scaled, tangent
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
 from onebend.errors import ControlError
@@ -22,15 +22,12 @@ from onebend.records import Array
 
 # Actuators on a beam, and the equilibria they can hold: a smooth surface with as many dimensions as controls.
 #
-# A pusher applies a dead force with two components at one place. A grip holds the end s = 1 at a pose; its load is a
-# wrench with three components. In both cases equilibrium is
+#     g(q, u) = g0(q) - A(q)^T u = 0,
 #
-# g(q, u) = g0(q) - A(q)^T u = 0,
-#
-# u: forces and wrench; A: derivative of the places where they act. With forces alone, the surface (q, u) is a graph
-# over u as long as the beam is stable. A gripped beam can be stable where a beam under the same dead wrench has
-# buckled. Its surface is not everywhere a graph over wrench or pose (a straight beam at rest does not yield to an
-# axial pull). So steps are taken in the surface's tangent plane and then corrected at right angles to it.
+# u: forces of the pushers (dead loads), and force and moment of a grip that holds the end; A: derivative of the places
+# where they act. With forces alone, the surface (q, u) is a graph over u as long as the beam is stable. A gripped beam
+# can be stable where one under the same dead wrench has buckled, and its surface is not everywhere a graph over wrench
+# or pose. So steps are taken in the surface's tangent plane and then corrected at right angles to it.
 
 _LAST_UPDATE = 1e-11  # rad, of a correction's last update
 _MOST_ITERATIONS = 12  # Newton iterations of a correction
@@ -125,8 +122,7 @@ class Actuators:
 
     def solved(self, q: Array, u: Array) -> Equilibrium:
         """Known equilibria q (T, Q) under the controls u (T, m), as the mechanics has them."""
-        yes, ones = np.ones(len(q), dtype=bool), np.ones(len(q))
-        return Equilibrium(self.loaded(u), q, yes, yes, ones, np.nan * ones, ~yes, 0)
+        return found_near(self.loaded(u), q, np.ones(len(q), dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -155,8 +151,7 @@ class BeamState:
     @property
     def unbend(self) -> Array:
         """(Q,) D: scaled curvature to curvature."""
-        problem = self.actuators.problem
-        return np.asarray(1.0 / np.sqrt(problem.weights * problem.k))
+        return self.actuators.problem.unbend
 
     @cached_property
     def plane(self) -> tuple[Array, Array]:
@@ -208,9 +203,8 @@ def resting_state(
 ) -> BeamState:
     """The beam under its weight, with actuators that do nothing.
 
-    Raises:
-        ControlError: no actuator, or a beam that buckles under its own weight.
-        MechanicsError: the beam has a thickness: stretch and shear are not known here.
+    Raises `ControlError`: no actuator, or a beam that buckles under its own weight; `MechanicsError`: the beam has a
+    thickness: stretch and shear are not known here.
     """
     if not pushes and grip is None:
         raise ControlError("no actuator on the beam: give a push or a grip")
@@ -257,16 +251,6 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
             return BeamState(actuators, q, u)
     return None
 
-
-def state_on_grid(state: BeamState, beam: Rod, gravity: ArrayLike | None, resolution: Resolution) -> BeamState | None:
-    """The same equilibrium on another grid; None where it is not close by."""
-    finer = resting_state(beam, state.actuators.pushes, state.actuators.grip, gravity, resolution)
-    grid = state.actuators.problem.grid
-    start = BeamState(finer.actuators, grid.value_at(finer.actuators.problem.grid.nodes) @ state.q, state.u)
-    return next_state(start, np.zeros(start.actuators.count), 0.05)
-
-
-# One Newton step on the surface of equilibria, within the bounds on forces.
 
 _MOST_DUAL_ITERATIONS = 60  # iterations for the multipliers
 _BOUND_TOLERANCE = 1e-12  # share of a bound to which it is kept
@@ -366,8 +350,6 @@ def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
     return share
 
 
-# Descent over stable equilibria to the one closest to the targets.
-
 _LAST_STEP = 1e-9  # rad, of the last step
 _BELOW_ROUNDING = 1e-6  # rad: below, the cost's own rounding hides whether a step helps
 _EDGE_MARGIN = 1.1  # times the least margin: where steps on are barred, the search ends
@@ -449,9 +431,6 @@ def _merit(state: BeamState, residuals: TargetResiduals, price: float) -> float:
     return 0.5 * float(residuals.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))
 
 
-# The spread of a shape that follows from the band on k(s), to first order; the actuators do as commanded.
-
-
 @dataclass(frozen=True)
 class ShapeSpread:
     """Standard deviations of the shape at N places, given the forces of the pushes and the pose of the grip."""
@@ -497,8 +476,6 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
     wrench = sd(unit[:, None] * answer[count:]) if held else None
     return ShapeSpread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)
 
-
-# Forces, or a gripper's pose, that bring a beam as close as it can be to a wanted shape.
 
 _FINEST_PANEL = 1.0 / 16.0  # widest panel at the end of refinement
 _TARGETS_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
@@ -585,20 +562,12 @@ def shape(
     """The stable shape under these actuators that is closest to the targets, weighted least squares.
 
     The search visits stable equilibria only. It starts from rest, or from `start` (`ShapeResult.state` of an earlier
-    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes, and the
-    best result is taken. The result is a local optimum, found with exact second derivatives; it need not be global.
+    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes. The
+    result is a local optimum, found with exact second derivatives. `gravity`: (2,) m/s^2 in the beam's frame.
+    `uncertain`: k(s) with its band, for the errors to expect.
 
-    Args:
-        beam: length, stiffness, rest curvature, clamp's angle, mass.
-        targets: what is wanted, see `targets`.
-        pushes: actuators that push at one place each.
-        grip: an actuator that holds the end.
-        gravity: (2,) m/s^2 in the beam's frame.
-        uncertain: k(s) with its band, for the errors to expect.
-
-    Raises:
-        ControlError: no actuator, bad targets, or a beam that buckles under its own weight.
-        MechanicsError: k(s) not positive.
+    Raises `ControlError`: no actuator, bad targets, or a beam that buckles under its own weight; `MechanicsError`: k(s)
+    not positive.
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
@@ -612,7 +581,16 @@ def shape(
             break
         again, tried = descend(other, targets, arm, settings.descent), tried + 1
         result = again if again.cost < result.cost * (1.0 - 1e-6) else result
-    result = _resolved(result, beam, gravity, targets, arm, settings)
+    resolution, actuators = settings.resolution, resting.actuators
+    while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
+        resolution = resolution.finer()
+        state, finer = result.state, resting_state(beam, actuators.pushes, grip, gravity, resolution)
+        rows = state.actuators.problem.grid.value_at(finer.actuators.problem.grid.nodes)
+        begin = BeamState(finer.actuators, rows @ state.q, state.u)
+        on_grid = next_state(begin, np.zeros(actuators.count), 0.05)
+        if on_grid is None:
+            break
+        result = descend(on_grid, targets, arm, settings.descent)
     return _result(result, targets, arm, tried, uncertain, settings)
 
 
@@ -627,20 +605,6 @@ def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
         if solved.stable[0]:
             out.append(BeamState(actuators, solved.q[0], u))
     return out
-
-
-def _resolved(
-    result: DescentResult, beam: Rod, gravity: ArrayLike | None, targets: Targets, arm: float, settings: ShapeSettings
-) -> DescentResult:
-    """The same on a grid that carries the curvature, as far as `_FINEST_PANEL` goes."""
-    resolution = settings.resolution
-    while not result.state.solved.resolved[0] and resolution.widest > _FINEST_PANEL:
-        resolution = resolution.finer()
-        start = state_on_grid(result.state, beam, gravity, resolution)
-        if start is None:
-            break
-        result = descend(start, targets, arm, settings.descent)
-    return result
 
 
 def _result(

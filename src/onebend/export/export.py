@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -19,15 +19,31 @@ from onebend.files.single_file import as_parquet
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-# What every export asks of a beam, and how it writes numbers.
-
 MASSES = (1e-9, 1e6)  # kg, that a beam may have
 TIMES = (1e-9, 1e6)  # s, of damping over stiffness
 
 
-def plain(value: float) -> str:
-    """Enough digits to read the very same number back."""
-    return repr(float(value))
+def text_of(value: object) -> str:
+    """A number with enough digits to read it back, several in turn with spaces between, or text as it is."""
+    if isinstance(value, tuple):
+        return " ".join(map(text_of, value))
+    return value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
+
+
+def add(parent: Xml.Element, tag: str, text: object = None, **attributes: object) -> Xml.Element:
+    """A new element of XML."""
+    out = Xml.SubElement(parent, tag, {name: text_of(value) for name, value in attributes.items()})
+    out.text = None if text is None else text_of(text)
+    return out
+
+
+def fill(parent: Xml.Element, children: dict[str, Any]) -> None:
+    """New elements by their tags, each with text or with children of its own."""
+    for tag, inside in children.items():
+        if isinstance(inside, dict):
+            fill(add(parent, tag), inside)
+        else:
+            add(parent, tag, inside)
 
 
 def checked_damping(damping_time: float) -> float:
@@ -46,12 +62,6 @@ def checked_stiffness(beam: Beam, s: Array) -> Array:
     if not np.all(k > 0.0):
         raise ExportError(f"k(s) is not positive at s = {s[~(k > 0.0)][0]:.3f}; no simulator can bend such a beam")
     return k
-
-
-def refuse_masses(beam: Beam, what: str) -> None:
-    """Raises `ExportError` where something rides on the beam that an export does not carry."""
-    if beam.masses:
-        raise ExportError(f"{what} holds a mass per metre only, and {len(beam.masses)} masses ride on this beam")
 
 
 def checked_mass(beam: Beam, mass: float | None, s: Array) -> Array:
@@ -99,14 +109,11 @@ class Chain:
 
 
 def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chain:
-    """The chain that bends as `beam` does.
+    """The chain that bends as `beam` does; more `hinges` bend more finely and simulate more slowly.
 
-    Args:
-        hinges: more bend more finely and simulate more slowly.
-        mass: kg, spread evenly along the beam; None takes the beam's own. What rides on it comes on top.
+    `mass`: kg, spread evenly along the beam; None takes the beam's own. Masses that ride on the beam come on top.
 
-    Raises:
-        ExportError: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
+    Raises `ExportError`: fewer than 2 hinges, k(s) not positive, or no mass (a simulator in time cannot do without).
     """
     if hinges < 2:
         raise ExportError(f"a chain needs 2 hinges or more, got {hinges}")
@@ -141,8 +148,6 @@ def chain_of(beam: Beam, hinges: int = 40, *, mass: float | None = None) -> Chai
     )
 
 
-# The beam as a MuJoCo model (MJCF): a chain of hinges with springs, in the plane z = 0.
-
 COLOUR = "0.85 0.45 0.25 1"
 
 
@@ -151,68 +156,43 @@ def mjcf(
 ) -> str:
     """An MJCF document; the beam is the body `link_0` and lies along x, bending in the x-y plane.
 
-    Args:
-        damping_time: s, `d / k` of Kelvin-Voigt damping: every hinge's damping over its stiffness.
-        sites: places along the beam that get a site, named `s_0.333`; the tip has one, `tip`.
-        radius: m, of the drawn capsules alone; None draws a slim beam.
+    `damping_time`: s, `d / k` of Kelvin-Voigt damping. `sites`: places along the beam that get a site, named `s_0.333`;
+    the tip has one, `tip`. `radius`: m, of the drawn capsules alone.
 
-    Raises:
-        ExportError: the damping time is not positive (the integrator needs it: the links are light, the hinges stiff).
+    Raises `ExportError`: the damping time is not positive (the integrator needs it: the links are light).
     """
     checked_damping(damping_time)
     places = [chain.link_of(s) for s in sites]
     root = Xml.Element("mujoco", model="onebend")
     root.append(Xml.Comment(" x along the clamp, y to its left; the spring of a hinge rests at its springref "))
-    Xml.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="true")
-    Xml.SubElement(root, "option", timestep=plain(min(0.002, damping_time / 2)), integrator="implicitfast")
-    parent = Xml.SubElement(root, "worldbody")
+    add(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="true")
+    add(root, "option", timestep=min(0.002, damping_time / 2), integrator="implicitfast")
+    parent = add(root, "worldbody")
     for i in range(len(chain.link_length)):
-        parent = _link(parent, chain, i, damping_time, radius or 0.02 * float(chain.link_length.sum()))
+        parent = _link(parent, chain, i, damping_time, _radius(chain, radius))
         for s, (link, along) in zip(sites, places, strict=True):
             if link == i:
-                Xml.SubElement(parent, "site", name=f"s_{s:.3f}", pos=f"{plain(along)} 0 0")
-    Xml.SubElement(parent, "site", name="tip", pos=f"{plain(chain.link_length[-1])} 0 0")
+                add(parent, "site", name=f"s_{s:.3f}", pos=(along, "0 0"))
+    add(parent, "site", name="tip", pos=(chain.link_length[-1], "0 0"))
     Xml.indent(root)
     return Xml.tostring(root, encoding="unicode") + "\n"
 
 
 def _link(parent: Xml.Element, chain: Chain, i: int, damping_time: float, radius: float) -> Xml.Element:
     """Link `i`, with the hinge that carries it."""
-    place = "0 0 0" if i == 0 else f"{plain(chain.link_length[i - 1])} 0 0"
-    body = Xml.SubElement(parent, "body", name=f"link_{i}", pos=place)
+    body = add(parent, "body", name=f"link_{i}", pos="0 0 0" if i == 0 else (chain.link_length[i - 1], "0 0"))
     if i == 0:
         half = chain.clamp_angle / 2
-        body.set("quat", f"{plain(np.cos(half))} 0 0 {plain(np.sin(half))}")
+        body.set("quat", text_of((np.cos(half), "0 0", np.sin(half))))
     else:
-        stiffness = float(chain.stiffness[i - 1])
-        Xml.SubElement(
-            body,
-            "joint",
-            name=f"hinge_{i - 1}",
-            type="hinge",
-            axis="0 0 1",
-            stiffness=plain(stiffness),
-            springref=plain(chain.rest[i - 1]),
-            damping=plain(damping_time * stiffness),
-        )
-    inertia = plain(chain.link_inertia[i])
-    Xml.SubElement(
-        body,
-        "inertial",
-        pos=f"{plain(chain.link_centre[i])} 0 0",
-        mass=plain(chain.link_mass[i]),
-        diaginertia=f"{plain(1e-3 * chain.link_inertia[i])} {inertia} {inertia}",
-    )
-    Xml.SubElement(
-        body,
-        "geom",
-        type="capsule",
-        fromto=f"0 0 0 {plain(chain.link_length[i])} 0 0",
-        size=plain(radius),
-        rgba=COLOUR,
-        contype="0",
-        conaffinity="0",
-    )
+        spring = {"stiffness": chain.stiffness[i - 1], "springref": chain.rest[i - 1]}
+        damping = damping_time * float(chain.stiffness[i - 1])
+        add(body, "joint", name=f"hinge_{i - 1}", type="hinge", axis="0 0 1", **spring, damping=damping)
+    inertia = chain.link_inertia[i]
+    about = (1e-3 * inertia, inertia, inertia)
+    add(body, "inertial", pos=(chain.link_centre[i], "0 0"), mass=chain.link_mass[i], diaginertia=about)
+    untouched = {"rgba": COLOUR, "contype": "0", "conaffinity": "0"}
+    add(body, "geom", type="capsule", fromto=("0 0 0", chain.link_length[i], "0 0"), size=radius, **untouched)
     return body
 
 
@@ -220,50 +200,32 @@ def _link(parent: Xml.Element, chain: Chain, i: int, damping_time: float, radius
 
 
 def sdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = None) -> str:
-    """An SDF 1.9 document; the hinges' springs stand in the joints' axes.
-
-    Args:
-        damping_time: s, every hinge's damping over its stiffness.
-        radius: m, of the drawn cylinders alone.
-
-    Raises:
-        ExportError: the damping time is not positive.
-    """
+    """An SDF 1.9 document; the hinges' springs stand in the joints' axes. Arguments and errors as for `mjcf`."""
     checked_damping(damping_time)
     root = Xml.Element("sdf", version="1.9")
-    model = Xml.SubElement(root, "model", name="onebend")
+    model = add(root, "model", name="onebend")
     begins = 0.0
     for i, length in enumerate(chain.link_length):
-        link = Xml.SubElement(model, "link", name=f"link_{i}")
-        pose = Xml.SubElement(link, "pose")
+        link = add(model, "link", name=f"link_{i}")
         if i == 0:
-            pose.text = f"0 0 0 0 0 {plain(chain.clamp_angle)}"
+            add(link, "pose", ("0 0 0 0 0", chain.clamp_angle))
         else:
-            pose.set("relative_to", "link_0")
-            pose.text = f"{plain(begins)} 0 0 0 0 0"
-        inertial = Xml.SubElement(link, "inertial")
-        Xml.SubElement(inertial, "pose").text = f"{plain(chain.link_centre[i])} 0 0 0 0 0"
-        Xml.SubElement(inertial, "mass").text = plain(chain.link_mass[i])
-        inertia = Xml.SubElement(inertial, "inertia")
-        for name, value in _inertia(chain, i).items():
-            Xml.SubElement(inertia, name).text = value
-        visual = Xml.SubElement(link, "visual", name="visual")
-        Xml.SubElement(visual, "pose").text = f"{plain(length / 2)} 0 0 0 1.5707963267948966 0"
-        _cylinder(Xml.SubElement(visual, "geometry"), chain, i, radius)
+            add(link, "pose", (begins, "0 0 0 0 0"), relative_to="link_0")
+        centre = (chain.link_centre[i], "0 0 0 0 0")
+        fill(link, {"inertial": {"pose": centre, "mass": chain.link_mass[i], "inertia": _inertia(chain, i)}})
+        cylinder = {"radius": _radius(chain, radius), "length": length}
+        along = (length / 2, "0 0 0 1.5707963267948966 0")
+        fill(add(link, "visual", name="visual"), {"pose": along, "geometry": {"cylinder": cylinder}})
         begins += float(length)
-    clamp = Xml.SubElement(model, "joint", name="clamp", type="fixed")
-    Xml.SubElement(clamp, "parent").text = "world"
-    Xml.SubElement(clamp, "child").text = "link_0"
+    fill(add(model, "joint", name="clamp", type="fixed"), {"parent": "world", "child": "link_0"})
     for i, stiffness in enumerate(chain.stiffness):
-        joint = Xml.SubElement(model, "joint", name=f"hinge_{i}", type="revolute")
-        Xml.SubElement(joint, "parent").text = f"link_{i}"
-        Xml.SubElement(joint, "child").text = f"link_{i + 1}"
-        axis = Xml.SubElement(joint, "axis")
-        Xml.SubElement(axis, "xyz").text = "0 0 1"
-        dynamics = Xml.SubElement(axis, "dynamics")
-        Xml.SubElement(dynamics, "damping").text = plain(damping_time * stiffness)
-        Xml.SubElement(dynamics, "spring_reference").text = plain(chain.rest[i])
-        Xml.SubElement(dynamics, "spring_stiffness").text = plain(stiffness)
+        dynamics = {
+            "damping": damping_time * stiffness,
+            "spring_reference": chain.rest[i],
+            "spring_stiffness": stiffness,
+        }
+        joint = {"parent": f"link_{i}", "child": f"link_{i + 1}", "axis": {"xyz": "0 0 1", "dynamics": dynamics}}
+        fill(add(model, "joint", name=f"hinge_{i}", type="revolute"), joint)
     return _document(root)
 
 
@@ -276,47 +238,38 @@ def urdf(chain: Chain, *, damping_time: float = 0.02, radius: float | None = Non
     checked_damping(damping_time)
     robot = Xml.Element("robot", name="onebend")
     robot.append(Xml.Comment(" N m / rad and rad of every hinge's spring: springStiffness, springReference below "))
-    Xml.SubElement(robot, "link", name="clamp")
-    for i in range(len(chain.link_length)):
-        link = Xml.SubElement(robot, "link", name=f"link_{i}")
-        inertial = Xml.SubElement(link, "inertial")
-        Xml.SubElement(inertial, "origin", xyz=f"{plain(chain.link_centre[i])} 0 0")
-        Xml.SubElement(inertial, "mass", value=plain(chain.link_mass[i]))
-        Xml.SubElement(inertial, "inertia", _inertia(chain, i))
-        visual = Xml.SubElement(link, "visual")
-        half = plain(chain.link_length[i] / 2)
-        Xml.SubElement(visual, "origin", xyz=f"{half} 0 0", rpy="0 1.5707963267948966 0")
-        geometry = Xml.SubElement(visual, "geometry")
-        Xml.SubElement(geometry, "cylinder", radius=plain(_radius(chain, radius)), length=plain(chain.link_length[i]))
-    held = Xml.SubElement(robot, "joint", name="clamp_joint", type="fixed")
-    Xml.SubElement(held, "parent", link="clamp")
-    Xml.SubElement(held, "child", link="link_0")
-    Xml.SubElement(held, "origin", xyz="0 0 0", rpy=f"0 0 {plain(chain.clamp_angle)}")
+    add(robot, "link", name="clamp")
+    for i, length in enumerate(chain.link_length):
+        link = add(robot, "link", name=f"link_{i}")
+        inertial = add(link, "inertial")
+        add(inertial, "origin", xyz=(chain.link_centre[i], "0 0"))
+        add(inertial, "mass", value=chain.link_mass[i])
+        add(inertial, "inertia", **_inertia(chain, i))
+        visual = add(link, "visual")
+        add(visual, "origin", xyz=(length / 2, "0 0"), rpy="0 1.5707963267948966 0")
+        add(add(visual, "geometry"), "cylinder", radius=_radius(chain, radius), length=length)
+    held = add(robot, "joint", name="clamp_joint", type="fixed")
+    add(held, "parent", link="clamp")
+    add(held, "child", link="link_0")
+    add(held, "origin", xyz="0 0 0", rpy=("0 0", chain.clamp_angle))
     for i, stiffness in enumerate(chain.stiffness):
-        joint = Xml.SubElement(robot, "joint", name=f"hinge_{i}", type="revolute")
-        Xml.SubElement(joint, "parent", link=f"link_{i}")
-        Xml.SubElement(joint, "child", link=f"link_{i + 1}")
-        Xml.SubElement(joint, "origin", xyz=f"{plain(chain.link_length[i])} 0 0")
-        Xml.SubElement(joint, "axis", xyz="0 0 1")
-        Xml.SubElement(joint, "limit", lower="-3.14159", upper="3.14159", effort="1000", velocity="1000")
-        Xml.SubElement(joint, "dynamics", damping=plain(damping_time * stiffness), friction="0")
+        joint = add(robot, "joint", name=f"hinge_{i}", type="revolute")
+        add(joint, "parent", link=f"link_{i}")
+        add(joint, "child", link=f"link_{i + 1}")
+        add(joint, "origin", xyz=(chain.link_length[i], "0 0"))
+        add(joint, "axis", xyz="0 0 1")
+        add(joint, "limit", lower="-3.14159", upper="3.14159", effort="1000", velocity="1000")
+        add(joint, "dynamics", damping=damping_time * stiffness, friction="0")
     for i, stiffness in enumerate(chain.stiffness):
-        spring = Xml.SubElement(robot, "gazebo", reference=f"hinge_{i}")
-        Xml.SubElement(spring, "springStiffness").text = plain(stiffness)
-        Xml.SubElement(spring, "springReference").text = plain(chain.rest[i])
+        spring = {"springStiffness": stiffness, "springReference": chain.rest[i]}
+        fill(add(robot, "gazebo", reference=f"hinge_{i}"), spring)
     return _document(robot)
 
 
-def _inertia(chain: Chain, i: int) -> dict[str, str]:
+def _inertia(chain: Chain, i: int) -> dict[str, object]:
     """Of a slim link: about its own axis a thousandth of that about the others."""
-    across, along = plain(chain.link_inertia[i]), plain(1e-3 * chain.link_inertia[i])
+    across, along = chain.link_inertia[i], 1e-3 * chain.link_inertia[i]
     return {"ixx": along, "ixy": "0", "ixz": "0", "iyy": across, "iyz": "0", "izz": across}
-
-
-def _cylinder(geometry: Xml.Element, chain: Chain, i: int, radius: float | None) -> None:
-    cylinder = Xml.SubElement(geometry, "cylinder")
-    Xml.SubElement(cylinder, "radius").text = plain(_radius(chain, radius))
-    Xml.SubElement(cylinder, "length").text = plain(chain.link_length[i])
 
 
 def _radius(chain: Chain, radius: float | None) -> float:
@@ -337,30 +290,33 @@ _FENCE = "# ---"  # around the lines of `alone.py` that hold the beam
 def function(beam: Beam) -> str:
     """Python source: the module `onebend.export.alone` with this beam in it.
 
-    Raises:
-        ExportError: k(s) is not positive somewhere, or masses ride on the beam.
+    Raises `ExportError`: k(s) is not positive somewhere, or masses ride on the beam.
     """
-    refuse_masses(beam, "the Python function")
-    s = np.linspace(0.0, 1.0, PLACES)
-    k = checked_stiffness(beam, s)
+    s, k = _tabulated(beam, "the Python function")
     return with_beam(
         "alone.py",
-        [
-            f"LENGTH_M = {beam.length!r}",
-            f"CLAMP_ANGLE_RAD = {beam.clamp_angle!r}",
-            "# Tables at equidistant places from the clamp to the tip:",
-            table("K_N_M", k, "  # bending stiffness k = E I / L"),
-            table("Q0_RAD", np.asarray(beam.rest_curvature(s)), "  # curvature at rest, per unit of s"),
-            table("MU_KG_M", np.asarray(beam.mass_per_length(s)), "  # mass per metre"),
-        ],
+        beam,
+        "# Tables at equidistant places from the clamp to the tip:",
+        table("K_N_M", k, "  # bending stiffness k = E I / L"),
+        table("Q0_RAD", np.asarray(beam.rest_curvature(s)), "  # curvature at rest, per unit of s"),
+        table("MU_KG_M", np.asarray(beam.mass_per_length(s)), "  # mass per metre"),
     )
 
 
-def with_beam(module: str, lines: list[str]) -> str:
-    """The source of a module of this folder, with `lines` in place of those that hold its own beam."""
+def _tabulated(beam: Beam, what: str) -> tuple[Array, Array]:
+    """Places, and k(s) there; `ExportError` where something rides on the beam, which `what` does not carry."""
+    if beam.masses:
+        raise ExportError(f"{what} holds a mass per metre only, and {len(beam.masses)} masses ride on this beam")
+    s = np.linspace(0.0, 1.0, PLACES)
+    return s, checked_stiffness(beam, s)
+
+
+def with_beam(module: str, beam: Beam, *lines: str) -> str:
+    """The source of a module of this folder, with the beam in place of its own."""
     source = files("onebend.export").joinpath(module).read_text(encoding="utf-8").splitlines()
     first, last = (i for i, line in enumerate(source) if line.startswith(_FENCE))
-    return "\n".join([*source[: first + 1], *lines, *source[last:]]) + "\n"
+    sizes = (f"LENGTH_M = {beam.length!r}", f"CLAMP_ANGLE_RAD = {beam.clamp_angle!r}")
+    return "\n".join([*source[: first + 1], *sizes, *lines, *source[last:]]) + "\n"
 
 
 def table(name: str, values: Array, comment: str) -> str:
@@ -370,31 +326,22 @@ def table(name: str, values: Array, comment: str) -> str:
     return f"{name} = ({comment}\n{inside})"
 
 
-# The beam as one Python file that makes a PyElastica rod, with the bending stiffness of every element.
-
-
 def pyelastica(beam: Beam, *, mass: float | None = None) -> str:
     """Python source: the module `onebend.export.rod` with this beam in it.
 
     Args:
         mass: kg, spread evenly along the beam; None takes the beam's own.
 
-    Raises:
-        ExportError: k(s) is not positive somewhere, no mass is known, or masses ride on the beam.
+    Raises `ExportError`: k(s) is not positive somewhere, no mass is known, or masses ride on the beam.
     """
-    refuse_masses(beam, "the PyElastica rod")
-    s = np.linspace(0.0, 1.0, PLACES)
-    k = checked_stiffness(beam, s)
+    s, k = _tabulated(beam, "the PyElastica rod")
     return with_beam(
         "rod.py",
-        [
-            f"LENGTH_M = {beam.length!r}",
-            f"CLAMP_ANGLE_RAD = {beam.clamp_angle!r}",
-            table("S", s, ""),
-            table("EI_N_M2", beam.length * k, "  # bending stiffness"),
-            table("CURVATURE_1_M", np.asarray(beam.rest_curvature(s)) / beam.length, "  # at rest"),
-            table("MU_KG_M", checked_mass(beam, mass, s), "  # mass per metre"),
-        ],
+        beam,
+        table("S", s, ""),
+        table("EI_N_M2", beam.length * k, "  # bending stiffness"),
+        table("CURVATURE_1_M", np.asarray(beam.rest_curvature(s)) / beam.length, "  # at rest"),
+        table("MU_KG_M", checked_mass(beam, mass, s), "  # mass per metre"),
     )
 
 
@@ -475,15 +422,11 @@ def export(
 ) -> str | bytes:
     """The content of a file of this kind.
 
-    Args:
-        uncertain: the band on k, for the tables.
-        hinges: of the chains (MuJoCo, URDF, SDF).
-        mass: kg, spread evenly, where the beam's own is not known; the simulators in time need one.
-        damping_time: s, the chains' damping over stiffness.
-        sites: places that get a site in MuJoCo.
+    `uncertain`: the band on k, for the tables. `hinges`: of the chains (MuJoCo, URDF, SDF). `mass`: kg, spread evenly,
+    where the beam's own is not known; the simulators in time need one. `damping_time`: s, the chains' damping over
+    stiffness. `sites`: places that get a site in MuJoCo.
 
-    Raises:
-        ExportError: an unknown kind, k(s) not positive, no mass, or a setting without meaning.
+    Raises `ExportError`: an unknown kind, k(s) not positive, no mass, or a setting without meaning.
     """
     if kind not in KINDS:
         raise ExportError(f"no export to {kind!r}; there are {', '.join(KINDS)}")

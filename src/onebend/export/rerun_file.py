@@ -39,15 +39,11 @@ def write_rerun(
     uncertain: UncertainStiffness | None = None,
     every: int = 1,
 ) -> None:
-    """Write `path`. Lengths in the picture are pixels, in the plane millimetres.
+    """Write `path` from a validation and its observations. Lengths in the picture are pixels, in the plane millimetres.
 
-    Args:
-        one, seen: what `onebend.validate` says of the recording, and its observations.
-        frames: the recording's video, or nothing.
-        every: keep one picture in so many.
+    `frames`: the recording's video, or nothing; one picture in `every` is kept.
 
-    Raises:
-        MissingPackageError: the Rerun SDK is not installed.
+    Raises `MissingPackageError`: the Rerun SDK is not installed.
     """
     rr = package("rerun", "rerun")
     with rr.RecordingStream("onebend", recording_id=observations.source.name) as stream:

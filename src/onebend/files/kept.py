@@ -99,8 +99,7 @@ class KeptFolder:
     def clear(self) -> list[KeptEntry]:
         """Drop all entries, and the folder where nothing else is in it; those that were dropped.
 
-        Raises:
-            OSError: one cannot be removed.
+        Raises `OSError`: one cannot be removed.
         """
         dropped = self.entries()
         for path in (*(entry.path for entry in dropped), *self._ours(_BEGUN)):

@@ -72,16 +72,22 @@ def seal(folder: Path, more: Mapping[str, Any]) -> None:
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
     """The summary in `folder`, as onebend wrote it; None where there is none, or it was changed since."""
-    path = folder / SUMMARY
+    data = _read_object(folder / SUMMARY, LARGEST)
     try:
-        if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST:
-            return None
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(data, dict) or not is_unchanged(data) or not isinstance(data.get("files"), dict):
-            return None
-    except (OSError, ValueError, TypeError, RecursionError):
+        return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
+    except (ValueError, TypeError, RecursionError):
         return None
-    return data
+
+
+def _read_object(file: Path, most: int) -> dict[str, Any] | None:
+    """The object in a JSON file of up to `most` bytes; None where there is none."""
+    try:
+        if file.is_symlink() or not file.is_file() or file.stat().st_size > most:
+            return None
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return data if isinstance(data, dict) else None
 
 
 def own_files(folder: Path, kind: str | None = None) -> set[str]:
@@ -287,9 +293,7 @@ class Workplace:
 def enter(target: Path, kind: str) -> Workplace:
     """A workplace for `target`: one that an earlier run of this kind left behind, or a new one; locked.
 
-    Raises:
-        ResultsError: another process is writing to the target now.
-        OSError: the folder cannot be made.
+    Raises `ResultsError`: another process is writing to the target now; `OSError`: the folder cannot be made.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     with _one_at_a_time(target.parent):
@@ -330,20 +334,14 @@ def _prefix(target: Path) -> str:
 
 
 def _literal(text: str) -> str:
-    """As a pattern that stands for the text alone."""
+    """As a pattern for this text alone."""
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in text)
 
 
 def _marker(folder: Path) -> dict[str, Any] | None:
-    """What the marker of a workplace says; None where the folder is no workplace."""
-    try:
-        file = folder / MARKER
-        if folder.is_symlink() or file.is_symlink() or not file.is_file() or file.stat().st_size > LARGEST_MARKER:
-            return None
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return data if isinstance(data, dict) and data.get("format") == FORMAT else None
+    """The content of a workplace's marker; None where the folder is no workplace."""
+    data = None if folder.is_symlink() else _read_object(folder / MARKER, LARGEST_MARKER)
+    return data if data is not None and data.get("format") == FORMAT else None
 
 
 def _refuse_if_locked(folder: Path, marker: dict[str, Any], target: Path) -> None:
@@ -597,8 +595,7 @@ def publish(
     Returns:
         Where files of others stand that appeared under the names of results in the meantime; None as a rule.
 
-    Raises:
-        ResultsError: writing or moving fails; what was there before stands as it was.
+    Raises `ResultsError`: writing or moving fails; what was there before stands as it was.
     """
     unfinished, complete = place.work / UNFINISHED, place.work / COMPLETE
     try:

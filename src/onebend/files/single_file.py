@@ -32,8 +32,7 @@ def exchange(one: Path, other: Path) -> bool:
     Returns:
         False where this system or file system has no such step; nothing is changed then.
 
-    Raises:
-        OSError: it has, and it failed; nothing is changed.
+    Raises `OSError`: it has, and it failed; nothing is changed.
     """
     call = _renameat2()
     if call is None:
@@ -122,8 +121,7 @@ def umask() -> int:
 def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> None:
     """Write `data` to `path`; its folder is made if need be.
 
-    Raises:
-        ResultsError: the file exists and `overwrite` is False, or it cannot be written.
+    Raises `ResultsError`: the file exists and `overwrite` is False, or it cannot be written.
     """
     with fresh_file(path, overwrite=overwrite) as beside, _as_results_error(path):
         beside.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
@@ -133,8 +131,7 @@ def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> Non
 def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """An empty file beside `path` to write into; it takes that name when all went well, and is gone otherwise.
 
-    Raises:
-        ResultsError: as `write_file`.
+    Raises `ResultsError`: as `write_file`.
     """
     check_name_free(path, overwrite=overwrite)
     with _as_results_error(path):
@@ -164,8 +161,7 @@ def replace_file(path: Path, data: bytes, known: bytes) -> bytes | None:
         None where it was done; what the file holds where that is not `known`: then it is left as it is, also where it
         changed in the moment of the replacement (on systems that can swap two names).
 
-    Raises:
-        ResultsError: there is no such plain file, or it cannot be read or written.
+    Raises `ResultsError`: there is no such plain file, or it cannot be read or written.
     """
     check_name_free(path, overwrite=True)
     with _as_results_error(path):
@@ -233,8 +229,7 @@ class GrowingFile:
     def append(self, data: bytes) -> None:
         """Put all of it at the end.
 
-        Raises:
-            OSError: it does not fit, or the disk is gone; the file is then as before.
+        Raises `OSError`: it does not fit, or the disk is gone; the file is then as before.
         """
         left = memoryview(data)
         try:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Modes, Places, angles, apply, jacobians, make_grid, places, positions
+from onebend.beam.grid import Modes, Places, angles, apply, jacobians, make_grid, places, positions, powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Gaussians, Powers, Profile, Uniform, equidistant, gaussian_basis, power_basis
@@ -244,7 +244,7 @@ def literal(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, float]:
 
 def literal_rows(rows: MomentRows, use: BoolArray, pi: Array) -> tuple[Array, Array]:
     """X (R, m) and Y (R,) as the paper writes them, with powers of s as test functions; n rows a frame."""
-    to_legendre = Modes(rows.states.modes.n, "powers").to_legendre
+    to_legendre = powers_to_legendre(rows.states.modes.n)
     x = np.einsum("lj,tlq,qw->tjw", to_legendre, rows.elastic[use], pi, optimize=True).reshape(-1, pi.shape[1])
     return x, (rows.load[use] @ to_legendre).ravel()
 
@@ -528,7 +528,7 @@ def make_beam(observations: Observations, states: States, stiffness: Profile) ->
     theta0 = states.theta0
     curvature: Profile = Uniform(0.0)
     if np.any(theta0 != 0.0):
-        powers = np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0)
+        powers = np.linalg.solve(powers_to_legendre(len(theta0)), theta0)
         curvature = Powers(tuple(float(c) for c in powers))
     return Beam(
         observations.length,

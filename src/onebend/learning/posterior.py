@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from onebend.beam.grid import Modes
+from onebend.beam.grid import Modes, powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
 from onebend.errors import LearningError
@@ -213,7 +213,7 @@ def from_legendre(states: Array) -> Profile:
     """The profile with these Legendre coefficients."""
     if np.all(states[1:] == 0.0):
         return Uniform(float(states[0]))
-    return Powers(tuple(np.linalg.solve(Modes(len(states), "powers").to_legendre, states).tolist()))
+    return Powers(tuple(np.linalg.solve(powers_to_legendre(len(states)), states).tolist()))
 
 
 def _weighed(recordings: Sequence[FitData]) -> Observations | None:

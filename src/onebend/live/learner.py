@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from onebend.beam.grid import Modes
+from onebend.beam.grid import powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
@@ -708,7 +708,7 @@ class OnlineLearner:
         theta0 = self._session.layout.get(self._state.x, "curvature")
         rest: Profile = Uniform(0.0)
         if np.any(theta0 != 0.0):
-            rest = Powers(tuple(np.linalg.solve(Modes(len(theta0), "powers").to_legendre, theta0).tolist()))
+            rest = Powers(tuple(np.linalg.solve(powers_to_legendre(len(theta0)), theta0).tolist()))
         length = self._session.length
         mass = Uniform(self._session.mass / length)
         return Beam(length, self.stiffness.profile, rest_curvature=rest, mass_per_length=mass)

@@ -37,19 +37,6 @@ def reaching(result: Reach, error: PredictedError | None = None, within: Reachab
     return figure
 
 
-@styled
-def reachable_places(within: ReachableSet) -> Figure:
-    """All places of the point, by the force that holds it there."""
-    figure, (axes,) = blank(4.2)
-    draw_reachable(axes, within)
-    s = np.linspace(0.0, 1.0, 121)
-    rest = within.pushed.shape_xy(within.pushed.start.q, s)
-    axes.plot(*(MM * rest.T), color=MUTED, label="at rest")
-    plane(axes, f"What forces at s = {within.pushed.push_s:.3g} can do with the point s = {within.pushed.point_s:.3g}")
-    axes.legend(loc="center left", bbox_to_anchor=(0.3, 0.62))
-    return figure
-
-
 def draw_reach(axes: Axes, result: Reach, error: PredictedError | None) -> None:
     """Snapshots, goal, point, force and ellipse."""
     s = np.linspace(0.0, 1.0, 121)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam import clamped_ends as near_shape, clamped_ends as search
-from onebend.beam.clamped_ends import end_pose, hold, hold_along, hold_near, stands
+from onebend.beam import clamped_ends
+from onebend.beam.clamped_ends import end_pose, hold_near, stands
 from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
@@ -16,6 +16,7 @@ from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.sensitivity import of_force, of_moment, of_section_thickness, of_stiffness, respond
 from onebend.beam.stiffness import Gaussians, Uniform
 from onebend.records import Array
+from tests.beam.held import hold, hold_along
 
 THICK = Beam(0.15, Gaussians((0.0, 0.5, 1.0), 0.4, (0.01, 0.03, 0.02)), mass_per_length=Uniform(0.1), thickness=0.02)
 FINE = Resolution(16, 0.25)
@@ -132,8 +133,7 @@ def test_what_cannot_strain_to_its_section_has_not_converged(monkeypatch: pytest
     def stuck(_: object, q: Array, wrench: Array, __: Array) -> tuple[Array, Array, Array]:
         return q, wrench, np.zeros(len(q), dtype=bool)
 
-    for module in (search, near_shape):
-        monkeypatch.setattr(module, "let_strain", stuck)
+    monkeypatch.setattr(clamped_ends, "let_strain", stuck)
     assert not np.any(hold(THICK, goal, resolution=FINE).solved.converged)
     problem = make_problem(THICK, push(np.zeros((2, 2))), FINE)
     start = np.random.default_rng(3).normal(size=(2, problem.weights.shape[-1])) * 3.0

@@ -8,10 +8,7 @@ from hypothesis import given, strategies as st
 
 from onebend.beam.dynamics import (
     body,
-    coriolis_matrix,
     elastic_energy,
-    force_jacobian,
-    gravity_vector,
     kinetic_energy,
     mass_matrix,
     momentum,
@@ -23,7 +20,16 @@ from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Steps, Uniform
 from onebend.errors import MechanicsError
 from onebend.records import Array
-from tests.beam.moving import ODD, SOFT, THICK, odd_body, soft_body
+from tests.beam.moving import (
+    ODD,
+    SOFT,
+    THICK,
+    coriolis_matrix,
+    force_jacobian,
+    gravity_vector,
+    odd_body,
+    soft_body,
+)
 
 N = 4
 BODY = odd_body(N)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.control.goals import Between, Goals, angles, curve, point_goals, points
+from onebend.control.goals import Between, Goals, angles, curve, points
 from onebend.control.path import FollowedPath, PathSettings, RateLimits, follow_goals
 from onebend.control.reach import reach
 from onebend.control.shape import Grip, Pusher, shape
 from onebend.errors import ControlError
 from onebend.records import Array
+from tests.control.path.moving_point import point_goals
 from tests.control.shape.test_shape import SOFT, S, gripped
 
 TIME = np.linspace(0.0, 2.0, 21)

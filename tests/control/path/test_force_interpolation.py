@@ -11,11 +11,12 @@ from typer.testing import CliRunner
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Table
 from onebend.cli import app
-from onebend.control.goals import Goals, point_goals
+from onebend.control.goals import Goals
 from onebend.control.path import PathSettings, by_force, follow_goals
 from onebend.control.shape import Pusher
 from onebend.errors import ControlError
 from onebend.results.model import save_model
+from tests.control.path.moving_point import point_goals
 
 BEAM = Beam(0.15, Table((0.0, 1.0), (0.03, 0.012)))
 FORCES = np.array([[0.0, 0.05], [0.02, 0.2], [-0.05, 0.4]])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.beam.clamped_ends import hold
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.statics import gradient
@@ -13,6 +12,7 @@ from onebend.beam.stiffness import Uniform
 from onebend.control.goals import angles, curve, target_residuals
 from onebend.control.shape import BeamState, Grip, LoadBound, Pusher, bounded_step, model_of, next_state, resting_state
 from onebend.records import Array
+from tests.beam.held import hold
 from tests.control.shape.test_shape import BENT, SOFT, S
 
 GRID = Resolution(order=16, widest=0.5)

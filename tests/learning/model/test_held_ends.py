@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onebend.beam.clamped_ends import hold, hold_near
+from onebend.beam.clamped_ends import hold_near
 from onebend.beam.continuation import follow
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
@@ -25,6 +25,7 @@ from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
 from onebend.results.observations_file import load_observations, save_observations
+from tests.beam.held import hold
 from tests.learning.bench import IDEAL
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 

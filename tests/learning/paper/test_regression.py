@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onebend.beam.grid import Modes, make_grid
+from onebend.beam.grid import Modes, make_grid, powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, Powers, Profile, equidistant
 from onebend.learning.paper import (
@@ -55,11 +55,11 @@ def test_literal_rows_are_the_papers_equation_14() -> None:
     n, m = 4, 3
     made = in_family(SOFT, forces(12), n)
     states = solve_states(made, n)
-    theta = np.linalg.solve(Modes(n, "powers").to_legendre, states.theta.T).T
+    theta = np.linalg.solve(powers_to_legendre(n), states.theta.T).T
     i, j, w = np.arange(n)[:, None, None], np.arange(n)[None, :, None], np.arange(m)[None, None, :]
     x = np.einsum("ti,ijw->tjw", theta, 1.0 / (i + j + w + 1.0)).reshape(-1, m)
     grid = make_grid(order=40)
-    a = Modes(n, "powers").angle(grid.nodes)
+    a = grid.nodes[:, None] ** np.arange(1, n + 1) / np.arange(1, n + 1)
     alpha = theta @ a.T
     across = -np.sin(alpha) * made.force[:, :1] + np.cos(alpha) * made.force[:, 1:]
     y = (made.length * (across * grid.weights) @ a).ravel()

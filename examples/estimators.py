@@ -1,8 +1,7 @@
-"""onebend with scikit-learn's face: `fit`, `predict`, `score`, so that its tools (cross-validation, pipelines) apply.
+"""onebend as scikit-learn estimators, so that cross-validation and pipelines apply. Needs `onebend[sklearn]`.
 
 `StiffnessRegression` is the paper's linear problem `X gamma = Y` (18) on plain arrays; `regression_rows` makes X and Y.
-`StiffnessDistribution` is k(s) with its sd, learned from recordings in the space of the markers. Needs scikit-learn,
-the optional part `sklearn`.
+`StiffnessDistribution` is k(s) with its sd, learned from recordings in the space of the markers.
 """
 
 from __future__ import annotations
@@ -13,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
 from onebend.beam.section import one_modulus
 from onebend.errors import LearningError
@@ -25,12 +26,6 @@ from onebend.learning.start import start_of, with_mass
 from onebend.learning.validation import validate
 from onebend.progress import one_blas_thread
 from onebend.records import Array, Observations
-
-try:
-    from sklearn.base import BaseEstimator, RegressorMixin
-    from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
-except ImportError as error:  # an optional part, said before anything else fails
-    raise ImportError('onebend.estimators needs scikit-learn: pip install "onebend[sklearn]"') from error
 
 
 @one_blas_thread
