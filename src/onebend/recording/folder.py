@@ -6,7 +6,7 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -27,30 +27,24 @@ from onebend.recording.description import (
     check_together,
     check_top,
     empty_values,
-    entry_remarks,
+    implausible,
     read_beam,
+    read_frequencies,
     read_tags,
     remarks_on,
-    spread_remarks,
-    unit_remarks,
 )
 from onebend.recording.entries import (
     BeamEntry,
     CameraEntry,
     CameraInfoEntry,
-    ForceEntry,
     FrequencyEntry,
     GravityEntry,
     MarkersEntry,
-    PhotosEntry,
-    PosesEntry,
-    PushEntry,
     Recording,
     TagEntry,
     TagsEntry,
     UncalibratedEntry,
     VideoEntry,
-    read_frequencies,
 )
 from onebend.recording.schema import Mistakes, Place, keys_of, place_name, read_table
 from onebend.records import Array, Remark
@@ -317,9 +311,7 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
         remarks=(
             *(remarks_on(tags, data) if "tags" in data else ()),
             *camera_remarks,
-            *entry_remarks(beam, entries["camera"]),
-            *spread_remarks(beam, entries, scale_sd),
-            *unit_remarks(beam, tags, entries),
+            *implausible(beam, tags, entries, scale_sd),
         ),
         scale_sd=scale_sd,
         frequencies=swung,
@@ -409,6 +401,22 @@ WHAT: dict[Kind, tuple[str, str]] = {
     "mocap": ("What was tracked", " Start and stop with nothing touching the beam."),
 }
 TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one that looks right
+TABLES_OF: dict[Kind, tuple[str, ...]] = {
+    "video": ("video", "force", "push"),
+    "ros": ("video", "force", "push"),
+    "photos": ("photos",),
+    "weights": ("poses", "gravity"),
+    "mocap": ("markers", "force", "push"),
+}
+DEFAULTS = {
+    "video": {"file": '"video.mp4"'},
+    "photos": {"folder": '"photos"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "poses": {"file": '"poses.csv"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "gravity": {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN},
+    "markers": {"file": '"markers.csv"'},
+    "force": {"file": '"force.csv"', "acts_on": TO_FILL_IN, "rotation_deg": TO_FILL_IN},
+    "push": {"at_s": TO_FILL_IN},
+}
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 
@@ -451,60 +459,19 @@ def files_beside(folder: Path) -> dict[str, dict[str, str]]:
 def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:
     """The text of the template: it keeps the schema once what is empty is filled in."""
     what, hint = WHAT[kind]
-    known = {name: dict(values) for name, values in filled.items()}
     seen_by_camera = kind in ("video", "ros", "photos")
+    tables = {name: {**DEFAULTS.get(name, {}), **filled.get(name, {})} for name in TABLES_OF[kind]}
     parts = [
         INTRODUCTION.format(what=what, hint=hint),
         table("[beam]", BeamEntry, length_m=TO_FILL_IN, **({"mass_kg": TO_FILL_IN} if kind == "weights" else {})),
         table("[tags]", TagsEntry, **({"size_m": TO_FILL_IN} if seen_by_camera else {})),
-        *([tag("[[tags.on_base]]", "0.0")] if seen_by_camera else []),
-        *(tag("[[tags.on_beam]]", TO_FILL_IN) for _ in range(3)),
-        *_SOURCES[kind](known),
+        *([table("[[tags.on_base]]", TagEntry, id=TO_FILL_IN, s="0.0")] if seen_by_camera else []),
+        *(table("[[tags.on_beam]]", TagEntry, id=TO_FILL_IN, s=TO_FILL_IN) for _ in range(3)),
+        *(table(f"[{name}]", SECTIONS[name], **values) for name, values in tables.items()),
     ]
-    if kind != "weights":
-        parts.append(optional(GRAVITY, table("[gravity]", GravityEntry)))
-    parts.append(optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry)))
-    return "\n".join(parts)
-
-
-def _filmed(known: dict[str, dict[str, str]]) -> list[str]:
-    video = {"file": '"video.mp4"'} | known.get("video", {})
-    camera = optional(CAMERA, table("[camera]", CameraEntry))
-    return [table("[video]", VideoEntry, **video), *_pushed(known), camera]
-
-
-def _tracked(known: dict[str, dict[str, str]]) -> list[str]:
-    return [table("[markers]", MarkersEntry, file='"markers.csv"'), *_pushed(known)]
-
-
-def _photographed(_: dict[str, dict[str, str]]) -> list[str]:
-    photos = table("[photos]", PhotosEntry, folder='"photos"', loads='"loads.csv"', axes=TO_FILL_IN)
-    return [photos, optional(CAMERA, table("[camera]", CameraEntry))]
-
-
-def _weighed(_: dict[str, dict[str, str]]) -> list[str]:
-    poses = table("[poses]", PosesEntry, file='"poses.csv"', loads='"loads.csv"', axes=TO_FILL_IN)
-    return [poses, table("[gravity]", GravityEntry, **WEIGHT)]
-
-
-def _pushed(known: dict[str, dict[str, str]]) -> list[str]:
-    force = {"file": '"force.csv"', "acts_on": TO_FILL_IN, "rotation_deg": TO_FILL_IN} | known.get("force", {})
-    return [table("[force]", ForceEntry, **force), table("[push]", PushEntry, at_s=TO_FILL_IN)]
-
-
-WEIGHT = {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN}
-_SOURCES: dict[Kind, Callable[[dict[str, dict[str, str]]], list[str]]] = {
-    "video": _filmed,
-    "ros": _filmed,
-    "photos": _photographed,
-    "weights": _weighed,
-    "mocap": _tracked,
-}
-
-
-def tag(header: str, s: str) -> str:
-    """One tag to fill in; more of them are more such tables."""
-    return table(header, TagEntry, id=TO_FILL_IN, s=s)
+    parts += [optional(CAMERA, table("[camera]", CameraEntry))] if seen_by_camera else []
+    parts += [optional(GRAVITY, table("[gravity]", GravityEntry))] if kind != "weights" else []
+    return "\n".join([*parts, optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry))])
 
 
 def table(header: str, record: type, **values: str) -> str:

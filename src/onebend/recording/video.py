@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_topics import bag_film, bag_frames, picture_of
+from onebend.recording.bag_topics import bag_frames, bag_topic, picture_of
 from onebend.recording.entries import VideoEntry
 from onebend.recording.signals import LATEST, missing_remarks
 from onebend.records import Array, IntArray, Remark
@@ -136,7 +136,7 @@ def pictures_at(video: VideoEntry, indices: Collection[int], *, colour: bool = F
 def frame_count(video: VideoEntry) -> int | None:
     """The number of frames that the container states; None where it states none. For progress only."""
     if video.topic:
-        return bag_film(video)[1].count
+        return bag_topic(video)[1].count
     with opened(video.file) as container:
         stream = film_stream(container)
         return None if stream is None else stream.frames or None
