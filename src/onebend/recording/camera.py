@@ -285,9 +285,13 @@ def square(xy: Array, angle: Array, size: float) -> Array:
     """Corners (..., 4, 2) [m] of tags at `xy` (..., 2) turned by `angle` (...)."""
     half = size / 2
     own = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
-    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-    turned = np.stack([cos * own[:, 0] - sin * own[:, 1], sin * own[:, 0] + cos * own[:, 1]], axis=-1)
-    return turned + xy[..., None, :]
+    return rotated(own, angle[..., None]) + xy[..., None, :]
+
+
+def rotated(xy: Array, angle: Array) -> Array:
+    """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
+    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def lay_square(flat: Array) -> tuple[Array, Array]:
@@ -396,37 +400,27 @@ def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) 
     return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
 
 
-def drop(poses: Poses, wrong: BoolArray) -> Poses:
-    """The poses, NaN where `wrong`."""
-    return Poses(
-        np.where(wrong[..., None], np.nan, poses.xy),
-        np.where(wrong, np.nan, poses.angle),
-        np.where(wrong[..., None, None], np.nan, poses.covariance),
-    )
-
-
 def relative_to(origin: Poses, poses: Poses) -> Poses:
     """`poses` (T, m) in the frame of `origin` (T, 1), with the uncertainty of both."""
-    cos, sin = np.cos(origin.angle), np.sin(origin.angle)
-    off = poses.xy - origin.xy
-    x, y = cos * off[..., 0] + sin * off[..., 1], -sin * off[..., 0] + cos * off[..., 1]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    turn = np.stack([cos + zero, sin + zero, zero, -sin + zero, cos + zero, zero, zero, zero, one], axis=-1)
-    back = np.stack([-cos + zero, -sin + zero, y, sin + zero, -cos + zero, -x, zero, zero, -one], axis=-1)
-    turn, back = turn.reshape(*x.shape, 3, 3), back.reshape(*x.shape, 3, 3)
+    xy = rotated(poses.xy - origin.xy, -origin.angle)
+    cos, sin = np.broadcast_arrays(np.cos(origin.angle), np.sin(origin.angle), xy[..., 0])[:2]
+    turn = np.zeros((*xy.shape[:-1], 3, 3))
+    turn[..., 0, 0], turn[..., 0, 1], turn[..., 1, 0], turn[..., 1, 1], turn[..., 2, 2] = cos, sin, -sin, cos, 1.0
+    back = -turn
+    back[..., 0, 2], back[..., 1, 2] = xy[..., 1], -xy[..., 0]
     covariance = turn @ poses.covariance @ np.swapaxes(turn, -1, -2)
     covariance += back @ origin.covariance @ np.swapaxes(back, -1, -2)
-    return Poses(np.stack([x, y], axis=-1), poses.angle - origin.angle, covariance)
+    return Poses(xy, poses.angle - origin.angle, covariance)
 
 
-def unwrap(angle: Array) -> Array:
-    """Angles (T, ...) made continuous in time, the first one in (-pi, pi]; NaN stays NaN and is skipped."""
+def unwrap(angle: Array, *, from_zero: bool = True) -> Array:
+    """Angles (T, ...) made continuous in time, the first one in (-pi, pi] if `from_zero`; NaN stays and is skipped."""
     flat = np.array(angle, dtype=float).reshape(len(angle), -1)
     for column in flat.T:
         known = np.isfinite(column)
         if known.any():
             continuous = np.unwrap(column[known])
-            column[known] = continuous - 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
+            column[known] = continuous - from_zero * 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
     return flat.reshape(angle.shape)
 
 
@@ -501,11 +495,8 @@ def aligned(poses: Poses, first: Poses) -> Poses:
     both = np.isfinite(difference.angle[:, 0])
     if not both.any():
         return poses  # never seen together: its stated place is used
-    x, y = np.median(difference.xy[both, 0], axis=0)
-    turn = float(np.median(difference.angle[both, 0]))
-    cos, sin = np.cos(poses.angle), np.sin(poses.angle)
-    moved = poses.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-    return Poses(moved, poses.angle + turn, poses.covariance)
+    moved = poses.xy + rotated(np.median(difference.xy[both, 0], axis=0), poses.angle)
+    return Poses(moved, poses.angle + float(np.median(difference.angle[both, 0])), poses.covariance)
 
 
 def average(poses: Sequence[Poses]) -> Poses:
@@ -553,11 +544,11 @@ CALIBRATION_FRAMES = 150  # frames for the fit of the plane, spread evenly over 
 RESTING = 0.1  # of the mean travel per frame: a frame without travel counts as this
 WRONG = 10.0  # sd: a tag whose corners are further (RMS) from any square in the plane is not used
 LEAST_SD = 0.02  # px, least noise of the corners for that test
-TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the arc between two tags: their largest distance lies between these
+TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the arc between two tags, for their largest distance; 0.6 is a turn of 200 deg
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
-def measure_markers(detections: Detections, recording: Recording) -> Markers:
+def measure_markers(detections: Detections, description: Recording) -> Markers:
     """Pose of every beam tag relative to the base, per frame.
 
     Assumes that all tags lie in one plane and that the camera stands still. A tag's pose is that of the square of the
@@ -568,22 +559,23 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
         RecordingError: the calibration is of another picture size.
         ObservationError: no plane explains the tags, or their distances contradict the beam's length.
     """
-    tags, base = recording.tags, len(recording.tags.on_base)
-    check_picture(detections, recording.camera)
-    plane = fit_plane(spread(detections.corners), tags.size, recording.camera, (detections.width, detections.height))
+    tags, base = description.tags, len(description.tags.on_base)
+    check_picture(detections, description.camera)
+    plane = fit_plane(spread(detections.corners), tags.size, description.camera, (detections.width, detections.height))
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
     wrong = misfit > WRONG * max(view.corner_sd, LEAST_SD)
-    poses = drop(poses, wrong)
+    for values in (poses.xy, poses.angle, poses.covariance):
+        values[wrong] = np.nan
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():
         raise ObservationError(
-            f"{recording.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
+            f"{description.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
             "Check that all tags have the same size and lie flat in one plane.",
             about="no plane",
         )
-    origin, moving = base_pose(part(poses, slice(base)), tags.on_base, recording.beam.length)
+    origin, moving = base_pose(part(poses, slice(base)), tags.on_base, description.beam.length)
     relative = relative_to(origin, part(poses, slice(base, None)))
-    check_lengths(relative.xy, recording)
+    check_lengths(relative.xy, description)
     first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
     return Markers(
         time=detections.time,
@@ -597,7 +589,7 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
         remarks=(
             *detections.remarks,
             *wrong_remarks(detections, wrong),
-            *motion_remarks(origin, moving, recording.gravity is not None),
+            *motion_remarks(origin, moving, description.gravity is not None),
         ),
         by_camera=by_camera(plane, detections.corners, base),
     )
@@ -655,48 +647,43 @@ def lasting_base(corners: Array) -> Array:
     return np.asarray(corners[nearest, tag : tag + 1])
 
 
-def chord_fits(farthest: float, arc: float, slack: float) -> bool:
-    """Whether `farthest` [m] can be the largest distance of two places on a beam with `arc` [m] between them.
-
-    A chord is never longer than its arc, and it is 0.6 of it only where the beam turns by 200 degrees in between.
-    """
-    return TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack
-
-
-def check_lengths(xy: Array, recording: Recording) -> None:
-    """An error where neighbouring tags are farther apart than the beam between them, or always much nearer.
-
-    `xy` (T, m, 2) m in the base's frame.
-    """
-    tags, length = recording.tags, recording.beam.length
-    places = [(0.0, "the base", np.zeros((len(xy), 2)))]
-    places += [(tag.s, f"tag {tag.id}", xy[:, i]) for i, tag in enumerate(tags.on_beam)]
-    places.sort(key=lambda place: place[0])
-    ratios, worst = [], ""
-    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
-        distance = np.linalg.norm(next_position - position, axis=1)
-        arc, slack = (next_s - s) * length, 3 * np.sqrt(2) * tags.placement_sd
-        if not np.isfinite(distance).any() or arc == 0.0:
-            continue
-        farthest = float(np.nanpercentile(distance, FARTHEST))
-        ratios.append(farthest / arc)
-        if not worst and not chord_fits(farthest, arc, slack):
-            worst = (
-                f"{name} and {next_name} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
-                f"{1000 * arc:.3g} mm of beam between them"
-            )
+def check_lengths(xy: Array, rec: Recording) -> None:
+    """An error where neighbouring tags (T, m, 2) [m] are not as far apart as the beam between them is long."""
+    worst, ratio = lengths_apart(xy, rec, "the base", "tag")
     if worst:
-        fitting = 1000 * tags.size / float(np.median(ratios))
+        fitting = 1000 * rec.tags.size / ratio
         raise ObservationError(
-            f"{recording.name}: {worst}.{order_hint(xy, recording)} Correct size_m (now {1000 * tags.size:g} mm; about "
-            f"{fitting:.3g} mm would fit), length_m (now {1000 * length:g} mm) or the tags' s.",
+            f"{rec.name}: {worst}.{order_hint(xy, rec)} Correct size_m (now {1000 * rec.tags.size:g} mm; about "
+            f"{fitting:.3g} mm would fit), length_m (now {1000 * rec.beam.length:g} mm) or the tags' s.",
             about="tag places",
         )
 
 
-def order_hint(xy: Array, recording: Recording) -> str:
+def lengths_apart(xy: Array, rec: Recording, base: str, kind: str) -> tuple[str, float]:
+    """The first two neighbours that are farther apart than the beam between them, or always much nearer, in words ("":
+    there are none); and the median ratio of largest distance to arc. `xy` (T, m, 2) m in the base's frame."""
+    places = [(0.0, base, np.zeros((len(xy), 2)))]
+    places += [(tag.s, f"{kind} {tag.id}", xy[:, i]) for i, tag in enumerate(rec.tags.on_beam)]
+    places.sort(key=lambda place: place[0])
+    ratios, worst = [], ""
+    slack = 3 * np.sqrt(2) * rec.tags.placement_sd
+    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
+        distance, arc = np.linalg.norm(next_position - position, axis=1), (next_s - s) * rec.beam.length
+        if not np.isfinite(distance).any() or arc == 0.0:
+            continue
+        farthest = float(np.nanpercentile(distance, FARTHEST))
+        ratios.append(farthest / arc)
+        if not worst and not TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack:
+            worst = (
+                f"{name} and {next_name} are {1000 * farthest:.4g} mm apart at most, recording.toml puts "
+                f"{1000 * arc:.4g} mm of beam between them"
+            )
+    return worst, float(np.median(ratios)) if ratios else math.nan
+
+
+def order_hint(xy: Array, rec: Recording) -> str:
     """The order in which the beam's tags (T, m, 2) [m] stand, where it is not that of their s: a sentence, or ""."""
-    tags = recording.tags.on_beam
+    tags = rec.tags.on_beam
     if not np.isfinite(xy).all(axis=-1).any(axis=0).all():
         return ""
     reach = np.nanpercentile(np.linalg.norm(xy, axis=-1), FARTHEST, axis=0)
@@ -710,13 +697,8 @@ def order_hint(xy: Array, recording: Recording) -> str:
 
 def view_of(view: View, origin: Array, angle: float) -> View:
     """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return replace(
-        view,
-        rotation=view.rotation @ turn,
-        translation=view.rotation[:, :2] @ origin + view.translation,
-    )
+    turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    return replace(view, rotation=view.rotation @ turn, translation=view.rotation[:, :2] @ origin + view.translation)
 
 
 def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
@@ -734,14 +716,11 @@ OFF = np.deg2rad(60.0)  # between a tag and the beam there: bending does not mak
 NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
 
 
-def check_turns(markers: Markers, recording: Recording) -> None:
-    """An error where a tag points across the beam, or backwards, in most frames.
-
-    The beam's direction at a tag is that of the chords to its neighbours; the base tag stands at the clamp.
-    """
+def check_turns(markers: Markers, rec: Recording) -> None:
+    """An error where a tag points across the beam, or backwards, in most frames, by the chords to its neighbours."""
     order = np.argsort(markers.s, kind="stable")
     order = order[markers.s[order] > NEAREST]
-    ids = [recording.tags.on_base[0].id, *markers.tag_id[order].tolist()]
+    ids = [rec.tags.on_base[0].id, *markers.tag_id[order].tolist()]
     places = np.concatenate([np.zeros((len(markers.time), 1, 2)), markers.xy[:, order]], axis=1)
     s = np.concatenate([[0.0], markers.s[order]])
     complete = np.isfinite(places).all(axis=(1, 2))
@@ -752,14 +731,14 @@ def check_turns(markers: Markers, recording: Recording) -> None:
     wrong = np.median(np.cos(off), axis=0) < np.cos(OFF)
     if not wrong.any():
         return
-    written = {tag.id: tag.turn for tag in (*recording.tags.on_base, *recording.tags.on_beam)}
+    written = {tag.id: tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)}
     wrong_tags = []
     for i in np.flatnonzero(wrong):
         quarter = 90 * round(float(np.rad2deg(np.angle(np.mean(np.exp(1j * off[:, i]))))) / 90)
         fits = 180 - (180 - round(float(np.rad2deg(written[ids[i]]))) - quarter) % 360
         wrong_tags.append(f"tag {ids[i]} (turn_deg = {np.rad2deg(written[ids[i]]):.4g}; {fits} would fit)")
     raise ObservationError(
-        f"{recording.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
+        f"{rec.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
         f"{', '.join(wrong_tags)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction.",
         about="tag places",
     )
