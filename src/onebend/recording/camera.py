@@ -697,7 +697,8 @@ def order_hint(xy: Array, rec: Recording) -> str:
 
 def view_of(view: View, origin: Array, angle: float) -> View:
     """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
-    turn = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return replace(view, rotation=view.rotation @ turn, translation=view.rotation[:, :2] @ origin + view.translation)
 
 
