@@ -23,8 +23,6 @@ from onebend.recording.signals import missing, step
 from onebend.records import Array, ForceLog, Remark
 from onebend.text_files import ascii_only, quoted
 
-FIRST = 100  # messages that are searched for a stamp
-
 
 @dataclass(frozen=True)
 class TopicClock:
@@ -41,7 +39,7 @@ def clock_of(bag: Bag, topic: Topic, definitions: Path | None = None) -> TopicCl
         RecordingError: as `messages` does, or no message of the topic can be read.
     """
     received = None
-    for time, message in islice(messages(bag, topic, definitions), FIRST):
+    for time, message in islice(messages(bag, topic, definitions), 100):  # messages that are searched for a stamp
         received = time if received is None else received
         if stamp := stamp_of(message):
             return TopicClock("header", stamp)

@@ -121,9 +121,6 @@ def to_beam_frame(
 
 # Gravity in the beam's frame, from its direction in the room and the angle of the base, constant or logged.
 
-MOST_DEGREES = 1e6
-MILLISECONDS = 100.0  # times the film's length: a longer log is probably in another unit
-
 
 @dataclass(frozen=True)
 class BaseLog:
@@ -152,7 +149,7 @@ def read_base_log(path: Path) -> BaseLog:
             t, degrees = (float(row[place]) for place in places)
         except (IndexError, ValueError):
             t = degrees = math.nan
-        if not (abs(t) < LATEST and abs(degrees) < MOST_DEGREES):
+        if not (abs(t) < LATEST and abs(degrees) < 1e6):
             raise RecordingError(f"{path}, line {line}: not two numbers. Correct or remove the line.")
         if time and t <= time[-1]:
             raise RecordingError(f"{path}, line {line}: the time {t:g} s does not rise. Sort the file.")
@@ -221,7 +218,8 @@ def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -
     """Raise where no frame lies inside the log."""
     film = markers.time[[0, -1]] + offset
     if film[1] < log_time[0] or film[0] > log_time[-1]:
-        long = log_time[-1] - log_time[0] > MILLISECONDS * (film[1] - film[0])
+        # Times the film's length: a longer log is probably in another unit.
+        long = log_time[-1] - log_time[0] > 100.0 * (film[1] - film[0])
         hint = ' Its times look like milliseconds: write time_unit = "ms" in [force].' if long else ""
         raise ObservationError(
             f"The film ({film[0]:.1f} to {film[1]:.1f} s on the log's clock) and the {what} ({log_time[0]:.1f} to "

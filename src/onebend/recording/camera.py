@@ -18,9 +18,6 @@ from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
 
 # The camera's geometry: points of the tags' plane <--> pixels, with OpenCV's lens model.
 
-MOST_ITERATIONS = 50
-CONVERGED = 1e-10  # of the normalised image, far below a thousandth of a pixel
-
 
 def project(view: View, xy: Array) -> Array:
     """Pixels (..., 2) of points `xy` (..., 2) [m] of the plane."""
@@ -57,9 +54,10 @@ def undistort(distorted: Array, dist: Array) -> Array:
     """The inverse of `distort`, by fixed-point iteration. NaN where it does not converge: there the lens model folds
     over and means nothing."""
     ray = distorted
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(50):
         error = distorted - distort(ray, dist)
-        if not np.nanmax(np.abs(error), initial=0.0) > CONVERGED:
+        # Of the normalised image, far below a thousandth of a pixel.
+        if not np.nanmax(np.abs(error), initial=0.0) > 1e-10:
             return ray
         ray = ray + error
         ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
@@ -70,7 +68,6 @@ def undistort(distorted: Array, dist: Array) -> Array:
 
 Lens = Callable[[Array], Array]  # rays (..., 2) as (x / z, y / z) to where the lens shows them
 DIRECTIONS, STEPS = 72, 400  # in which rays are followed from the middle to the picture's edge
-WIDEST = np.deg2rad(80.0)  # from the optical axis; what is seen farther off has no place in a plane's picture
 
 
 def rational(dist: Array) -> Lens:
@@ -131,7 +128,8 @@ def rays_in_picture(lens: Lens, matrix: Array, size: tuple[int, int]) -> tuple[A
     """Rays (N, 2) that the lens shows in the picture, and whether they reach its edge everywhere."""
     turn = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    rays = ways[:, None] * np.tan(np.linspace(0.0, WIDEST, STEPS))[:, None]
+    # From the optical axis; what is seen farther off has no place in a plane's picture.
+    rays = ways[:, None] * np.tan(np.linspace(0.0, np.deg2rad(80.0), STEPS))[:, None]
     shown = lens(rays)
     px = shown * np.diag(matrix)[:2] + matrix[:2, 2]
     outside = np.any((px < -0.5) | (px > np.array(size) - 0.5), axis=-1)
@@ -153,8 +151,6 @@ FACING: Array = np.diag(
     [1.0, -1.0, -1.0]
 )  # the plane's axes when it faces the camera: x right, y up, z towards the camera
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
-ENOUGH_TO_START = 60  # sightings, evenly chosen, with which the starts are improved
-SURE = 3.0  # sd: larger residuals have less weight (soft L1)
 # Priors of the plane, and of a camera without calibration: one sd about the simplest value.
 TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
 PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
@@ -203,7 +199,7 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
     """
     side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
-    few = corners[:: max(1, len(corners) // ENOUGH_TO_START)]
+    few = corners[:: max(1, len(corners) // 60)]  # sightings, evenly chosen, with which the starts are improved
     tries = [
         solve(start, few, size, camera, picture, sd=1.0)
         for start in starts(math.log(focal * size / side_px), camera is None)
@@ -239,7 +235,7 @@ def solve(
         lambda unknowns: residuals(unknowns, corners, size, camera, picture, sd=sd),
         start,
         loss="soft_l1",
-        f_scale=SURE,
+        f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
         x_scale="jac",
     )
 
@@ -306,7 +302,6 @@ def lay_square(flat: Array) -> tuple[Array, Array]:
 
 # Pose of every sighting of a tag in the tags' plane, with its covariance; functions of planar poses.
 
-REFINEMENTS = 3  # Gauss-Newton steps of a tag's pose; the first is already within a hundredth of a pixel
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
 MEDIAN_CHI2 = 4.35146  # median of chi-squared with 5 degrees of freedom
@@ -328,7 +323,7 @@ def part(poses: Poses, tags: slice) -> Poses:
 
 
 def measure_poses(
-    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = REFINEMENTS
+    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = 3
 ) -> tuple[Poses, Array, View]:
     """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
 
@@ -428,7 +423,6 @@ def unwrap(angle: Array, *, from_zero: bool = True) -> Array:
 
 MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
 RUNNING = 5  # frames of that running median
-SHAKES = 2.0  # sd: places that scatter by more show a camera that shakes
 
 
 def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
@@ -448,7 +442,8 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
     if turns:
         return pose, True
     shifts = _moves(state[known, :2], middle[:2], typical[:2, :2])
-    shakes = bool(np.any(np.std(state[known, :2], axis=0) > SHAKES * np.sqrt(np.diag(typical)[:2])))
+    # sd: places that scatter by more show a camera that shakes.
+    shakes = bool(np.any(np.std(state[known, :2], axis=0) > 2.0 * np.sqrt(np.diag(typical)[:2])))
     frames, covariance, xy = len(state), np.zeros((3, 3)), np.broadcast_to(middle[:2], (len(state), 2))
     if frames == 1:  # a picture alone: other pictures have other errors
         covariance = typical
@@ -540,11 +535,6 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
 
 # Corners in pixels to the pose of every beam tag in the base tag's frame, in metres and radians, with covariance.
 
-CALIBRATION_FRAMES = 150  # frames for the fit of the plane, spread evenly over the tags' travel
-RESTING = 0.1  # of the mean travel per frame: a frame without travel counts as this
-WRONG = 10.0  # sd: a tag whose corners are further (RMS) from any square in the plane is not used
-LEAST_SD = 0.02  # px, least noise of the corners for that test
-TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the arc between two tags, for their largest distance; 0.6 is a turn of 200 deg
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
@@ -563,7 +553,9 @@ def measure_markers(detections: Detections, description: Recording) -> Markers:
     check_picture(detections, description.camera)
     plane = fit_plane(spread(detections.corners), tags.size, description.camera, (detections.width, detections.height))
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
-    wrong = misfit > WRONG * max(view.corner_sd, LEAST_SD)
+    # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
+    # px, least noise of the corners for that test.
+    wrong = misfit > 10.0 * max(view.corner_sd, 0.02)
     for values in (poses.xy, poses.angle, poses.covariance):
         values[wrong] = np.nan
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
@@ -609,9 +601,11 @@ def spread(corners: Array) -> Array:
     push; a rest has a small weight."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
-    travelled = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
+    # Of the mean travel per frame: a frame without travel counts as this.
+    travelled = np.concatenate([[0.0], np.cumsum(travel + 0.1 * travel.sum() / len(centre) + 1e-9)])
     frames = np.unique(
-        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(CALIBRATION_FRAMES, len(travelled))))
+        # Frames for the fit of the plane, spread evenly over the tags' travel.
+        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(150, len(travelled))))
     )
     chosen = corners[frames].reshape(-1, 4, 2)
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]
@@ -673,7 +667,8 @@ def lengths_apart(xy: Array, rec: Recording, base: str, kind: str) -> tuple[str,
             continue
         farthest = float(np.nanpercentile(distance, FARTHEST))
         ratios.append(farthest / arc)
-        if not worst and not TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack:
+        # Of the arc: a chord is never longer, and 0.6 of it only where the beam turns by 200 degrees.
+        if not worst and not 0.6 * arc - slack <= farthest <= 1.05 * arc + slack:
             worst = (
                 f"{name} and {next_name} are {1000 * farthest:.4g} mm apart at most, recording.toml puts "
                 f"{1000 * arc:.4g} mm of beam between them"
@@ -713,7 +708,6 @@ def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
 
 # Whether the tags are turned on the beam as recording.toml says; a wrong turn_deg is off by a quarter turn or more.
 
-OFF = np.deg2rad(60.0)  # between a tag and the beam there: bending does not make that in most frames
 NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
 
 
@@ -729,7 +723,8 @@ def check_turns(markers: Markers, rec: Recording) -> None:
         return
     tag_angle = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[complete]
     off = np.angle(np.exp(1j * (tag_angle - directions(places[complete]))))
-    wrong = np.median(np.cos(off), axis=0) < np.cos(OFF)
+    # Between a tag and the beam there: bending does not make that in most frames.
+    wrong = np.median(np.cos(off), axis=0) < np.cos(np.deg2rad(60.0))
     if not wrong.any():
         return
     written = {tag.id: tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)}

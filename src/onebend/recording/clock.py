@@ -37,9 +37,6 @@ from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, IntArray, 
 # The range of clock offsets that is searched, and the prior over it.
 
 ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and is trusted
-_REACH = 20.0  # times a small uncertainty: how far beyond it is searched
-_LEAST = 1e-6  # s, a smaller uncertainty counts as this
-_SLACK = 0.05  # s, added to the prior's sd of a start with an uncertainty of `ROUGHLY` or more
 
 
 def search_range(
@@ -50,9 +47,10 @@ def search_range(
     first, last = log[0] - film[0] - half, log[-1] - film[-1] + half
     if not (np.isfinite(stated) and np.isfinite(uncertainty)):
         return first, last, lambda offset: np.zeros_like(offset)
-    uncertainty = max(uncertainty, _LEAST)
+    uncertainty = max(uncertainty, 1e-6)  # s, a smaller uncertainty counts as this
     reach = reach_of(uncertainty, margin)
-    scale = uncertainty / 2 + _SLACK * min(1.0, (uncertainty / ROUGHLY) ** 2)
+    # s, added to the prior's sd of a start with an uncertainty of `ROUGHLY` or more.
+    scale = uncertainty / 2 + 0.05 * min(1.0, (uncertainty / ROUGHLY) ** 2)
 
     def prior(offset: Array) -> Array:
         distance = np.abs(offset - stated) / scale
@@ -63,7 +61,7 @@ def search_range(
 
 def reach_of(uncertainty: float, margin: float) -> float:
     """s, how far from the stated offset is searched: `margin` [s] beyond its uncertainty, less where that is small."""
-    return uncertainty + min(margin, _REACH * uncertainty)
+    return uncertainty + min(margin, 20.0 * uncertainty)  # times a small uncertainty: how far beyond it is searched
 
 
 def prior_spread(low: float, high: float, prior: Prior) -> float:
@@ -76,11 +74,9 @@ def prior_spread(low: float, high: float, prior: Prior) -> float:
 
 # The clock offset from features of the tags: a search over the whole range, then around the highest peak.
 
-LONG = 12.0  # s: a longer range is searched roughly first
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are searched finely, and how far around each, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: residual of an offset on the rough, the fine grid
-IMPROBABLE = 8.0  # log posterior below the highest peak at which another one is left: a share of 3e-4
 LEAST = 0.2  # s, searched finely on either side of the first estimate at least
 
 
@@ -108,7 +104,8 @@ def peaks(searches: Sequence[OffsetScan], coarse: Array) -> list[float]:
     found: list[tuple[float, float]] = []
     for search in searches:
         p = np.concatenate([[-np.inf], search.log_posterior - search.log_posterior.max(), [-np.inf]])
-        top = (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]) & (p[1:-1] > -IMPROBABLE)
+        # Log posterior below the highest peak at which another one is left: a share of 3e-4.
+        top = (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]) & (p[1:-1] > -8.0)
         found += zip((-p[1:-1][top]).tolist(), coarse[top].tolist(), strict=True)
     return [offset for _, offset in sorted(found, key=lambda one: one[0])]
 
@@ -126,7 +123,7 @@ def likely_offsets(track: Track, rows: BinnedLog, low: float, high: float, rate:
     """A fine grid of offsets from `low` to `high` [s]; of a long range only those near the peaks of a rough search."""
     spacing = min(0.05, 0.1 * (high - low))
     fine = np.arange(low, high + spacing, min(spacing, 0.25 / rate))
-    if high - low < LONG:
+    if high - low < 12.0:  # s: a longer range is searched roughly first
         return fine
     rough = np.arange(low, high, max(min(0.25, 0.25 / rate), 0.05))
     few_rows = thinned(rows, FIRST_LOOK / track.duration)
@@ -252,7 +249,6 @@ def evidence_over_same_rows(search: OffsetScan, rows: BinnedLog, offset: Array) 
 # Remarks on the clock offset: found, or not found.
 
 AS_WRITTEN = "start_s is used as it is written"
-_CONTRADICTS = 3.0  # sd of the data beyond the uncertainty
 TOO_LITTLE = (
     f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}. Push further, or measure "
     "start_s."
@@ -262,7 +258,7 @@ TOO_LITTLE = (
 def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
     """The remark where the data leave the offset as uncertain (`sd` [s]) as it was. `shift` [s]: the data's best
     offset less the stated one."""
-    if uncertainty < ROUGHLY and abs(shift) > uncertainty + _CONTRADICTS * sd:
+    if uncertainty < ROUGHLY and abs(shift) > uncertainty + 3.0 * sd:  # sd of the data beyond the uncertainty
         text = f"The data would have the film start {shift:+.3f} s from start_s, more than its uncertainty"
         text += f"; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s."
         return Remark("warning", text, about="clock")
@@ -507,12 +503,9 @@ def displacements(markers: Markers) -> Array:
 
 QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
 SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
-LONGEST = 0.25  # of the film: a longer lag leaves no push to see
 REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
 LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
-CERTAIN = 30.0  # log evidence of a slow sensor over a quick one; other errors that last reach half of that
 FEWEST = 10  # frames, and rows of the log
-REFINED = 3  # lags between two of those above
 
 
 @dataclass(frozen=True)
@@ -541,7 +534,7 @@ def slow_sensor(
 def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> SensorLag | None:
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
     rested = resting(track)
-    slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
+    slow = [lag for lag in SLOW if lag <= 0.25 * track.duration]  # of the film: a longer lag leaves no push to see
 
     @cache
     def at(i: int) -> float:
@@ -552,9 +545,10 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
         return None
     while (higher := max(range(max(best - 1, 0), min(best + 2, len(slow))), key=at)) != best:
         best = higher
-    if best + 1 >= len(slow) or not at(best) > CERTAIN:
+    # Log evidence of a slow sensor over a quick one; other errors that last reach half of that.
+    if best + 1 >= len(slow) or not at(best) > 30.0:
         return None  # at the end of the range it is something else
-    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 2 * REFINED + 3)
+    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 9)
     logs = np.array([evidence(rested, rows, offset, lag, prior, within=float(fine[-1])) for lag in fine])
     weight = np.exp(logs - np.max(logs))
     return SensorLag(tau=float(weight @ fine / np.sum(weight)), evidence=float(np.max(logs)))

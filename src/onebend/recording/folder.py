@@ -52,9 +52,6 @@ from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_to
 
 # Recordings of one beam: what their files alone say against it.
 
-SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
-SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
-
 
 def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
     """Raises `LearningError` where the recordings cannot be learned from together, read from their files alone;
@@ -73,7 +70,8 @@ def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
             )
         for tag, same in zip(one.tags.on_beam, first.tags.on_beam, strict=True):
             away = abs(tag.s - same.s) * first.beam.length
-            if away > SAME_PLACE * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
+            # Placement tolerances: written places of one tag that differ by more are a mistake.
+            if away > 4.0 * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
                 raise LearningError(
                     f"tag {tag.id} is at s = {tag.s:.4g} in {one.folder} and at s = {same.s:.4g} in {first.folder}. "
                     "Recordings that are learned from together need the same tags in the same places"
@@ -86,7 +84,8 @@ def _ids(one: Recording) -> list[int]:
 
 def check_same_length(length: float, recording: Recording) -> None:
     """Raises `ObservationError` where the recording is not of a beam of that length [m]."""
-    if abs(recording.beam.length - length) > SAME_LENGTH * length:
+    # Of the length: a larger difference is another beam, or a wrong length_m.
+    if abs(recording.beam.length - length) > 0.01 * length:
         raise ObservationError(
             f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
             f"{1000 * length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
@@ -95,7 +94,6 @@ def check_same_length(length: float, recording: Recording) -> None:
 
 # [camera] from a bag: the camera's calibration as its driver published it.
 
-NEAR_ENOUGH = 0.1  # px: a lens of another model that ours meets so nearly is taken as ours
 RECTIFIED = "image_rect"  # how the name of a topic of rectified pictures begins
 POLYNOMIAL, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", ("equidistant", "fisheye")
 OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the camera is inferred from the tags."
@@ -177,7 +175,7 @@ def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
         return info.lens[:5], f"lens {info.model}, without k4 to k6"
     lens = rational(info.lens) if info.model == RATIONAL else equidistant(info.lens)
     dist, worst = nearest_lens(lens, info.matrix, (info.width, info.height))
-    if not worst <= NEAR_ENOUGH:
+    if not worst <= 0.1:  # px: a lens of another model that ours meets so nearly is taken as ours
         how = f"miss it by up to {worst:.2g} px" if np.isfinite(worst) else "cannot follow it to the picture's edges"
         raise RecordingError(
             f"{place}: its lens is {info.model}, and k1, k2, p1, p2, k3 {how}. Record rectified pictures (image_rect), "

@@ -242,7 +242,6 @@ def displacement(time: Array, xy: Array, rest: Array) -> Array:
 # one.
 
 _NEGLIGIBLE = 1e-14  # of the white variance: a step of a process below it is taken for it
-_FEW = 150  # rows, up to which the dense factor is the quicker one
 
 
 @dataclass(frozen=True)
@@ -271,7 +270,8 @@ def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) ->
     Raises:
         numpy.linalg.LinAlgError: the covariance is not positive definite.
     """
-    return dense_factor(noise, time, walked) if len(time) <= _FEW else banded_factor(noise, time, walked)
+    # Rows, up to which the dense factor is the quicker one.
+    return dense_factor(noise, time, walked) if len(time) <= 150 else banded_factor(noise, time, walked)
 
 
 def dense_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
@@ -418,9 +418,6 @@ def _sized(start: ForceNoise, logs: Array) -> ForceNoise:
 
 
 # Cleaning the force log: sign, frame, outliers, zero, zero-phase low-pass, and the noise that remains.
-
-_DRIFTED = 0.2  # of the largest force: a zero that changes by more between two rests is warned of
-_LOST = 0.5  # by more than this, the log hardly tells the force
 
 
 @dataclass(frozen=True)
@@ -578,9 +575,9 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
     elif len(zero.time) == 1:
         text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
         remarks.append(Remark("note", text))
-    elif change > _DRIFTED * largest:
+    elif change > 0.2 * largest:  # of the largest force: a zero that changes by more between two rests is warned of
         text = f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up."
-        if doubt := change > _LOST * largest:
+        if doubt := change > 0.5 * largest:  # by more than this, the log hardly tells the force
             text = (
                 f"The force's zero drifted by {change:.2g} N between the rests, and the push is {largest:.2g} N: how "
                 "the zero ran during the push is a guess. Push harder, or let the sensor warm up."

@@ -49,13 +49,9 @@ _MENDED: dict[str, tuple[float, str]] = {  # what then has to be added to rotati
 }
 TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
-BETTER = 0.25  # of that share: another reading leaves less only where the log as it is is not the right one
 CLEARLY = 0.003  # by which it must leave less: a right log whose axes are off by 5 deg leaves 0.0003 more
-AS_SIMPLE = 3.0  # times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn
-DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
 SHIFTS = np.arange(-10, 11) * 0.05  # s: clocks that were matched by wrong axes are off by a few tenths
 MOST = 95.0  # percentile over the frames that stands for the largest
-SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
 EXACT = (
     0.002  # unexplained share after the mending: axes that were merely turned leave less than a tenth of it. What is
 )
@@ -89,8 +85,10 @@ class Reading:
         """The reading that fits better than the log as it is by more than errors of a log can do, or nothing."""
         best = min(self.unexplained, key=lambda name: self.unexplained[name])
         as_written, left = self.unexplained["as it is"], self.unexplained[best]
-        clearly = left < min(BETTER * as_written, as_written - CLEARLY)
-        return best if clearly and left < max(AS_SIMPLE * self.turned, CLEARLY) else ""
+        # Of that share: another reading leaves less only where the log as it is is not the right one.
+        clearly = left < min(0.25 * as_written, as_written - CLEARLY)
+        # Times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn.
+        return best if clearly and left < max(3.0 * self.turned, CLEARLY) else ""
 
     @property
     def rotated(self) -> bool:
@@ -98,7 +96,9 @@ class Reading:
         if self.better:
             return False
         as_written = self.unexplained["as it is"]
-        return as_written > DOUBT and self.turned < SHARPER * as_written
+        # Unexplained share above which a turn is searched; simulated clean logs leave 0.008.
+        # Of that share: a turned log that leaves less is named in the message.
+        return as_written > 0.015 and self.turned < 0.25 * as_written
 
     @property
     def exact(self) -> bool:
@@ -209,10 +209,6 @@ def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Arra
     inner = np.flatnonzero(s[1:] <= np.nanmin(push_s) + 1e-9)
     middle = 0.5 * (xy[:, inner] + xy[:, inner + 1])
     return bend[:, inner + 1] - bend[:, inner], push[:, None] - middle
-
-
-BENDS_BEYOND = 0.05  # of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push
-LEAST_TURN = math.radians(3.0)
 
 
 def read_log(rec: Recording) -> ForceLog | None:
@@ -420,7 +416,8 @@ def check_place(
     if rec.gravity is not None or rec.push is None or not loaded.any():
         return ()
     beyond, largest = turn_beyond(markers, rest, push_s, loaded)
-    if beyond < max(BENDS_BEYOND * largest, LEAST_TURN):
+    # Of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push.
+    if beyond < max(0.05 * largest, math.radians(3.0)):
         return ()
     text = (
         f"The beam bends by {math.degrees(beyond):.2g} deg between tags beyond the push, where nothing acts on it. "

@@ -338,9 +338,7 @@ def _refuse(rec: Recording, name: str, text: str) -> NoReturn:
     raise RecordingError(f"{path}:{line}: {name} {text}")
 
 
-NEAR = 0.02  # of the arc length: if every point is nearer to the clamp than this, the unit is wrong
 FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
-FAR = 1.05  # of the arc length: a point's distance from the clamp cannot be larger
 
 
 @dataclass(frozen=True)
@@ -473,14 +471,16 @@ def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     arc = np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length
     relative = distance / np.maximum(arc, 1e-9 * rec.beam.length)
     whole = np.isfinite(points.xy).all(axis=-1)
-    if points.readings.bare < 0 and np.any(distance[whole] > 0.0) and np.max(relative) < NEAR:
+    # Of the arc length: if every point is nearer to the clamp than this, the unit is wrong.
+    if points.readings.bare < 0 and np.any(distance[whole] > 0.0) and np.max(relative) < 0.02:
         raise ObservationError(
             f"{rec.name}: every point is within {100 * np.max(relative):.2g} % of the beam's length of the clamp. Is "
             f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?",
             about="unit",
         )
     sd = np.sqrt(np.trace(points.covariance[..., :2, :2], axis1=-2, axis2=-1))
-    reach = FAR * arc + 3 * rec.tags.placement_sd + 3 * sd
+    # Of the arc length: a point's distance from the clamp cannot be larger.
+    reach = 1.05 * arc + 3 * rec.tags.placement_sd + 3 * sd
     if np.any(distance > reach):
         pose, i = np.argwhere(distance > reach)[0].tolist()
         raise ObservationError(

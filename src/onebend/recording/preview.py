@@ -26,7 +26,6 @@ from onebend.records import Array, BoolArray, Detections, Markers, Remark
 LOOKS = 20  # frames that are searched for tags
 MOST_READ = 4000  # frames that are read at most, two minutes of a usual film
 SMALLEST = 20.0  # px, side of a tag: the corners of smaller ones are coarse, and below 16 px many are missed
-AGAIN = 0.05  # of the largest displacement: nearer to the first frame than this is at rest
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,8 @@ def displacement(markers: Markers) -> Array:
 def bent(markers: Markers) -> BoolArray:
     """(P,) the frames in which the beam is not as in the first, where it is taken to be at rest."""
     away = displacement(markers)
-    return np.asarray(away > AGAIN * float(away.max()))
+    # Of the largest displacement: nearer to the first frame than this is at rest.
+    return np.asarray(away > 0.05 * float(away.max()))
 
 
 def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:

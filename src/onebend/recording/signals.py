@@ -18,7 +18,6 @@ SEPARATE = 10.0  # periods of the cut-off: stretches farther apart are filtered 
 SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples at least, beside a gap that give the level and slope there
 BRIDGE = 15  # points of a bridge over a gap
 SPIKE = 0.75  # s, in which outliers are looked for
-FINE = 3.0  # steps of the last digit: larger noise is visible
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
 
@@ -125,7 +124,8 @@ def within_noise(column: Array) -> bool:
     steps = np.diff(np.unique(column))
     if len(column) < 10 or not len(steps):
         return False
-    return bool(np.median(np.abs(np.diff(column, n=2))) > FINE * float(np.min(steps)))
+    # Steps of the last digit: larger noise is visible.
+    return bool(np.median(np.abs(np.diff(column, n=2))) > 3.0 * float(np.min(steps)))
 
 
 def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:
@@ -226,11 +226,7 @@ def runs(mask: BoolArray) -> IntArray:
 
 # Samples that a logger lost: missing rows, zeros in place of measured forces, and rows that repeat.
 
-EVEN = 0.1  # of the samples: with more at uneven spacings the log has no rate, and missing ones cannot be counted
-JUMP = 5.0  # noise sd: a run of zeros between smaller jumps may be a true zero force
 HELD, SLOW = 0.5, 20.0  # s, and usual run lengths: forces that repeat for longer were not measured
-OFTEN = 3  # runs of zeros that are certainly false; with so many, other runs as short count as false too
-NOTICED = 0.01  # of the samples: if more are missing, it is a warning
 
 
 def missing(time: Array) -> int:
@@ -238,7 +234,8 @@ def missing(time: Array) -> int:
     if len(time) < 3:
         return 0
     steps, spacing = np.diff(time), step(time)
-    if not spacing > 0 or np.mean(np.abs(steps - spacing) > spacing / 2) > EVEN:
+    # Of the samples: with more at uneven spacings the log has no rate, and missing ones cannot be counted.
+    if not spacing > 0 or np.mean(np.abs(steps - spacing) > spacing / 2) > 0.1:
         return 0
     return int(np.sum(np.maximum(np.rint(steps / spacing) - 1, 0)))
 
@@ -250,7 +247,7 @@ def missing_remarks(time: Array, what: str) -> tuple[Remark, ...]:
         return ()
     longest = float(np.diff(time).max())
     text = f"About {count} {what} are missing, {len(time)} are there; the longest gap is {longest:.3g} s."
-    if count <= NOTICED * len(time):
+    if count <= 0.01 * len(time):  # of the samples: if more are missing, it is a warning
         return (Remark("note", text, about="bad rows"),)
     return (Remark("warning", f"{text} Look at what drops them, and record again.", about="bad rows"),)
 
@@ -273,9 +270,10 @@ def false_zeros(force: Array) -> BoolArray:
     sure = []
     for begin, end in spans:
         beside = [size[i] for i in (begin - 1, end) if 0 <= i < len(size)]
-        if noise > 0 and min(beside) > JUMP * noise:
+        # Noise sd: a run of zeros between smaller jumps may be a true zero force.
+        if noise > 0 and min(beside) > 5.0 * noise:
             sure.append((begin, end))
-    if len(sure) >= OFTEN:
+    if len(sure) >= 3:  # runs of zeros that are certainly false; with so many, other runs as short count as false too
         longest = max(end - begin for begin, end in sure)
         sure += [(begin, end) for begin, end in spans if end - begin <= longest]
     for begin, end in sure:

@@ -17,8 +17,6 @@ SHAPES = (("width_m", "thickness_m"), ("diameter_m", "inner_diameter_m"), ("acro
 ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a circle's A / I
 ROUND_SHAPES: tuple[tuple[str, SectionShapeName], ...] = (("diameter_m", "circle"), ("across_flats_m", "hexagon"))
 HEXAGONAL = math.sqrt(5.0 / 6.0)  # the same of a hexagon, over its width across flats
-_BETWEEN = 9  # places from one row of a section to the next, for its area
-DENSEST, LIGHTEST = 1e5, 1.0  # kg/m^3: osmium, the densest material, has 22,600; the lightest foams have 5
 OF_SQUARE = {"circle": math.pi / 4.0, "tube": math.pi / 4.0, "hexagon": math.sqrt(0.75)}  # areas over those of squares
 FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
@@ -68,7 +66,7 @@ def _refuse_density(rec: Recording, section: StatedSection | None, mass: float) 
     inner = np.zeros(len(section.s)) if section.inner is None else section.inner
     area = OF_SQUARE.get(section.shape, 1.0) * (section.thickness * section.width - inner**2)
     density = mass / (rec.beam.length * max(float(np.mean(area)), 1e-300))
-    if not LIGHTEST < density < DENSEST:
+    if not 1.0 < density < 1e5:  # kg/m^3: osmium, the densest material, has 22,600; the lightest foams have 5
         raise RecordingError(
             f"{rec.folder}: with mass_kg, length_m and the section as written the beam is of {density:.3g} kg/m^3, as "
             "no material is. Check mass_kg (in kilograms) and the sizes (in metres)."
@@ -259,7 +257,7 @@ def _mass_of_section(rec: Recording, section: StatedSection | None) -> tuple[flo
     if math.isnan(rec.beam.mass):
         raise RecordingError(f'{rec.folder}: mass_along = "section" needs the mass. Give mass_kg in [beam].')
     pairs = [(i, i + 1) for i in range(len(section.s) - 1) if section.s[i] < section.s[i + 1]]
-    share = np.linspace(0.0, 1.0, _BETWEEN)
+    share = np.linspace(0.0, 1.0, 9)  # places from one row of a section to the next, for its area
 
     def along(size: Array) -> Array:
         return np.concatenate([size[i] + share * (size[j] - size[i]) for i, j in pairs])

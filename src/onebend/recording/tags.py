@@ -46,7 +46,6 @@ from onebend.records import Array, BoolArray, Detections, IntArray, Remark
 
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
 MOST_STEP = LOOK_EVERY // 2  # frames between searched ones: at two of them a tag must be seen to be predicted
-BENT = 0.5  # px by which a tag's way may bend between searched frames; an eighth of it is off halfway
 WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
 EachTag = Callable[[Callable[[Finder, int], None], int], object]  # does `work(finder, i)` for every i below a count
 
@@ -148,7 +147,8 @@ def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> In
     for t in np.flatnonzero(phase == half).tolist():
         sides = [u for u in (t - half, t + half) if 0 <= u < len(tracks)]
         around = [u for u in (t - half - step, *sides, t + half + step) if 0 <= u < len(tracks)]
-        if searched[sides].all() and bent[around].max() > BENT:
+        # px by which a tag's way may bend between searched frames; an eighth of it is off halfway.
+        if searched[sides].all() and bent[around].max() > 0.5:
             out.append(t)
     return np.array(out, dtype=np.int64)
 
@@ -280,10 +280,8 @@ class StillTags:
 # A film of a beam at rest may repeat pictures rightly: a packed film shows little where nothing changes. So pictures
 # that repeat are left out only where the tags stand elsewhere as soon as the pictures change again.
 
-SHORTEST = 3  # pictures that repeat; fewer are a hiccup of less than the clock's own error
 JUMP, LEAST_PX = 3.0, 1.0  # times the steps before and after, and px, that the tags go when the pictures change again
 COARSE = 4  # px: every so manyth pixel is compared
-SAME = 0.25  # of the usual change from picture to picture, which noise makes: less is a repeat
 
 
 def noting_changes(frames: Iterable[FilmFrame], changes: list[float]) -> Iterator[FilmFrame]:
@@ -312,7 +310,8 @@ def repeated(changes: Sequence[float]) -> BoolArray:
     """(T,) pictures that are the one before, but for what packing the film makes of it."""
     change = np.array(changes)
     usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
-    return np.asarray((change == 0.0) | (change < SAME * usual))
+    # Of the usual change from picture to picture, which noise makes: less is a repeat.
+    return np.asarray((change == 0.0) | (change < 0.25 * usual))
 
 
 def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
@@ -322,7 +321,8 @@ def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
     step = np.linalg.norm(np.diff(centre, axis=0), axis=-1)  # (T - 1, m)
     hung = np.zeros(len(corners), dtype=bool)
     for begin, end in runs(repeats).tolist():
-        if end - begin < SHORTEST or end >= len(corners) or begin < 2:
+        # Pictures that repeat; fewer are a hiccup of less than the clock's own error.
+        if end - begin < 3 or end >= len(corners) or begin < 2:
             continue
         around = np.concatenate([step[max(begin - 4, 0) : begin - 1], step[end : end + 3]])
         usual = np.nan_to_num(np.nanmax(around, axis=0, initial=0.0)) if len(around) else np.zeros(step.shape[1])
@@ -347,13 +347,9 @@ def frozen_remarks(hung: BoolArray, time: Array) -> tuple[Remark, ...]:
 # A video to the corners of every tag in every frame, on all cores; the result does not depend on threads.
 
 BLOCK = 16  # frames that are followed together; bounds the memory: two blocks are held at a time
-WORTH_FINDER = 4  # tags: for fewer, one more detector is not worth its memory (20 MB) and its start
-LOOK_BLOCKS = 16  # the first picture of every so manyth block is searched whole, whatever is missing
 MOST_THREADS = 8
 LEAST_RATE = 28.0  # searched frames a second at least: the clock search rests on how the tags move between them
 FREQUENT = 0.1  # of the searched pictures: an unexpected tag gets a remark if it is seen more often
-OFTEN_HIDDEN = 0.05  # of the frames: a tag that is missing more often gets a remark
-FAMILY_FRAMES = 5  # frames searched for tags of other families when none was found
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -379,7 +375,8 @@ def detect_tags(
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
     first, finders = Finder(tags.family), SimpleQueue[Finder]()
-    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // WORTH_FINDER) - 1))):
+    # Tags: for fewer, one more detector is not worth its memory (20 MB) and its start.
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // 4) - 1))):
         finders.put(finder)
 
     def each(work: Callable[[Finder, int], None], count: int) -> None:
@@ -396,7 +393,8 @@ def detect_tags(
     changes: list[float] = []
 
     def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
-        look, before = len(blocks) % LOOK_BLOCKS == 0, blocks[-1].corners if blocks else None
+        # The first picture of every so manyth block is searched whole, whatever is missing.
+        look, before = len(blocks) % 16 == 0, blocks[-1].corners if blocks else None
         step = step_of(blocks[0].time if blocks else np.array([frame.time for frame in frames]))
         blocks.append(track_block(frames, tag_id, first, before=before, look=look, step=step, each=each))
         return blocks[-1]
@@ -537,7 +535,8 @@ def what_is_there(
     """Advice for a video without any expected tag, from the tags that it does show."""
     if strangers:
         return f"The ids seen are {', '.join(map(str, sorted(strangers)))}: correct the ids in recording.toml."
-    wanted = set(np.linspace(0, (len(pictures) or frames) - 1, FAMILY_FRAMES).astype(int).tolist())
+    # Frames searched for tags of other families when none was found.
+    wanted = set(np.linspace(0, (len(pictures) or frames) - 1, 5).astype(int).tolist())
     if pictures:
         pictures = [picture for i, picture in enumerate(pictures) if i in wanted]
     else:
@@ -557,7 +556,7 @@ def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> lis
     """A remark for each tag that is missing in many frames."""
     remarks = []
     for tag, visible in zip(tag_id, share, strict=True):
-        if 0 < visible < 1 - OFTEN_HIDDEN:
+        if 0 < visible < 0.95:  # of the frames: a tag that is missing more often gets a remark
             text = f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames."
             remarks.append(Remark("note", text))
     return remarks
@@ -593,7 +592,6 @@ def stranger_remarks(strangers: Counter[int], looks: int) -> list[Remark]:
 
 TILE = 160  # px: a lost tag is sought in parts of about this size, one a frame
 SQUARE: Array = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # corners of a tag of side 1
-OVERLAP = 1.6  # sides of a tag: parts overlap by as much, so that one of them shows it whole
 
 
 @dataclass(frozen=True)
@@ -720,7 +718,8 @@ class Tracker:
         last = own[i] if expected is None and known[i] else own[known][0] if expected is None else expected
         order = np.argsort(np.linalg.norm(places - last.mean(axis=0), axis=1), kind="stable")
         middle = places[order[self._turn // 2 % len(places)]]
-        found = self._finder.look_around(picture, middle + side * SQUARE, 0.5 * TILE + (OVERLAP - 1.0) * side / 2)
+        # Parts overlap by 1.6 sides of a tag, so that one of them shows it whole.
+        found = self._finder.look_around(picture, middle + side * SQUARE, 0.5 * TILE + 0.3 * side)
         return [tag for tag in found if tag.errors <= self._finder.most_errors]
 
 

@@ -25,9 +25,6 @@ Pictures = NDArray[np.float32]  # (P, h, w)
 BEAM_PIXELS = 230.0  # no longer is the beam in the shrunk pictures: noise averages out, a tool stays some pixels wide
 STEPS = 180  # of the grid, in a beam's length
 S_RANGE = (0.2, 1.4)  # nearer to the clamp the beam hardly moves; beyond the tip a tool's other half may be
-ACROSS = 0.24  # of the length, to each side
-DIFFERS = 5.0  # sds of the background's noise: a pixel that is farther off shows something else
-QUIETEST = 0.1  # of 255: no camera's noise is less, a film without any is a drawing
 THIN = 4  # of rows and columns, for a picture's brightness
 
 
@@ -47,7 +44,7 @@ class SideGrid:
 
 def grid_of(length: float) -> SideGrid:
     """The places that are looked at beside a beam of this length [m]."""
-    half = round(ACROSS * STEPS)
+    half = round(0.24 * STEPS)  # of the length, to each side
     count = round((S_RANGE[1] - S_RANGE[0]) * STEPS) + 1
     return SideGrid(S_RANGE[0] + np.arange(count) / STEPS, np.arange(-half, half + 1) * length / STEPS, length)
 
@@ -83,7 +80,7 @@ def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     even = pictures / brightness
     away = np.abs(even - middle(even[by]))
     noise = 1.4826 * middle(away[by])
-    floor = max(float(np.median(noise)), QUIETEST)
+    floor = max(float(np.median(noise)), 0.1)  # of 255: no camera's noise is less, a film without any is a drawing
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
 
 
@@ -131,16 +128,7 @@ def beside_beam(
 # Strips that come from outside and end on the beam's flank: what a tool looks like beside the beam.
 
 CLOSES = 3  # cells: holes smaller than this are filled
-WIDER = 1.6  # times its usual width: a strip that becomes so wide has run into the beam
-MORE = 3  # cells of width more, for the same
-USUAL = 9  # rows before, of which the usual width is taken
-NEAR = 0.08  # of the length: the strip's last part, which tells where it meets the beam
 LEAST = 0.04  # of the length: a strip that is shorter is no tool
-WIDEST = 0.25  # of the length: a wider strip does not say where it touches
-STEEPEST = 1.0  # along over across: a strip that lies nearer along the beam does not say where it touches
-FLANK_SD = 0.02  # of the length: the beam's shadow may hide its flank by so much
-SOLID = 0.5  # of the places between flank and axis: with fewer covered it is not the beam that a strip runs into
-TIP = 0.98  # s: beyond, it may run past the beam
 
 
 @dataclass(frozen=True)
@@ -180,16 +168,20 @@ def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
             if far < reach or len(strip.rows) * grid.step < LEAST * grid.length:
                 continue
             found, slope = _meeting(strip, grid)
-            if found.width <= WIDEST * grid.length and slope <= STEEPEST and _on_beam(closed, found.s, strip, grid):
+            # Of the length: a wider strip does not say where it touches.
+            # A strip that lies along the beam does not say where it touches, either.
+            if found.width <= 0.25 * grid.length and slope <= 1.0 and _on_beam(closed, found.s, strip, grid):
                 out.append(found)
     return out
 
 
 def _on_beam(covered: BoolArray, s: float, strip: Strip, grid: SideGrid) -> bool:
     """Whether there is a beam between the strip's end and the axis."""
-    at, middle = int(np.argmin(np.abs(grid.s - min(s, TIP)))), len(grid.across) // 2
+    # s: beyond, it may run past the beam.
+    at, middle = int(np.argmin(np.abs(grid.s - min(s, 0.98)))), len(grid.across) // 2
     inside = covered[at, min(strip.flank, middle) : max(strip.flank, middle) + 1]
-    return bool(np.mean(inside) >= SOLID)
+    # Of the places between flank and axis: with fewer covered it is not the beam that a strip runs into.
+    return bool(np.mean(inside) >= 0.5)
 
 
 def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
@@ -207,8 +199,10 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             if not under:
                 continue
             begin, end = here[under[0]][0], here[under[-1]][1]
-            usual = median([b - a for _, a, b in strip[-USUAL:]])
-            if end - begin > WIDER * usual + MORE:
+            usual = median([b - a for _, a, b in strip[-9:]])  # rows before, of which the usual width is taken
+            # Times its usual width: a strip that becomes so wide has run into the beam.
+            # Cells of width more, for the same.
+            if end - begin > 1.6 * usual + 3:
                 ended.append(_strip(strip, row))
             else:
                 going.append([*strip, (row, begin, end)])
@@ -235,7 +229,8 @@ def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:
 
 def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
     """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
-    count = max(2, round(NEAR * grid.length / grid.step))
+    # Of the length: the strip's last part, which tells where it meets the beam.
+    count = max(2, round(0.08 * grid.length / grid.step))
     near = Strip(strip.rows[-count:], strip.first[-count:], strip.last[-count:], strip.flank)
     middle = 0.5 * (grid.s[near.first] + grid.s[near.last - 1])
     out = grid.across[near.rows] - grid.across[near.flank]
@@ -246,7 +241,8 @@ def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
     touch = width / grid.length / sqrt(12.0)
     meeting = Meeting(
         s=float(place),
-        sd=float(np.linalg.norm([scatter, touch, steep * FLANK_SD])),
+        # Of the length: the beam's shadow may hide its flank by so much.
+        sd=float(np.linalg.norm([scatter, touch, steep * 0.02])),
         left=strip.flank > len(grid.across) // 2,
         width=width,
     )
@@ -256,12 +252,7 @@ def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
 # Where along the beam the pictures show the tool that pushes.
 
 FEWEST_LOADED, FEWEST_AT_REST = 8, 3
-PAPER = 0.625 * sqrt(2.0)  # of a tag's side: half the diagonal of its paper, white margin included
-CORE = 0.02  # of the length: so near to its axis is certainly the beam
 TOGETHER = 0.05  # of s: so near to each other are meetings of one tool, which may slide a little
-LEAST_SHOWN = 0.25  # of the loaded frames: in so many something must be seen to lie against the beam
-AGREEING = 0.75  # of the loaded frames that show something so: in so many it is at one place
-AWAY = 0.15  # of the frames at rest: in so many the tool must be off the beam, or it may be fixed to it
 
 
 @dataclass(frozen=True)
@@ -318,8 +309,10 @@ def tool_place(
     some = far | ~pushed
     different[~pushed] = deviations(pictures[good][some], far[some])[~pushed[some]]
     beside = beside_beam(different, factor, markers.view, centre, normal, grid)
-    reach = PAPER * tag_size + LEAST * length
-    covered = np.asarray(beside > DIFFERS)
+    # Of a tag's side: half the diagonal of its paper, white margin included.
+    reach = 0.625 * sqrt(2.0) * tag_size + LEAST * length
+    # sds of the background's noise: a pixel that is farther off shows something else.
+    covered = np.asarray(beside > 5.0)
     found = place_of([meetings(one, grid, reach) for one in covered], pushed)
     if found.seen and _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
         return not_seen("the beam at rest is taken for the background")
@@ -330,7 +323,8 @@ def _shows_beam(covered: BoolArray, s: float, grid: SideGrid) -> BoolArray:
     """(P,) the pictures (P, S, D) in which the beam itself stands out near s: if it does not at rest, nor would what is
     fixed to it."""
     here = covered[:, np.abs(grid.s - min(s, 1.0 - TOGETHER)) <= TOGETHER]
-    return np.asarray(here[..., np.abs(grid.across) <= CORE * grid.length].mean(axis=(1, 2)) >= 0.5)
+    # Of the length: so near to its axis is certainly the beam.
+    return np.asarray(here[..., np.abs(grid.across) <= 0.02 * grid.length].mean(axis=(1, 2)) >= 0.5)
 
 
 def enough_tags(markers: Markers) -> BoolArray:
@@ -369,13 +363,15 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace
     s = float(np.median([one.s for one in _at(loaded, left, s)]))
     own, telling = _at(loaded, left, s), sum(len(one) > 0 for one in loaded)
     shown = len(own) / len(loaded)
-    if shown < LEAST_SHOWN or len(own) < FEWEST_LOADED:
+    # Of the loaded frames: in so many something must be seen to lie against the beam.
+    if shown < 0.25 or len(own) < FEWEST_LOADED:
         return not_seen(f"too few frames show what lies against the beam ({shown:.0%} of those under load)")
     alone = len(own) - sum(_away_from(one, left, s) for one in loaded if _at([one], left, s))
-    if alone < AGREEING * telling:
+    if alone < 0.75 * telling:  # of the loaded frames that show something so: in so many it is at one place
         return not_seen(f"things lie against the beam at several places (at s = {s:.2g} alone in {alone} of {telling})")
     resting = [one for one, now in zip(found, pushed, strict=True) if not now]
-    if len(_at(resting, left, s)) > (1.0 - AWAY) * len(resting):
+    # In 15 % of the frames at rest the tool must be off the beam, or it may be fixed to it.
+    if len(_at(resting, left, s)) > 0.85 * len(resting):
         return not_seen(f"what lies against the beam at s = {s:.2g} is there at rest too")
     return _weighed(own, shown)
 
@@ -414,8 +410,6 @@ def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
 # The tool looked for in a film, and what to say where it is not where recording.toml says.
 
 LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
-SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
-ACCUSES = 0.5  # of the loaded frames: what fewer show at another place is no reason to doubt the stated one
 
 FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
 
@@ -532,7 +526,8 @@ def of_rows(markers: Markers, rows: IntArray) -> Markers:
 def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
     """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow, in most of
     the frames under load."""
-    if rec.push is None or not _tool_elsewhere(tool, rec) or tool.shown < ACCUSES:
+    # Of the loaded frames: what fewer show at another place is no reason to doubt the stated one.
+    if rec.push is None or not _tool_elsewhere(tool, rec) or tool.shown < 0.5:
         return ()
     text = (
         f"The film shows the tool at s = {tool.words}; recording.toml says at_s = {rec.push.at:.3g}. k(s) follows the "
@@ -546,7 +541,8 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
     if not tool.seen or rec.push is None or isnan(rec.push.at):
         return False
     stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
-    return bool(abs(tool.s - rec.push.at) > SURE * np.hypot(tool.sd, stated_sd))
+    # sds, of what is seen and what is stated together: farther apart they disagree.
+    return bool(abs(tool.s - rec.push.at) > 3.0 * np.hypot(tool.sd, stated_sd))
 
 
 # Small pictures of a stream, kept as it goes on, spread over rest and push: the tool is looked for in them at the

@@ -19,9 +19,6 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
 
-MOST_TURN = 4.0  # times what the places turn by: angles beyond are no radians
-BENT = 0.2  # rad that a marker's chord must turn for its angle to be compared with it
-
 
 def chord_angles(xy: Array, s: Array) -> Array:
     """(T, m) rad: the beam's angle at the markers, from places (T, m, 2) [m] and the clamp at the origin.
@@ -64,7 +61,7 @@ def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
         ObservationError: they do.
     """
     share = angles_per_chord(xy, s, angle)
-    if share < 0.0 or share > MOST_TURN:
+    if share < 0.0 or share > 4.0:  # times what the places turn by: angles beyond are no radians
         how = "the other way than" if share < 0.0 else f"{share:.2g} times as far as"
         raise ObservationError(
             f"{name}: angle_rad turns {how} the markers' places do. Angles are in radians and grow from x to y: "
@@ -80,7 +77,8 @@ def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
     if not known.any():
         return float("nan")
     measured, turned = (_from_mean(np.where(known, values, np.nan)) for values in (angle, chords))
-    if not float(np.nanmax(turned) - np.nanmin(turned)) > BENT:
+    # rad that a marker's chord must turn for its angle to be compared with it.
+    if not float(np.nanmax(turned) - np.nanmin(turned)) > 0.2:
         return float("nan")
     return float(np.nansum(measured * turned) / np.nansum(turned**2))
 
@@ -89,12 +87,6 @@ def _from_mean(values: Array) -> Array:
     """Columns (T, m) less their means; NaN where a column has no value."""
     count = np.maximum(np.sum(np.isfinite(values), axis=0), 1)
     return np.asarray(values - np.nansum(values, axis=0) / count)
-
-
-BESIDE = 0.01  # weight of the markers' mean places against their motion: heights differ by millimetres
-STRAIGHT = 0.02  # second over first principal extent: markers that hardly leave a line say nothing of their plane
-EDGE_ON = 0.2  # cosine between `seen_from` and the plane's normal below which it does not say which side is meant
-MUCH = 0.03  # of the markers' extent: more out-of-plane motion is no planar bending
 
 
 @dataclass(frozen=True)
@@ -131,15 +123,18 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     origin = np.mean(middles, axis=0)
     moves = np.concatenate([track - middle for track, middle in zip(tracks, middles, strict=True)])
     moves /= np.sqrt(len(moves))
-    spread = BESIDE * (middles - origin) / np.sqrt(len(middles))
+    # Weight of the markers' mean places against their motion: heights differ by millimetres.
+    spread = 0.01 * (middles - origin) / np.sqrt(len(middles))
     extent, rows = np.linalg.svd(np.concatenate([moves, spread, np.zeros((3, 3))]), full_matrices=False)[1:]
     look = np.asarray(seen_from, dtype=float)
     look = look / max(float(np.linalg.norm(look)), np.finfo(float).tiny)
     normal = rows[2]
-    if extent[1] < STRAIGHT * extent[0]:
+    # Second over first principal extent: markers that hardly leave a line say nothing of their plane.
+    if extent[1] < 0.02 * extent[0]:
         normal = look - (look @ rows[0]) * rows[0]
         normal = normal / max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
-    if not abs(float(normal @ look)) > EDGE_ON:
+    # Cosine between `seen_from` and the plane's normal below which it does not say which side is meant.
+    if not abs(float(normal @ look)) > 0.2:
         raise ObservationError(
             f"The plane of bending (normal {np.round(normal, 2).tolist()}) is seen edge on from {list(seen_from)}, so "
             "nothing says which way round its y axis goes. Give seen_from in [markers] a direction nearer its normal."
@@ -161,7 +156,7 @@ def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
     flat = plane.lay(points)[:, measured]
     extent = float(np.nanmax(np.linalg.norm(flat - np.nanmean(flat, axis=(0, 1)), axis=-1)))
     text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * largest:.2g} mm at most"
-    if largest > MUCH * extent:
+    if largest > 0.03 * extent:  # of the markers' extent: more out-of-plane motion is no planar bending
         text += ": this is no bending in one plane, and what leaves it is not seen. Push within one plane."
         return (Remark("warning", text, about="out of plane"),)
     return (Remark("note", f"{text}; only the motion in the plane is used."),)

@@ -24,13 +24,11 @@ Picture = NDArray[np.uint8]
 Keep = Callable[[VideoEntry, int, av.VideoFrame], None]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
-RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between stated and measured rate gets a remark
 MOST_PIXELS = 2**26  # of a picture
 # What a camera or a phone writes. Playlists and lists of files, which name others and even addresses, are not in it.
 FILMS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,mxf,ogg,yuv4mpegpipe,dv,nut,ivf,h264,hevc,mjpeg,m4v"
 ONLY_FILMS = {"format_whitelist": FILMS, "protocol_whitelist": "file"}
 STILLS = ("mjpeg", "png", "bmp", "gif", "tiff", "webp")  # codecs of covers; some cameras film in the first
-SOUND_TOLERANCE = 0.5  # s, how much longer than the film other streams of the file may last
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,8 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     if math.isnan(video.fps) or len(time) < 2:
         return ()
     measured = 1 / float(np.median(np.diff(time)))
-    if abs(measured / video.fps - 1) <= RATE_TOLERANCE:
+    # Of the frame rate: a larger difference between stated and measured rate gets a remark.
+    if abs(measured / video.fps - 1) <= 0.01:
         return ()
     text = (
         f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
@@ -246,7 +245,8 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
         if count == 0:
             raise RecordingError(f"{path} holds no frame. Copy it again from the camera.")
         stated = stated_length(container, stream)
-        slack = 1.5 * max(duration, interval) + (SOUND_TOLERANCE if len(container.streams) > 1 else 0.0)
+        # s, how much longer than the film other streams of the file may last.
+        slack = 1.5 * max(duration, interval) + (0.5 if len(container.streams) > 1 else 0.0)
         if last + duration < stated - slack and not 0 < stream.frames <= count:
             raise damaged(path, count, f"it ends at {last + duration:.2f} s and says it lasts {stated:.2f} s")
 
