@@ -54,21 +54,13 @@ class Unpacker:
         self.left = MOST_READ + MOST_GAIN * path.stat().st_size  # bytes
 
     def take(self, count: int) -> None:
-        """Count bytes that were unpacked.
-
-        Raises:
-            BrokenOffError: they are too many.
-        """
+        """Count bytes that were unpacked."""
         self.left -= count
         if self.left < 0:
             raise BrokenOffError("it unpacks to far more than a film or a log comes to")
 
     def unpack(self, packed: bytes, kind: str, size: int = 0) -> bytes:
-        """The bytes of a chunk that is packed as `kind` and says that it has `size` bytes (0: it does not say).
-
-        Raises:
-            BrokenOffError: it cannot be unpacked, or holds too much.
-        """
+        """The bytes of a chunk that is packed as `kind` and says that it has `size` bytes (0: it does not say)."""
         most = min(size, MOST_CHUNK) if size else MOST_CHUNK
         try:
             return b"".join(self._parts(packed, kind, most))
@@ -129,9 +121,6 @@ def scan(path: Path, topic: str = "", unpacker: Unpacker | None = None) -> Itera
     Args:
         topic: Messages of others may be left out. Empty: none is.
         unpacker: What counts the unpacked bytes; of this file alone by default.
-
-    Raises:
-        BrokenOffError: The file cannot be read further; what came before is good.
     """
     try:
         unpacker = unpacker or Unpacker(path)
@@ -438,11 +427,7 @@ def open_database(path: Path) -> closing[sqlite3.Connection]:
 
 
 def sqlite_channels(base: sqlite3.Connection) -> dict[int, Channel]:
-    """The topics by their keys.
-
-    Raises:
-        BrokenOffError: What a topic needs is no text.
-    """
+    """The topics by their keys."""
     texts = {}
     if "message_definitions" in {name for (name,) in base.execute("SELECT name FROM sqlite_master")}:
         rows = base.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
@@ -456,11 +441,7 @@ def sqlite_channels(base: sqlite3.Connection) -> dict[int, Channel]:
 
 
 def refuse_programs(base: sqlite3.Connection) -> None:
-    """Raise where what a recorder keeps in tables is computed instead: a view may go on for ever, a column be huge.
-
-    Raises:
-        BrokenOffError: a name of a recorder's table is a view or a virtual table, or a column of it is computed.
-    """
+    """Raise where what a recorder keeps in tables is computed instead: a view may go on for ever, a column be huge."""
     base.execute("PRAGMA trusted_schema=OFF")
     for kind, name, text in base.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000"):
         plain = kind == "index" or (kind == "table" and PLAIN_TABLE.match(text or ""))

@@ -74,11 +74,7 @@ MOSAICS = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
 
 
 def bag_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
-    """The bag of a film or a force log, and its topic.
-
-    Raises:
-        RecordingError: no such topic, or that of a film holds no images.
-    """
+    """The bag of a film or a force log, and its topic."""
     film = isinstance(entry, VideoEntry)
     bag = open_bag(entry.file, keep=entry.damaged == "keep")
     topic = topic_of(bag, entry.topic, "[video] topic" if film else "[force] topic")
@@ -91,11 +87,7 @@ def bag_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
 
 
 def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
-    """Time since the first, s, and message of every image, in order.
-
-    Raises:
-        RecordingError: as `bag_topic`, or a time that is missing or does not rise.
-    """
+    """Time since the first, s, and message of every image, in order."""
     bag, topic = bag_topic(video)
     clock = clock_of(bag, topic, video.definitions)
     last, first = -math.inf, 0.0
@@ -109,11 +101,7 @@ def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
 
 
 def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
-    """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message.
-
-    Raises:
-        RecordingError: an encoding that is not known, or fewer bytes than the size asks for.
-    """
+    """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message."""
     if not hasattr(message, "encoding"):
         return unpacked(message, place, colour)
     height, width, name = int(message.height), int(message.width), str(message.encoding)
@@ -184,11 +172,7 @@ class CameraInfo:
 
 
 def bag_camera(video: VideoEntry, name: str) -> CameraInfo:
-    """The calibration on topic `name` of the film's bag.
-
-    Raises:
-        RecordingError: no such topic, another type, numbers that are none, or messages that differ.
-    """
+    """The calibration on topic `name` of the film's bag."""
     bag, _ = bag_topic(video)
     topic = topic_of(bag, name, "[camera] camera_info")
     place = f"[camera] camera_info: {ascii_only(topic.channel.topic)} of {video.file}"
@@ -247,12 +231,7 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def read_bag_force(entry: ForceEntry) -> ForceLog:
-    """The force along `entry.axes` of every message of `entry.topic`, on the headers' clock; its zero is the first one.
-
-    Raises:
-        RecordingError: no such topic or field, a damaged bag, too few messages, forces in several frames, or zero
-            throughout.
-    """
+    """The force along `entry.axes` of every message of `entry.topic`, on the headers' clock; its zero is the first one."""
     bag, topic = bag_topic(entry)
     field = entry.field or default_field(topic, entry)
     clock = clock_of(bag, topic, entry.definitions)
@@ -468,11 +447,7 @@ def asked(bag: Bag, name: str) -> str:
 def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
     """The recording with the start of its film taken from the bag where film and force share one, and with remarks.
 
-    `written` is recording.toml as data: a start that stands there is kept.
-
-    Raises:
-        RecordingError: a bag cannot be read.
-    """
+    `written` is recording.toml as data: a start that stands there is kept."""
     video = rec.video if rec.video is not None and rec.video.topic else None
     force = rec.force if rec.force is not None and rec.force.topic else None
     remarks = [*rec.remarks]

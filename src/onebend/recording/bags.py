@@ -119,11 +119,7 @@ IDL_PART = "=" * 80 + "\n"
 def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[[bytes], Any]:
     """What turns the bytes of the channel's messages into objects.
 
-    `definitions` is a folder with .msg files, for a bag that does not carry them.
-
-    Raises:
-        RecordingError: the type is not known, or its definition cannot be read.
-    """
+    `definitions` is a folder with .msg files, for a bag that does not carry them."""
     if channel.encoding not in ("cdr", "ros1"):
         raise RecordingError(
             f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
@@ -346,11 +342,7 @@ def listed(bag: Bag) -> str:
 
 
 def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
-    """When each message of the topic was received, ns, and its bytes, in the bag's order.
-
-    Raises:
-        RecordingError: the bag is damaged within, though its index is good, or the messages are too many.
-    """
+    """When each message of the topic was received, ns, and its bytes, in the bag's order."""
     name, count = topic.channel.topic, 0
     for part in bag.parts:
         try:
@@ -368,11 +360,7 @@ def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
 
 
 def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterator[tuple[int, Any]]:
-    """When each message of the topic was received, ns, and the message as an object.
-
-    Raises:
-        RecordingError: its type is not known, a message does not fit it, or the bag is damaged.
-    """
+    """When each message of the topic was received, ns, and the message as an object."""
     decode = decoder(bag.path, topic.channel, definitions)
     for count, (received, data) in enumerate(raw_messages(bag, topic)):
         try:

@@ -83,21 +83,12 @@ class BoardFilm:
 
 
 def opencv() -> Any:
-    """The module `cv2`.
-
-    Raises:
-        MissingPackageError: it is not installed.
-    """
+    """The module `cv2`."""
     return package("cv2", "calibrate")
 
 
 def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress = Silent()) -> BoardFilm:
-    """The board in frames spread over the film; of each few neighbours the sharpest. `topic`: of the images in a bag.
-
-    Raises:
-        RecordingError: no OpenCV, not a film, a bag without its topic, a picture that changes its size, an unknown
-            dictionary.
-    """
+    """The board in frames spread over the film; of each few neighbours the sharpest. `topic`: of the images in a bag."""
     cv2 = opencv()
     find = _finder(cv2, board)
     video = _film_of(film, topic)

@@ -193,9 +193,6 @@ def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: 
         size: m, side of the tags.
         camera: the calibration, or None.
         picture: px, width and height.
-
-    Raises:
-        ObservationError: no camera in front of the plane explains the sightings.
     """
     side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)

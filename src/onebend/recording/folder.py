@@ -116,12 +116,7 @@ def known_camera(
 
 
 def camera_in_bag(entry: CameraInfoEntry, video: VideoEntry | None) -> tuple[CameraEntry, tuple[Remark, ...]]:
-    """The calibration that `entry` names, for the pictures of `video`, and what is to be said of it.
-
-    Raises:
-        RecordingError: the film is in no bag, the camera is not calibrated, its lens has no place in our model, or the
-            calibration is of pictures of another size.
-    """
+    """The calibration that `entry` names, for the pictures of `video`, and what is to be said of it."""
     if video is None or not video.topic:
         raise RecordingError(
             "[camera] camera_info names a topic, and the film is in no bag. Write width, height, fx, fy, cx, cy, dist."

@@ -265,11 +265,7 @@ class NoiseFactor:
 
 def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
     """Of the covariance of `noise` at rising `time` (N,) [s]; with `walked` (N,) [N^2], the variance that a second walk
-    has gathered so far, counted from the first row.
-
-    Raises:
-        numpy.linalg.LinAlgError: the covariance is not positive definite.
-    """
+    has gathered so far, counted from the first row."""
     # Rows, up to which the dense factor is the quicker one.
     return dense_factor(noise, time, walked) if len(time) <= 150 else banded_factor(noise, time, walked)
 

@@ -226,11 +226,7 @@ def match_clocks(
 ) -> ClockFit:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
-    Where the start is said to be exact, it is as written, with an sd of 0.
-
-    Raises:
-        ObservationError: film and log do not overlap, or nothing says when the film starts.
-    """
+    Where the start is said to be exact, it is as written, with an sd of 0."""
     stated, uncertainty = rec.start
     if log is None and base is None:
         start = stated if math.isfinite(stated) else 0.0
@@ -359,11 +355,7 @@ def pair(
 
 
 def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
-    """(T,) frames with a force and at least one marker, and remarks on the others.
-
-    Raises:
-        ObservationError: no frame is left.
-    """
+    """(T,) frames with a force and at least one marker, and remarks on the others."""
     has_force: BoolArray = np.isfinite(force).min(axis=1)
     has_marker: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
     remarks = []

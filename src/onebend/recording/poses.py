@@ -207,12 +207,7 @@ LEVEL = 1e-9  # sine of the angle of a clamp that is level
 
 
 def readings_of(rec: Recording, loads: PoseLoads, table: Columns) -> Readings:
-    """How the points of the table were read.
-
-    Raises:
-        RecordingError: the pose of the zero is not there, or was read itself; rulers without their x; what rulers and
-            zeroed gauges cannot read.
-    """
+    """How the points of the table were read."""
     entry = rec.poses
     assert entry is not None
     if entry.read_at == "x":
@@ -356,12 +351,7 @@ class PosePoints:
 
 
 def pose_observations(rec: Recording) -> Observations:
-    """Observations from a table of poses and a table of loads.
-
-    Raises:
-        RecordingError: a table cannot be used.
-        ObservationError: no point of any loaded pose, or a point farther from the clamp than the beam reaches.
-    """
+    """Observations from a table of poses and a table of loads."""
     assert rec.poses is not None
     loads = read_loads(rec.poses.loads, rec, rec.poses.axes)
     return static(rec, loads, read_points(rec, loads), rec.poses.load_sd)
@@ -495,12 +485,7 @@ HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
 
 
 def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
-    """Observations from a folder of photos and a table of loads.
-
-    Raises:
-        RecordingError: a picture or the table cannot be used.
-        ObservationError: tags that are not seen, or that no flat plane explains.
-    """
+    """Observations from a folder of photos and a table of loads."""
     assert rec.photos is not None
     loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
     detections = detect_in_photos(rec, loads.names, progress)

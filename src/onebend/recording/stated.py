@@ -74,11 +74,7 @@ def _refuse_density(rec: Recording, section: StatedSection | None, mass: float) 
 
 
 def _section(rec: Recording, sizes: dict[str, Array]) -> StatedSection | None:
-    """The section where it is whole.
-
-    Raises:
-        RecordingError: an error is stated of what is not.
-    """
+    """The section where it is whole."""
     beam, s = rec.beam, sizes["s"]
     if not math.isnan(beam.moment_sd) and "I_m4" not in sizes:
         raise RecordingError(f"{rec.folder}: I_sd is of a column I_m4 in section_file. Of sizes, give section_sd_m.")
@@ -111,11 +107,7 @@ def _thickness(sizes: dict[str, Array]) -> float:
 
 
 def _sizes(rec: Recording) -> dict[str, Array]:
-    """What is known of the section: places `s` (P,), and by its key each size [m] there, or `I_m4` [m^4].
-
-    Raises:
-        RecordingError: a size that is given twice, sizes of two shapes, a table that cannot be used.
-    """
+    """What is known of the section: places `s` (P,), and by its key each size [m] there, or `I_m4` [m^4]."""
     beam = rec.beam
     values = (beam.width, beam.thickness, beam.diameter, beam.inner_diameter, beam.across_flats)
     written = {name: value for name, value in zip(SIZES, values, strict=True) if not math.isnan(value)}
@@ -213,11 +205,7 @@ def _refuse_places(table: Columns, instead: str, *, steps: bool = False) -> None
 
 
 def _mass(rec: Recording) -> tuple[float, MassLine | None]:
-    """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given.
-
-    Raises:
-        RecordingError: fewer than two rows, places outside the beam or that do not rise, a mass that is not positive.
-    """
+    """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given."""
     if (rec.beam.mass_along == "table") > (rec.beam.mass_file is not None):
         raise RecordingError(
             f'{rec.folder}: mass_along = "table" needs the table. Give mass_file in [beam], columns s and kg_per_m.'
@@ -241,11 +229,7 @@ def _mass(rec: Recording) -> tuple[float, MassLine | None]:
 
 
 def _mass_of_section(rec: Recording, section: StatedSection | None) -> tuple[float, MassLine]:
-    """kg, and the mass per metre as the section's area: between its places by their sizes, beyond them as there.
-
-    Raises:
-        RecordingError: no mass, a table of the mass beside it, a section of which the area is not known.
-    """
+    """kg, and the mass per metre as the section's area: between its places by their sizes, beyond them as there."""
     if rec.beam.mass_file is not None:
         raise RecordingError(
             f'{rec.folder}: mass_file and mass_along = "section" both say how the mass is spread. Remove one.'

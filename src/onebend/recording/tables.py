@@ -58,12 +58,7 @@ def read_columns(
     """The columns `needed`, those of `known` that are there, and the text columns `labels` (needed, too).
 
     Other columns are ignored; where `strict`, only those without a number. `kind` names the table in messages. In the
-    columns `unknown` that word may stand for a number, and becomes infinity.
-
-    Raises:
-        RecordingError: unreadable, a missing column (those found are listed), text where a number belongs, no rows, or
-            numbers in a column that is not known.
-    """
+    columns `unknown` that word may stand for a number, and becomes infinity."""
     cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     missing = [name for name in (*labels, *needed) if name not in cells]
     if missing:
@@ -84,11 +79,7 @@ def read_columns(
 
 
 def read_every_column(path: Path, needed: str, *, kind: str = "table") -> Columns:
-    """All columns that hold nothing but numbers and empty cells; `needed` must be one of them.
-
-    Raises:
-        RecordingError: unreadable, no such column (those found are listed), or no rows.
-    """
+    """All columns that hold nothing but numbers and empty cells; `needed` must be one of them."""
     cells, _ = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     good = [name for name, column in cells.items() if all(_is_number(one) or _is_empty(one) for one in column)]
     return read_columns(path, (needed,), [name for name in good if name != needed], kind=kind)

@@ -457,9 +457,6 @@ def tool_in_film(
     Args:
         every: of the frames that may be `kept`, see `kept_frames.spacing_of`: others are looked at only where these
             are too few.
-
-    Raises:
-        RecordingError: the film cannot be read.
     """
     if rec.video is None or markers.view is None:
         return not_seen("there is no film")

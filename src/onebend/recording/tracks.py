@@ -55,11 +55,7 @@ def with_angles(markers: Markers) -> Markers:
 
 
 def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
-    """Refuse measured angles (T, m) [rad] of a recording that turn against the places (T, m, 2) [m], or are no radians.
-
-    Raises:
-        ObservationError: they do.
-    """
+    """Refuse measured angles (T, m) [rad] of a recording that turn against the places (T, m, 2) [m], or are no radians."""
     share = angles_per_chord(xy, s, angle)
     if share < 0.0 or share > 4.0:  # times what the places turn by: angles beyond are no radians
         how = "the other way than" if share < 0.0 else f"{share:.2g} times as far as"
@@ -110,11 +106,7 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     """The plane in which markers at `points` (T, m, 3) [m] move, by least squares; NaN left out.
 
     Each marker has a height of its own over the beam. So their motion shows the plane; their mean places count little.
-    The plane of points along one line is the one that is seen most nearly face on from `seen_from` (3,).
-
-    Raises:
-        ObservationError: too few points, or the plane is seen edge on.
-    """
+    The plane of points along one line is the one that is seen most nearly face on from `seen_from` (3,)."""
     known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
     if np.sum(known) < 3:
         raise ObservationError(f"{np.sum(known)} points in space do not make a plane. Check the table's x_m, y_m, z_m.")
@@ -180,12 +172,7 @@ class Tracks:
 
 
 def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
-    """Every beam marker of the recording's table, relative to the base.
-
-    Raises:
-        RecordingError: the table cannot be used.
-        ObservationError: a marker is always missing, the clamp's place is unknown, or lengths contradict the beam's.
-    """
+    """Every beam marker of the recording's table, relative to the base."""
     tracks = read_tracks(rec)
     base = len(rec.tags.on_base)
     shift, turn, moves = base_motion(tracks, base)
@@ -408,11 +395,7 @@ class SwingSignals:
 
 
 def signals_of_table(path: Path) -> SwingSignals:
-    """Every column of numbers beside time_s; of a table of tracks (id, x_m, y_m) the places of each point.
-
-    Raises:
-        RecordingError: the table cannot be read, or holds no numbers beside the times.
-    """
+    """Every column of numbers beside time_s; of a table of tracks (id, x_m, y_m) the places of each point."""
     table = read_every_column(path, TIME, kind="table of a swing")
     if set(_POINTS) <= set(table.numbers):
         return _of_points(path)
@@ -423,11 +406,7 @@ def signals_of_table(path: Path) -> SwingSignals:
 
 
 def signals_of_tracks(rec: Recording) -> SwingSignals:
-    """Of the markers of a recording, in the tracker's plane.
-
-    Raises:
-        RecordingError: the table cannot be used.
-    """
+    """Of the markers of a recording, in the tracker's plane."""
     tracks, ids = read_tracks(rec), [tag.id for tag in rec.tags.on_beam]
     beam = tracks.xy[:, len(rec.tags.on_base) :]
     return _places(rec.name, tracks.time, beam, ids)
@@ -453,11 +432,7 @@ def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
 
 
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
-    """Undamped, with gravity in the beam's frame.
-
-    Raises:
-        RecordingError: of two modes in one posture the lower one is the faster.
-    """
+    """Undamped, with gravity in the beam's frame."""
     every = tuple(_measured(one, rec) for one in rec.frequencies)
     for one, other in permutations((one for one in every if one.mode > 0), 2):
         alike = one.tip_mass == other.tip_mass and np.allclose(one.gravity, other.gravity)

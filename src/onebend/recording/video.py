@@ -161,11 +161,7 @@ def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
 
 
 def read_times(path: Path) -> Array:
-    """The column `time_s` of a CSV file, (T,) s.
-
-    Raises:
-        RecordingError: no such column, or an entry that is not a finite number.
-    """
+    """The column `time_s` of a CSV file, (T,) s."""
     rows = csv_rows(path, RecordingError)
     names = [name.strip() for name in next(rows, (1, []))[1]]
     if "time_s" not in names:
@@ -289,11 +285,7 @@ def luma_of(frame: av.VideoFrame) -> Picture:
 
 
 def upright(picture: Picture, rotation: int) -> Picture:
-    """The picture turned as the camera's orientation says (degrees counter-clockwise); itself where it is not turned.
-
-    Raises:
-        RecordingError: the turn is not a multiple of 90 degrees.
-    """
+    """The picture turned as the camera's orientation says (degrees counter-clockwise); itself where it is not turned."""
     if rotation % 90:
         raise RecordingError(f"The video is stored turned by {rotation} degrees. Only multiples of 90 can be read.")
     return picture if rotation % 360 == 0 else np.array(np.rot90(picture, rotation // 90), order="C")
