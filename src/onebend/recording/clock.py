@@ -191,9 +191,7 @@ def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: For
     log_ratio = np.full(len(laid), -np.inf)
     walk_variance = rows.walk_variance(first_guess(rows.force, rows.width))
     of_rows: dict[bytes, tuple[NoiseFactor, float]] = {}
-    for i, film in enumerate(laid):
-        if film is None:
-            continue
+    for i, film in ((i, film) for i, film in enumerate(laid) if film is not None):
         if (key := film.use.tobytes()) not in of_rows:
             time = rows.time[film.use]
             nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
@@ -275,15 +273,11 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
         text = "The clock offset found lies at the edge of the range searched; give a better start_s in [video]."
         remarks.append(Remark("warning", text, about="clock"))
     elif abs(clock.offset - clock.stated) > uncertainty + 2 * clock.sd:
-        text = (
-            f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty. Correct "
-            "start_s."
-        )
-        remarks.append(Remark("warning", text, about="clock"))
+        text = f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty. Correct "
+        remarks.append(Remark("warning", f"{text}start_s.", about="clock"))
     if clock.sd > 0.1:
-        remarks.append(
-            Remark("note", f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak.")
-        )
+        text = f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak."
+        remarks.append(Remark("note", text))
     return tuple(remarks)
 
 
@@ -310,10 +304,7 @@ class ClockSettings:
     """How the offset is searched."""
 
     margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
-    corrections: tuple[float, ...] = (
-        0.001,
-        0.01,
-    )  # prior sds, tried in turn, of the polynomials that correct the levers
+    corrections: tuple[float, ...] = (0.001, 0.01)  # prior sds, tried in turn, of what corrects the levers
     most_rows: int = 250  # of the log, after averaging
     most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
     sharp_rows: int = 120  # of these, for the model by the spans' moments
@@ -377,7 +368,10 @@ def fit_clock(
 def compared_rows(
     markers: Markers, log: ForceLog, rate: float, within: tuple[float, float], settings: ClockSettings
 ) -> BinnedLog | None:
-    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero."""
+    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero, or
+    nothing moves (a `rate` that is NaN)."""
+    if not np.isfinite(rate):
+        return None
     span = (markers.time[0] + within[0], markers.time[-1] + within[1])
     highest_rate = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
     rows = binned(log, max(8 * rate, settings.slowest), span, highest_rate)
@@ -390,11 +384,12 @@ def noise_at(
     """The log's noise at a known offset [s]; None where film and log have too little in common."""
     rate = bandwidth(markers.time, displacements(markers))
     markers = averaged(markers, settings.most_frames)
-    rows = compared_rows(markers, log, rate, (offset, offset), settings) if np.isfinite(rate) else None
+    rows = compared_rows(markers, log, rate, (offset, offset), settings)
     if rows is None:
         return None
-    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
-    searches = [coarse_search(track, rows, np.array([offset]), np.zeros_like) for track in feature_tracks]
+    searches = [
+        coarse_search(one, rows, np.array([offset]), np.zeros_like) for one in tracks(markers, push_s, settings)
+    ]
     searches = [search for search in searches if np.isfinite(search.log_posterior).all()]
     return max(searches, key=lambda search: float(search.log_posterior[0])).noise if searches else None
 
@@ -414,7 +409,7 @@ def matched(
     known.
     """
     low, high = within
-    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
+    feature_tracks = tracks(markers, push_s, settings)
     if not feature_tracks:
         return None
     coarse = likely_offsets(feature_tracks[-1], rows, low, high, rate)
@@ -423,8 +418,8 @@ def matched(
     if push_s is not None:
         moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
     which = int(np.argmax([search.log_posterior.max() for search in searches]))
-    stepped = coarse_search(tracks(markers, push_s, settings, settings.steps)[which], rows, coarse, prior)
-    searches = [search for search in (*searches, stepped) if np.isfinite(search.log_posterior).any()]
+    searches.append(coarse_search(tracks(markers, push_s, settings, settings.steps)[which], rows, coarse, prior))
+    searches = [search for search in searches if np.isfinite(search.log_posterior).any()]
     if not searches:
         return None
     best = max(searches, key=lambda search: float(search.log_posterior.max()))
@@ -458,7 +453,7 @@ def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, step
     same = {"longest_gap": settings.longest_gap, "hold": settings.hold, "steps": steps}
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
     made = [make_track(markers, push_s=push_place, polynomials=scale, **same) for push_place, scale in ways]
-    return [track for track in made if track is not None]
+    return [track for track in made if track is not None and track.covered.sum() >= FEWEST]
 
 
 def averaged(markers: Markers, most: int) -> Markers:
@@ -524,8 +519,8 @@ def slow_sensor(
     rate = bandwidth(markers.time, displacements(markers))
     markers = averaged(markers, settings.most_frames)
     within = (clock.offset - REACH * SLOW[-1] - MARGIN, clock.offset + MARGIN)
-    rows = compared_rows(markers, log, rate, within, settings) if clock.found and np.isfinite(rate) else None
-    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= FEWEST]
+    rows = compared_rows(markers, log, rate, within, settings) if clock.found else None
+    feature_tracks = tracks(markers, push_s, settings)
     if rows is None or not feature_tracks:
         return None
     return find_lag(feature_tracks[-1], rows, clock.offset, np.zeros_like)

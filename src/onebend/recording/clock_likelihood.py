@@ -17,10 +17,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 from scipy.linalg import solve_triangular
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize, nnls
+from scipy.optimize import nnls
 
-from onebend.recording.force import displacement, first_guess, load_changes
-from onebend.recording.signals import MAD_TO_SD, bridged, outliers, runs, step
+from onebend.recording.force import LoadChange, displacement, first_guess, likeliest_noise, load_changes
+from onebend.recording.signals import MAD_TO_SD, bridged, from_clamp, outliers, runs, step
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceLog, ForceNoise, IntArray, Markers
 
 # The force log averaged over bins of equal width, as the search for the clock offset uses it.
@@ -149,8 +149,11 @@ def make_track(
             return None
         columns.append(FREE * turns)
     if steps > 0.0:
-        for part in _load_steps(markers.time, xy).T:
-            columns.append(steps * part[:, None, None] * np.eye(2))
+        changes = moved_load_changes(markers.time, xy)
+        ramps = [
+            np.clip(PARTS * change.fraction(markers.time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)
+        ]
+        columns += [steps * (ramp / np.sqrt(PARTS))[:, None, None] * np.eye(2) for ramp in ramps]
     features = np.concatenate(columns, axis=2)
     flat = xy.reshape(len(xy), -1)
     before, after = (hold if is_still(flat, rows) else 0.0 for rows in (slice(0, 10), slice(-10, None)))
@@ -158,12 +161,10 @@ def make_track(
     return Track(spline.antiderivative(), covered, markers.time, before, after)
 
 
-def _load_steps(time: Array, xy: Array) -> Array:
-    """(T, n) consecutive ramps over each change of the load, scaled so that their sum has unit variance."""
-    size = displacement(time, xy, np.median(xy[:10], axis=0))
-    changes = load_changes(time, size, size > TOUCHED * size.max())
-    ramps = [np.clip(PARTS * change.fraction(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
-    return np.asarray(np.stack([np.zeros(len(time)), *ramps], axis=1)[:, 1:] / np.sqrt(PARTS))
+def moved_load_changes(time: Array, xy: Array) -> list[LoadChange]:
+    """The changes of the load, by tags (T, m, 2) that rest in the first frames."""
+    size = displacement(time, xy, np.median(xy[:STILL], axis=0))
+    return load_changes(time, size, size > TOUCHED * size.max())
 
 
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
@@ -205,11 +206,7 @@ def levers(xy: Array, angle: Array, s: Array, push_s: float) -> Array:
     change of the forces when its lever is taken a quarter of the span before or behind the middle.
     """
     count = len(xy)
-    s = np.concatenate([[0.0], s])
-    xy = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)
-    angle = np.concatenate([np.zeros((count, 1)), angle], axis=1)
-    order = np.argsort(s, kind="stable")
-    s, xy, angle = s[order], xy[:, order], angle[:, order]
+    s, xy, angle = from_clamp(s, xy, angle)
     spans = np.flatnonzero(s[:-1] < push_s - SHORTEST_SPAN)
     bend = angle - np.median(angle[:10], axis=0)
     turns = bend[:, spans + 1] - bend[:, spans]
@@ -323,11 +320,8 @@ def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: f
     markers = without_jumps(markers)
     time, count = markers.time, len(markers.time)
     moved = bridged(time, markers.xy[:, used].reshape(count, -1))
-    xy = np.concatenate([np.zeros((count, 1, 2)), moved.reshape(count, -1, 2)], axis=1)
-    angle = np.concatenate([np.zeros((count, 1)), bridged(time, markers.angle[:, used])], axis=1)
-    s = np.concatenate([[0.0], markers.s[used]])
-    order = np.argsort(s, kind="stable")
-    s, xy, angle = s[order], xy[:, order], angle[:, order]
+    angle = bridged(time, markers.angle[:, used])
+    s, xy, angle = from_clamp(markers.s[used], moved.reshape(count, -1, 2), angle)
     spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 0.0))
     bend = angle - np.median(angle[:STILL], axis=0)
     turns = bend[:, spans + 1] - bend[:, spans]
@@ -391,8 +385,7 @@ def without_jumps(markers: Markers) -> Markers:
 
 def load_change_ramps(time: Array, xy: Array) -> Array:
     """(T, n) ramps from 0 to 1 over each change of the load, in which the log's error may change."""
-    size = displacement(time, xy, np.median(xy[:STILL], axis=0))
-    changes = load_changes(time, size, size > TOUCHED * size.max())
+    changes = moved_load_changes(time, xy)
     wide = [replace(change, begin=change.begin - SLACK, end=change.end + SLACK) for change in changes]
     return np.asarray(np.stack([np.zeros(len(time)), *(change.fraction(time) for change in wide)], axis=1)[:, 1:])
 
@@ -612,28 +605,18 @@ def fit_residual_noise(
 ) -> ForceNoise:
     """The likeliest noise of the `residual` (2N,) N of the log.
 
-    `design` (2N, p) N times standard normal numbers is the part of the residual that comes from the parameters. As in
-    `noise.fit_noise`, a weak prior about `start` bounds the sizes."""
-    scale = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
-    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+    `design` (2N, p) N times standard normal numbers is the part of the residual that comes from the parameters."""
 
-    def sized(x: Array) -> ForceNoise:
-        white, coloured, tau, walk = np.exp(centre + scale * x).tolist()
-        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
-
-    def negative_log_posterior(x: Array) -> float:
-        root = np.linalg.cholesky(covariance(sized(x), time, spread, jumps))
+    def misfit(noise: ForceNoise, square: float) -> float:
+        root = np.linalg.cholesky(covariance(noise, time, spread, jumps))
         white = solve_triangular(root, np.column_stack([design, residual]), lower=True, check_finite=False)
         a, b = white[:, :-1], white[:, -1]
         inner = np.linalg.cholesky(np.eye(design.shape[1]) + a.T @ a)
         explained = solve_triangular(inner, a.T @ b, lower=True)
-        fit = 0.5 * float(x @ x + b @ b - explained @ explained)
+        fit = 0.5 * float(square + b @ b - explained @ explained)
         return fit + float(np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner))))
 
-    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
-    options = {"maxfev": 80, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    optimum = minimize(negative_log_posterior, np.zeros(4), method="Nelder-Mead", options=options)
-    return sized(optimum.x)
+    return likeliest_noise(start, misfit, 80)
 
 
 # The posterior of the clock offset from the moments of the push about the spans, where its place is known.

@@ -47,6 +47,14 @@ def bridged(time: Array, values: Array) -> Array:
     return filled
 
 
+def from_clamp(s: Array, xy: Array, angle: Array) -> tuple[Array, Array, Array]:
+    """Places `s` (m,), points (T, m, 2) and angles (T, m) with the clamp, all zeros, before them; sorted by s."""
+    order, count = np.argsort(np.append(0.0, s), kind="stable"), len(xy)
+    xy = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)
+    angle = np.concatenate([np.zeros((count, 1)), angle], axis=1)
+    return np.append(0.0, s)[order], xy[:, order], angle[:, order]
+
+
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     """Frequency below which `fraction` of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
 
