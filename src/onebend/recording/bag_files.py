@@ -441,7 +441,7 @@ def sqlite_channels(base: sqlite3.Connection) -> dict[int, Channel]:
 
 
 def refuse_programs(base: sqlite3.Connection) -> None:
-    """Raise where what a recorder keeps in tables is computed instead: a view may go on for ever, a column be huge."""
+    """Raise `BrokenOffError` where a recorder's table is computed: a view may have no end, a column be huge."""
     base.execute("PRAGMA trusted_schema=OFF")
     for kind, name, text in base.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000"):
         plain = kind == "index" or (kind == "table" and PLAIN_TABLE.match(text or ""))

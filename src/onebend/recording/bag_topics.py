@@ -231,7 +231,7 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def read_bag_force(entry: ForceEntry) -> ForceLog:
-    """The force along `entry.axes` of every message of `entry.topic`, on the headers' clock; its zero is the first one."""
+    """The force along `entry.axes` of every message, on the headers' clock; its zero is the first message."""
     bag, topic = bag_topic(entry)
     field = entry.field or default_field(topic, entry)
     clock = clock_of(bag, topic, entry.definitions)

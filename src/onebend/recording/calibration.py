@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,10 +17,6 @@ from onebend.recording.bags import is_bag, listed, open_bag
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import Picture, decoded, frame_count, picture_in
 from onebend.records import Array, IntArray, Remark
-
-# Calibration boards (chessboard, ChArUco) in a film: corners of every frame that shows one sharply, by OpenCV.
-#
-# OpenCV is an optional part of onebend. Only this module and `calibration` know it, and only while they work.
 
 BoardKind = Literal["chessboard", "charuco"]
 
@@ -82,14 +78,9 @@ class BoardFilm:
     frames_found: int  # of these, that show the board
 
 
-def opencv() -> Any:
-    """The module `cv2`."""
-    return package("cv2", "calibrate")
-
-
 def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress = Silent()) -> BoardFilm:
-    """The board in frames spread over the film; of each few neighbours the sharpest. `topic`: of the images in a bag."""
-    cv2 = opencv()
+    """The board in frames spread over the film (or the `topic` of a bag); of each few neighbours the sharpest."""
+    cv2 = package("cv2", "calibrate")
     find = _finder(cv2, board)
     video = _film_of(film, topic)
     count = frame_count(video) or 0
@@ -152,7 +143,7 @@ def _sharpest(burst: list[BoardView]) -> list[BoardView]:
     return [max(burst, key=lambda view: (view.sharpness, len(view.number)))] if burst else []
 
 
-Seen = tuple[IntArray, Array]
+Seen = tuple[IntArray, Array]  # the corners' numbers and pixels
 
 
 def _finder(cv2: Any, board: Board) -> Any:
@@ -202,8 +193,6 @@ def _sharpness(cv2: Any, picture: Picture, pixel: Array) -> float:
     part = picture[max(top, 0) : bottom + 1, max(x0, 0) : right + 1]
     return float(cv2.Laplacian(part, cv2.CV_64F).var() / max(float(part.var()), 1.0))
 
-
-# A camera's focal length, principal point and lens from views of a board, with their sds.
 
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
@@ -274,7 +263,7 @@ def calibrate(
     Raises:
         RecordingError: no OpenCV, no board seen, too few or too similar views.
     """
-    cv2 = opencv()
+    cv2 = package("cv2", "calibrate")
     board_film = find_boards(film, board, topic=topic, progress=progress)
     if len(board_film.views) < 4:  # views: below, no calibration
         size = f"{board.columns}x{board.rows} " + ("inner corners" if board.kind == "chessboard" else "squares")
@@ -336,8 +325,8 @@ def _calibrated(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView],
         fitted = richer
         sd = _spread_of_groups(cv2, film, board, good, fitted, k3=True, progress=Silent())
     pixel = np.concatenate([view.pixel for view in good])
-    across, down = (np.clip((pixel[:, i] + 0.5) / n * c, 0, c - 1).astype(int) for i, n, c in _cells(film))
-    coverage = len(np.unique(across * _CELLS[1] + down)) / (_CELLS[0] * _CELLS[1])
+    cell = ((pixel + 0.5) / (film.width, film.height) * _CELLS).astype(int)
+    coverage = len(np.unique(np.clip(cell, 0, np.array(_CELLS) - 1), axis=0)) / (_CELLS[0] * _CELLS[1])
     turned = float(np.arccos(np.clip(fitted.normals @ fitted.normals.T, -1.0, 1.0)).max())
     calibration = Calibration(
         width=film.width,
@@ -352,11 +341,7 @@ def _calibrated(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView],
         left_out=len(views) - len(good),
         remarks=(),
     )
-    return Calibration(**{**vars(calibration), "remarks": _remarks(calibration)})
-
-
-def _cells(film: BoardFilm) -> tuple[tuple[int, int, int], ...]:
-    return ((0, film.width, _CELLS[0]), (1, film.height, _CELLS[1]))
+    return replace(calibration, remarks=_remarks(calibration))
 
 
 @dataclass(frozen=True)

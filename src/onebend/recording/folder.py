@@ -82,12 +82,12 @@ def _ids(one: Recording) -> list[int]:
     return [tag.id for tag in one.tags.on_beam]
 
 
-def check_same_length(length: float, recording: Recording) -> None:
+def check_same_length(length: float, description: Recording) -> None:
     """Raises `ObservationError` where the recording is not of a beam of that length [m]."""
     # Of the length: a larger difference is another beam, or a wrong length_m.
-    if abs(recording.beam.length - length) > 0.01 * length:
+    if abs(description.beam.length - length) > 0.01 * length:
         raise ObservationError(
-            f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
+            f"{description.folder}: its beam is {1000 * description.beam.length:.4g} mm long, the learned one "
             f"{1000 * length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
         )
 

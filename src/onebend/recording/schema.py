@@ -38,8 +38,10 @@ class Key:
     example: str
 
 
-def key(name: str, check: Check, says: str, example: str, default: Any = dataclasses.MISSING) -> Any:
-    """A dataclass field that is read from the file's key `name`; required where it has no default."""
+def key(line: str, check: Check, says: str, default: Any = dataclasses.MISSING) -> Any:
+    """A dataclass field that is read from the file; `line` is an example, as `length_m = 0.15`. Required where it has
+    no default."""
+    name, _, example = line.partition(" = ")
     return field(default=default, metadata={"key": Key(name, check, says, example)})
 
 

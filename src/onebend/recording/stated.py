@@ -21,18 +21,14 @@ OF_SQUARE = {"circle": math.pi / 4.0, "tube": math.pi / 4.0, "hexagon": math.sqr
 FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
 
-def stated_in(recording: Recording) -> Stated:
-    """The priors that the fit takes from the recording's description.
-
-    Raises:
-        RecordingError: what is stated of the mass or the section cannot be used.
-    """
-    sizes = _sizes(recording)
-    section = _section(recording, sizes)
-    _check_known_shape(recording, section)
-    mass, line = _mass(recording) if recording.beam.mass_along != "section" else _mass_of_section(recording, section)
-    _refuse_density(recording, section, mass)
-    beam, tags, force = recording.beam, recording.tags, recording.force
+def stated_in(description: Recording) -> Stated:
+    """The priors that the fit takes from the recording's description."""
+    sizes = _sizes(description)
+    section = _section(description, sizes)
+    _check_known_shape(description, section)
+    beam, tags, force = description.beam, description.tags, description.force
+    mass, line = _mass(description) if beam.mass_along != "section" else _mass_of_section(description, section)
+    _refuse_density(description, section, mass)
     return Stated(
         rest=beam.rest,
         mass=mass,
@@ -42,12 +38,12 @@ def stated_in(recording: Recording) -> Stated:
         mass_along=beam.mass_along,
         stiffness_along=beam.stiffness_along,
         turn_sd=tags.turn_sd,
-        place_sd=recording.place_sd,
-        direction_sd=recording.direction_sd,
-        gravity_sd=GRAVITY_SD if recording.gravity is None else recording.gravity.direction_sd,
-        clamp_sd=recording.clamp_sd,
+        place_sd=description.place_sd,
+        direction_sd=description.direction_sd,
+        gravity_sd=GRAVITY_SD if description.gravity is None else description.gravity.direction_sd,
+        clamp_sd=description.clamp_sd,
         curvature_sd=beam.curvature_sd,
-        scale_sd=recording.scale_sd,
+        scale_sd=description.scale_sd,
         gain_sd=0.0 if force is None else force.gain_sd,
         thickness=_thickness(sizes),
         tag_size=tags.size,
@@ -109,8 +105,8 @@ def _thickness(sizes: dict[str, Array]) -> float:
 def _sizes(rec: Recording) -> dict[str, Array]:
     """What is known of the section: places `s` (P,), and by its key each size [m] there, or `I_m4` [m^4]."""
     beam = rec.beam
-    values = (beam.width, beam.thickness, beam.diameter, beam.inner_diameter, beam.across_flats)
-    written = {name: value for name, value in zip(SIZES, values, strict=True) if not math.isnan(value)}
+    values = {name: getattr(beam, name.removesuffix("_m")) for name in SIZES}
+    written = {name: value for name, value in values.items() if not math.isnan(value)}
     s, measured = np.array([0.0, 1.0]), {}
     if beam.section_file is not None:
         table = read_columns(beam.section_file, ("s",), (*SIZES, "I_m4"), kind="table of the section", strict=True)

@@ -18,8 +18,6 @@ from onebend.recording.entries import Recording
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark, View
 
-# What lies beside the beam, in places along and across it: where something other than the background is.
-
 Pictures = NDArray[np.float32]  # (P, h, w)
 
 BEAM_PIXELS = 230.0  # no longer is the beam in the shrunk pictures: noise averages out, a tool stays some pixels wide
@@ -125,8 +123,6 @@ def beside_beam(
     return out
 
 
-# Strips that come from outside and end on the beam's flank: what a tool looks like beside the beam.
-
 CLOSES = 3  # cells: holes smaller than this are filled
 LEAST = 0.04  # of the length: a strip that is shorter is no tool
 
@@ -139,11 +135,6 @@ class Strip:
     first: IntArray  # (R,) of the grid's `s`
     last: IntArray  # (R,) likewise, the first one beyond
     flank: int  # the row in which it has run into the beam
-
-    @property
-    def width(self) -> float:
-        """Cells along the beam, by the beam."""
-        return float(np.median(self.last - self.first))
 
 
 @dataclass(frozen=True)
@@ -203,7 +194,7 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             # Times its usual width: a strip that becomes so wide has run into the beam.
             # Cells of width more, for the same.
             if end - begin > 1.6 * usual + 3:
-                ended.append(_strip(strip, row))
+                ended.append(Strip(*np.array(strip, dtype=np.int64).T, flank=row))
             else:
                 going.append([*strip, (row, begin, end)])
         # what the edge cuts off has no middle
@@ -222,21 +213,16 @@ def runs_in_rows(mask: BoolArray) -> list[list[tuple[int, int]]]:
     return out
 
 
-def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:
-    row, first, last = np.array(cells, dtype=np.int64).T
-    return Strip(row, first, last, flank)
-
-
 def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
     """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
     # Of the length: the strip's last part, which tells where it meets the beam.
     count = max(2, round(0.08 * grid.length / grid.step))
-    near = Strip(strip.rows[-count:], strip.first[-count:], strip.last[-count:], strip.flank)
-    middle = 0.5 * (grid.s[near.first] + grid.s[near.last - 1])
-    out = grid.across[near.rows] - grid.across[near.flank]
+    first, last = strip.first[-count:], strip.last[-count:]
+    middle = 0.5 * (grid.s[first] + grid.s[last - 1])
+    out = grid.across[strip.rows[-count:]] - grid.across[strip.flank]
     slope, place = (0.0, float(middle[-1])) if len(out) < 2 else np.polyfit(out, middle, 1)
     scatter = float(np.std(middle - (place + slope * out)))
-    width = near.width * grid.step
+    width = float(np.median(last - first)) * grid.step
     steep = abs(float(slope)) * grid.length
     touch = width / grid.length / sqrt(12.0)
     meeting = Meeting(
@@ -248,8 +234,6 @@ def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
     )
     return meeting, steep
 
-
-# Where along the beam the pictures show the tool that pushes.
 
 FEWEST_LOADED, FEWEST_AT_REST = 8, 3
 TOGETHER = 0.05  # of s: so near to each other are meetings of one tool, which may slide a little
@@ -366,7 +350,8 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace
     # Of the loaded frames: in so many something must be seen to lie against the beam.
     if shown < 0.25 or len(own) < FEWEST_LOADED:
         return not_seen(f"too few frames show what lies against the beam ({shown:.0%} of those under load)")
-    alone = len(own) - sum(_away_from(one, left, s) for one in loaded if _at([one], left, s))
+    here = [one for one in loaded if _at([one], left, s)]
+    alone = sum(all(other.left == left and abs(other.s - s) <= 2.0 * TOGETHER for other in one) for one in here)
     if alone < 0.75 * telling:  # of the loaded frames that show something so: in so many it is at one place
         return not_seen(f"things lie against the beam at several places (at s = {s:.2g} alone in {alone} of {telling})")
     resting = [one for one, now in zip(found, pushed, strict=True) if not now]
@@ -378,17 +363,8 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace
 
 def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meeting]:
     """The nearest meeting to a place in each picture that has one there."""
-    out = []
-    for one in found:
-        near = [meeting for meeting in one if meeting.left == left and abs(meeting.s - s) <= TOGETHER]
-        if near:
-            out.append(min(near, key=lambda meeting: abs(meeting.s - s)))
-    return out
-
-
-def _away_from(one: Sequence[Meeting], left: bool, s: float) -> bool:
-    """Whether a picture shows a meeting far from a place."""
-    return any(meeting.left != left or abs(meeting.s - s) > 2.0 * TOGETHER for meeting in one)
+    near = ([other for other in one if other.left == left and abs(other.s - s) <= TOGETHER] for one in found)
+    return [min(one, key=lambda other: abs(other.s - s)) for one in near if one]
 
 
 def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
@@ -406,8 +382,6 @@ def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
         why="",
     )
 
-
-# The tool looked for in a film, and what to say where it is not where recording.toml says.
 
 LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
 
@@ -508,16 +482,8 @@ def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = Non
 
 def of_rows(markers: Markers, rows: IntArray) -> Markers:
     """The markers of some frames."""
-    return Markers(
-        time=markers.time[rows],
-        tag_id=markers.tag_id,
-        s=markers.s,
-        xy=markers.xy[rows],
-        angle=markers.angle[rows],
-        covariance=markers.covariance[rows],
-        base_angle=markers.base_angle[rows],
-        view=markers.view,
-    )
+    by_frame = {name: vars(markers)[name][rows] for name in ("time", "xy", "angle", "covariance", "base_angle")}
+    return replace(markers, **by_frame, by_camera=None, remarks=())
 
 
 def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
@@ -542,12 +508,8 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
     return bool(abs(tool.s - rec.push.at) > 3.0 * np.hypot(tool.sd, stated_sd))
 
 
-# Small pictures of a stream, kept as it goes on, spread over rest and push: the tool is looked for in them at the
-# end.
-#
-# Which frames are of the push is known only when it is over. A beam at rest is where it was in the beginning, so of
-# the frames that show the tags there some are kept, and of all others more: each evenly over time and way together,
-# as `film.rows_to_look_at` chooses among the frames of a film.
+# Small pictures of a stream. Which frames are of the push is known only when it is over. So some frames are kept that
+# show the tags where they were first, and more of all others, evenly over time and way.
 
 MOST = 2 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
 MOST_PIXELS = 25_000_000  # of all that are kept; a pixel takes 4 bytes

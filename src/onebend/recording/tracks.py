@@ -55,7 +55,7 @@ def with_angles(markers: Markers) -> Markers:
 
 
 def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
-    """Refuse measured angles (T, m) [rad] of a recording that turn against the places (T, m, 2) [m], or are no radians."""
+    """An error where measured angles (T, m) [rad] turn against the places (T, m, 2) [m], or are no radians."""
     share = angles_per_chord(xy, s, angle)
     if share < 0.0 or share > 4.0:  # times what the places turn by: angles beyond are no radians
         how = "the other way than" if share < 0.0 else f"{share:.2g} times as far as"

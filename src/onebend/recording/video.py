@@ -142,22 +142,15 @@ def frame_count(video: VideoEntry) -> int | None:
 
 def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     """Remarks where the stated frame rate is not the measured one, and where a bag lacks frames."""
-    return (*wrong_rate(video, time), *(missing_remarks(time, "images of the bag") if video.topic else ()))
-
-
-def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
-    """A remark where the stated frame rate is not the measured one."""
+    lost = missing_remarks(time, "images of the bag") if video.topic else ()
     if math.isnan(video.fps) or len(time) < 2:
-        return ()
+        return lost
     measured = 1 / float(np.median(np.diff(time)))
     # Of the frame rate: a larger difference between stated and measured rate gets a remark.
     if abs(measured / video.fps - 1) <= 0.01:
-        return ()
-    text = (
-        f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
-        "Correct fps."
-    )
-    return (Remark("warning", text, about="frame rate"),)
+        return lost
+    text = f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
+    return (Remark("warning", f"{text}Correct fps.", about="frame rate"), *lost)
 
 
 def read_times(path: Path) -> Array:
@@ -222,11 +215,11 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
         frames = container.decode(stream)
         while True:
             try:
-                frame = next(frames)
-            except StopIteration:
-                break
+                frame = next(frames, None)
             except av.error.FFmpegError as wrong:
                 raise damaged(path, count, wrong.strerror) from None
+            if frame is None:
+                break
             if frame.is_corrupt:
                 raise damaged(path, count, "the frame is damaged")
             if frame.time is not None:
@@ -285,7 +278,7 @@ def luma_of(frame: av.VideoFrame) -> Picture:
 
 
 def upright(picture: Picture, rotation: int) -> Picture:
-    """The picture turned as the camera's orientation says (degrees counter-clockwise); itself where it is not turned."""
+    """The picture turned as the camera's orientation says (degrees counter-clockwise)."""
     if rotation % 90:
         raise RecordingError(f"The video is stored turned by {rotation} degrees. Only multiples of 90 can be read.")
     return picture if rotation % 360 == 0 else np.array(np.rot90(picture, rotation // 90), order="C")
