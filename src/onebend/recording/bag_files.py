@@ -116,12 +116,7 @@ def is_packed(path: Path) -> bool:
 
 
 def scan(path: Path, topic: str = "", unpacker: Unpacker | None = None) -> Iterator[Item]:
-    """Topics and messages of one file in its own order, read without its index.
-
-    Args:
-        topic: Messages of others may be left out. Empty: none is.
-        unpacker: What counts the unpacked bytes; of this file alone by default.
-    """
+    """Topics and messages of one file in its own order, without its index; with `topic` others may be left out."""
     try:
         unpacker = unpacker or Unpacker(path)
         with path.open("rb") as stream:

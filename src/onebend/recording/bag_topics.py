@@ -33,11 +33,7 @@ class TopicClock:
 
 
 def clock_of(bag: Bag, topic: Topic, definitions: Path | None = None) -> TopicClock:
-    """By the headers' stamps if one of the first messages has any, else by receipt.
-
-    Raises:
-        RecordingError: as `messages` does, or no message of the topic can be read.
-    """
+    """By the headers' stamps if one of the first messages has any, else by receipt."""
     received = None
     for time, message in islice(messages(bag, topic, definitions), 100):  # messages that are searched for a stamp
         received = time if received is None else received
@@ -276,11 +272,7 @@ def default_field(topic: Topic, entry: ForceEntry) -> str:
 
 
 def force_of(message: Any, field: str, where: str) -> tuple[Array, str]:
-    """(3,) N at `field` of the message, and the frame it is in ("" where nothing says).
-
-    Raises:
-        RecordingError: there is no such field, or it holds no force.
-    """
+    """(3,) N at `field` of the message, and the frame it is in ("" where nothing says)."""
     value, frame = message, frame_of(message)
     for name in (*field.split("."), "wrench", "force"):
         inside = getattr(value, name, None) if name in field_names(value) else None
@@ -396,7 +388,8 @@ def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
     since = np.asarray((time - time[:1]) * 1e-9, dtype=np.float64)
     spacing = step(since) if len(since) > 1 else np.nan
     start, end = (float(time[i]) * 1e-9 if len(time) else np.nan for i in (0, -1))
-    rate, by = 1 / spacing if spacing > 0 else np.nan, "header" if stamped else "receipt"
+    rate = 1 / spacing if spacing > 0 else np.nan
+    by: Literal["header", "receipt"] = "header" if stamped else "receipt"
     return TopicRow(topic.channel.topic, topic.channel.type, topic.count, rate, start, end, by, missing(since))
 
 

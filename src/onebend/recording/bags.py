@@ -58,10 +58,8 @@ def without_constants(types: Typesdict) -> Typesdict:
 
 
 def check_types(types: Typesdict, known: Typesdict) -> None:
-    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound.
-
-    `known` are the types that need no check and may be named.
-    """
+    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound; `known`
+    are types that need no check."""
     for name, (_, fields) in types.items():
         check_type_name(name)
         for field, _ in fields:
@@ -231,12 +229,11 @@ def natural(name: str) -> list[tuple[int, str]]:
 def open_bag(path: Path, *, keep: bool = False) -> Bag:
     """Topics and counts of the bag at `path`: a file, or a folder with or without its metadata.
 
-    A bag that was not closed is read without its index. With `keep` one that is damaged is, too, up to the damage.
+    A bag that was not closed is read without its index. With `keep` one that is damaged is read up to the damage.
 
     Raises:
         MissingPackageError: rosbags is not installed.
-        RecordingError: there is none, or it is damaged and `keep` is false; with the place and how many messages come
-            before it.
+        RecordingError: there is none, or it is damaged and `keep` is false; with the place.
     """
     files = files_of(path) if path.exists() else ()
     if not files:
@@ -316,11 +313,7 @@ def together(parts: Iterable[list[tuple[Channel, int]]]) -> dict[str, Topic]:
 
 
 def topic_of(bag: Bag, name: str, where: str) -> Topic:
-    """The topic `name`; `where` says who asks for it.
-
-    Raises:
-        RecordingError: no such topic, or no message of it; those there are listed.
-    """
+    """The topic `name`, for which `where` asks; `RecordingError` where there is none, or no message of it."""
     topic = bag.topics.get(name) or bag.topics.get(f"/{name}")
     if topic is not None and topic.count:
         return topic

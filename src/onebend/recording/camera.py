@@ -186,13 +186,8 @@ class PlaneFit:
 def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
     """Camera and plane that make all sightings squares of the known size.
 
-    The plane's frame has its origin on the optical axis and x towards the picture's right.
-
-    Args:
-        corners: (K, 4, 2) px, in the order of `records.Detections`, from any frames; all finite.
-        size: m, side of the tags.
-        camera: the calibration, or None.
-        picture: px, width and height.
+    The frame has its origin on the optical axis and x towards the picture's right. `corners` (K, 4, 2) px are finite,
+    in the order of `records.Detections`; `size` [m] is the tags' side, `camera` None without calibration, `picture` px.
     """
     side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
@@ -322,13 +317,10 @@ def part(poses: Poses, tags: slice) -> Poses:
 def measure_poses(
     view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = 3
 ) -> tuple[Poses, Array, View]:
-    """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
+    """Pose of each sighting in the plane, its misfit (RMS residual, px), and the view with the corners' noise.
 
-    The noise is that of the residuals, or `noise` [px, one sd] where it is known from other frames.
-
-    `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Generalised least squares by Gauss-Newton on the eight
-    coordinates of each tag. The misfit is the RMS residual, px, comparable with the view's `corner_sd`.
-    """
+    The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
+    coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
     xy, angle = lay_square(to_plane(view, corners))
     weight = corner_weight(corners)
     for _ in range(refinements):
@@ -363,10 +355,8 @@ def weighted_step(jacobian: Array, residual: Array, weight: Array) -> Array:
 def corner_weight(corners: Array) -> Array:
     """Inverse covariance (..., 8, 8) of the corners' errors, for errors of unit variance along each edge's normal.
 
-    A detector fits straight lines to noisy edge points; the corners are their crossings. So the errors are those of
-    edges, along their normals, and the errors at the two ends of an edge have the correlation -1/2: a line through
-    many equally noisy points has the variance 4 at its ends and 1 in its middle.
-    """
+    The corners are crossings of lines fitted to noisy edge points. A line through many equally noisy points has the
+    variance 4 at its ends and 1 in its middle, so the errors at the two ends have the correlation -1/2."""
     covariance = np.zeros((*corners.shape[:-2], 8, 8))
     for start, end in ((0, 1), (1, 2), (2, 3), (3, 0)):
         along = corners[..., end, :] - corners[..., start, :]
@@ -390,6 +380,13 @@ def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) 
 
     columns = [(projected(**{name: STEP}) - projected(**{name: -STEP})) / (2 * STEP) for name in ("dx", "dy", "turn")]
     return np.stack(columns, axis=-1), corners.reshape(*corners.shape[:-2], 8) - projected()
+
+
+def drop(poses: Poses, wrong: BoolArray) -> Poses:
+    """The poses, NaN where `wrong`."""
+    xy, angle, covariance = poses.xy.copy(), poses.angle.copy(), poses.covariance.copy()
+    xy[wrong], angle[wrong], covariance[wrong] = np.nan, np.nan, np.nan
+    return Poses(xy, angle, covariance)
 
 
 def relative_to(origin: Poses, poses: Poses) -> Poses:
@@ -425,12 +422,9 @@ RUNNING = 5  # frames of that running median
 def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
     """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
 
-    The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
-    all frames. The error that is left in it is the same in every frame: it moves and turns the beam's whole frame, as
-    the mounting does, and is no noise of the tags, so that its covariance is zero. Place and angle are judged apart: a
-    camera that shakes or drifts on its tripod shifts the picture, and an angle that is followed without need would
-    carry its noise out to the tip.
-    """
+    The first tag lies at its own s on the x axis. A base that stands still has the median pose of all frames, and no
+    covariance: its error is the same in every frame, as that of the mounting. Place and angle are judged apart, because
+    a camera that shakes shifts the picture, and an angle that is followed carries its noise out to the tip."""
     pose = together(poses, [tag.s * length for tag in tags])
     state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
     known = np.isfinite(state).all(axis=1)
@@ -538,9 +532,9 @@ FARTHEST = 99.0  # percentile of the distances that counts as the largest
 def measure_markers(detections: Detections, description: Recording) -> Markers:
     """Pose of every beam tag relative to the base, per frame.
 
-    Assumes that all tags lie in one plane and that the camera stands still. A tag's pose is that of the square of the
-    known size whose projected corners are nearest to the detected ones. The noise of a corner comes from the residuals
-    of the whole recording; it is larger where a tag's own residuals are.
+    All tags lie in one plane, and the camera stands still. A tag's pose is that of the square of the known size whose
+    projected corners are nearest to the detected ones. The corners' noise comes from the residuals of the whole
+    recording.
 
     Raises:
         RecordingError: the calibration is of another picture size.
@@ -553,8 +547,7 @@ def measure_markers(detections: Detections, description: Recording) -> Markers:
     # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
     # px, least noise of the corners for that test.
     wrong = misfit > 10.0 * max(view.corner_sd, 0.02)
-    for values in (poses.xy, poses.angle, poses.covariance):
-        values[wrong] = np.nan
+    poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():
         raise ObservationError(

@@ -184,10 +184,8 @@ def log_evidence_ratios(track: Track, rows: BinnedLog, offset: Array, noise: For
 def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: ForceNoise) -> Array:
     """Log evidence ratio of every offset; minus infinity where film and log overlap too little.
 
-    Each offset lets the film cover other rows of the log, so evidences of different rows must be compared. The ratio
-    is that of the evidence with the markers over the evidence without them, of the same rows. Without markers a
-    changing force counts as a random walk, a constant force as noise: a film laid over a quiet part gains nothing.
-    """
+    Each offset covers other rows of the log. So the evidence with the markers is divided by that without them, of the
+    same rows. Without markers a changing force counts as a random walk, a constant one as noise."""
     log_ratio = np.full(len(laid), -np.inf)
     walk_variance = rows.walk_variance(first_guess(rows.force, rows.width))
     of_rows: dict[bytes, tuple[NoiseFactor, float]] = {}
@@ -334,15 +332,11 @@ def fit_clock(
 ) -> ClockFit:
     """The posterior of the offset between the two clocks.
 
-    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails beyond. Where `stated` is NaN,
-    offsets that put half of the film or more inside the log are equally likely. The clock's `found` is False where the
-    posterior sd is more than half of the prior's; the offset is then the stated one. An `uncertainty` of 0 says that
-    `stated` is exact: it is taken with an sd of 0, and only the log's noise is fitted. `push_s` is the place of the
-    push; with it, `log` must be in the beam's axes (its sign and bias do not matter).
-
-    Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
-    beam moves slowly against its own oscillations for most of the film.
-    """
+    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails; where `stated` is NaN, all offsets
+    that put half of the film inside the log are equally likely. `found` is False where the posterior sd is more than
+    half of the prior's. An `uncertainty` of 0 says that `stated` is exact. With the place of the push `push_s`, `log`
+    must be in the beam's axes (its sign and bias do not matter). The beam must move slowly against its own
+    oscillations."""
     if uncertainty == 0.0 and np.isfinite(stated):
         exact = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
         return ClockFit(exact, noise_at(markers, log, stated, push_s, settings))
@@ -405,9 +399,7 @@ def matched(
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
-    A first search models the force by features of the tags; a second one by the moments of the push, if its place is
-    known.
-    """
+    The first search models the force by features of the tags, the second by the moments of a push at a known place."""
     low, high = within
     feature_tracks = tracks(markers, push_s, settings)
     if not feature_tracks:
@@ -552,10 +544,8 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
 def evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior, *, within: float = 0.0) -> float:
     """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
 
-    The offset found holds the delay too. Evidences of different rows cannot be compared: the rows are those that every
-    offset covers, up to a lag of `within` [s] where that is longer. Minus infinity where they are too few. Where it is
-    negative already over a sensor without a lag, other quick ones are not asked.
-    """
+    The rows are those that every offset covers, up to a lag of `within` [s]; minus infinity where they are too few.
+    Where it is negative over a sensor without a lag, other quick ones are not tried."""
     apart, reach = max(LAGS_APART, OF_LAG * tau), REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
     covered = [np.isfinite(track.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]

@@ -1,11 +1,8 @@
 """The likelihood of a force log given the markers: a model of its mean, and of its noise.
 
-The turns of the tags have noise, so the force that they imply at a row is normal, with a mean and a covariance
-(`span_moments.py`). The covariance is large along a straight beam, where the turns say little. A row of the log is
-then normal about this mean. To the covariance come the noise of the sensor (`noise.py`) and an error that changes with
-the load. The unknown parameters (compliances, place of the push, axes) are held by two conditions: one force
-explains all turns of a frame, and the log follows that force.
-"""
+The force that the tags' turns imply at a row is normal, with a large covariance along a straight beam. To it come the
+sensor's noise and an error that changes with the load. The unknown parameters (compliances, place of the push, axes)
+are held by two conditions: one force explains all turns of a frame, and the log follows that force."""
 
 from __future__ import annotations
 
@@ -132,10 +129,9 @@ def make_track(
 ) -> Track | None:
     """Features of the markers that are missing least; None where there is no such marker, or no lever.
 
-    `push_s`: the place of the push for levers, None for polynomials alone; `polynomials` scales their prior;
-    `longest_gap` [s] may be interpolated; a beam that stands still at an end of the film does so for `hold` [s] more.
-    `steps`: prior sd, per largest force, of an error of the log that changes where the load begins, reverses and ends.
-    """
+    `push_s`: place of the push for levers, None for polynomials alone; `polynomials` scales their prior. Gaps up to
+    `longest_gap` [s] are interpolated; a beam at rest at an end of the film stays so for `hold` [s]. `steps`: prior sd,
+    per largest force, of an error of the log that changes with the load."""
     used, covered = lasting(markers, longest_gap)
     if not used.any():
         return None
@@ -202,9 +198,7 @@ def monomials(xy: Array, angle: Array) -> Array:
 def levers(xy: Array, angle: Array, s: Array, push_s: float) -> Array:
     """(T, 2, p) force that gives each span up to the push its turn at unit stiffness; the largest scaled to 1.
 
-    Where in a span the bending takes place depends on its stiffness. So for every span there are further features: the
-    change of the forces when its lever is taken a quarter of the span before or behind the middle.
-    """
+    Further features are the changes of the forces with each lever a quarter of the span before or behind the middle."""
     count = len(xy)
     s, xy, angle = from_clamp(s, xy, angle)
     spans = np.flatnonzero(s[:-1] < push_s - SHORTEST_SPAN)
@@ -308,12 +302,8 @@ class MomentsAtRows:
 
 
 def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: float) -> Moments | None:
-    """Moments of the markers that are missing least; None where fewer than `FEWEST_SPANS` whole spans before the push
-    turn. Most of the information is then in the places of the tags beyond, which turns do not contain.
-
-    `push_s`: the place of the push; `longest_gap` [s] may be interpolated; a beam that stands still at an end of the
-    film does so for `hold` [s] more.
-    """
+    """Moments of the markers that are missing least, as for `make_track`; None where fewer than `FEWEST_SPANS` whole
+    spans before the push turn: most of the information is then in the places of the tags beyond."""
     used, covered = lasting(markers, longest_gap)
     if not used.any() or len(markers.time) < STILL:
         return None
@@ -440,8 +430,7 @@ class ForceLogModel:
     """Mean of the log at N rows as a function of 3 k + 4 parameters z, standard normal before the data.
 
     z holds the logs of the spans' compliances (k), their slopes over half a span, relative to the mean (k), the push's
-    place, the log's direction, its bias (2), and the spans' turns at rest (k). Leading axes of z are kept.
-    """
+    place, the log's direction, its bias (2), and the spans' turns at rest (k). Leading axes of z are kept."""
 
     moments: Moments
     compliance: Array  # (k,) rad / (N m), at z = 0
@@ -585,9 +574,8 @@ def residual_and_design(
 def fit_jumps(residual: Array, design: Array, others: Array, jumps: Array, typical: Array) -> Array:
     """(N,) N^2: variances of the jumps of the log's error before each row, by expectation and maximisation.
 
-    Jumps are Cauchy distributed with variances of about `typical` (N,) N^2; both axes share one variance. `jumps` is
-    the guess to begin with, `others` (2N, 2N) N^2 the covariance of all else.
-    """
+    Jumps are Cauchy distributed with variances of about `typical` (N,) N^2, first guess `jumps`, alike on both axes;
+    `others` (2N, 2N) N^2 is the covariance of all else."""
     n = len(jumps)
     rows = np.kron(np.tril(np.ones((n, n))), np.eye(2))
     for _ in range(12):
@@ -675,10 +663,8 @@ def offset_from_moments(
 ) -> tuple[float, float, ForceNoise] | None:
     """Mean [s] and sd [s] of the offset within `span` [s], and the noise; None where film and log share too little.
 
-    `first` [s] are estimates of the offset. From each the noise is fitted there, then at the mean, until that settles:
-    what is an error of the log at one offset is force at another one, so that a search stays near where it began. The
-    ends of the searches count by their evidence.
-    """
+    From each estimate `first` [s] the noise is fitted there, then at the mean, until that settles. An error of the log
+    at one offset is force at another one, so a search stays near where it began. Its evidence weights its end."""
     wide = span[1] - span[0]
     offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST_OFFSETS - 1)))
     every = np.append(offsets, first)

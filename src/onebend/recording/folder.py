@@ -219,9 +219,8 @@ def read_recording(
 ) -> Recording:
     """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
 
-    Args:
-        stated: values by table and key, in the file's units, that take the place of those in the file.
-        filmed: False: film and force log are still to be made, so that their files need not be there.
+    `stated` are values by table and key, in the file's units, that replace those in the file. With `filmed` False the
+    film and the force log need not be there yet.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
@@ -241,9 +240,7 @@ def read_recording(
 def check_text(folder: Path, content: str) -> TextCheck:
     """Check the text of a `recording.toml` for this folder, without writing it; quick enough for every key pressed.
 
-    The files that it names must exist. What stands in bags is not looked at. Keys that are still empty do not keep the
-    others from being checked.
-    """
+    The files that it names must exist; bags are not opened. Empty keys do not keep the others from being checked."""
     empty = empty_values(content)
     rows = content.splitlines()
     for _, line, _ in empty:

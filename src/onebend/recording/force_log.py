@@ -110,12 +110,8 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
 
 
 def refuse_other_unit(force: Array, mass: float, where: str) -> None:
-    """Raise where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are a thousand times off: no soft
-    beam bends under as much, or under as little, of what its weight is.
-
-    Raises:
-        ObservationError: with the unit that would fit.
-    """
+    """`ObservationError` with the fitting unit where the forces (N, 2) [N] are a thousand times off what bends a soft
+    beam of `mass` [kg; NaN: unknown]."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     weights = largest / (9.81 * mass) if mass > 0 else math.nan
     times = f", {weights:.3g} times its weight" if mass > 0 else ""
@@ -179,13 +175,11 @@ def read_force_log(
 ) -> ForceLog:
     """Read a CSV force log: a header, then one row a sample.
 
-    `columns` names time [`time_unit`] and two forces [N]; `push_column`, where not empty, the place of the push.
-    Rows with an empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how
-    many.
+    `columns` names time [`time_unit`] and two forces [N]; `push_column`, where not empty, the place of the push. Rows
+    with an empty or infinite entry are left out, rows of one time become their mean; remarks say how many.
 
     Raises:
-        RecordingError: unreadable, a missing column (those found are listed), text instead of a number, times that
-            fall, too few rows, a force that is zero throughout; with the line.
+        RecordingError: the file cannot be read as a log; with the line or the columns found.
     """
     path = Path(path)
     if unit_advice := unit_in_name(columns, time_unit):
@@ -218,11 +212,7 @@ def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: Sequenc
 
 
 def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:
-    """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall.
-
-    Raises:
-        RecordingError: too few rows are left, or every force is zero.
-    """
+    """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall."""
     full = np.isfinite(read).all(axis=1)
     zeros = false_zeros(read[full, 1:3])
     measured = read[full][~zeros]

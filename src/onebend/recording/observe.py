@@ -135,11 +135,7 @@ def _shown(
 
 
 def markers_of(rec: Recording, detections: Detections) -> Markers:
-    """The tags in metres, turned as recording.toml says.
-
-    Raises:
-        ObservationError: they are turned otherwise, or no plane explains them.
-    """
+    """The tags in metres, turned as recording.toml says."""
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
     return markers
@@ -150,11 +146,7 @@ def observe_markers(
 ) -> Observations:
     """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
 
-    No picture is there to show the tool that pushes: see `tool.film.tool_checked`.
-
-    Raises:
-        ObservationError: as `observe`.
-    """
+    No picture is there to show the tool that pushes: see `tool_checked`. Raises as `observe`."""
     return with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
 

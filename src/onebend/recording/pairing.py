@@ -110,11 +110,10 @@ def read_force(
 ) -> Reading | None:
     """Compare the readings over the `loaded` of T frames; None where the film cannot tell.
 
-    For each span between neighbouring tags up to the push, the moment of the force about the span's middle is
-    explained by the span's turn since rest times one stiffness that is not negative. The readings are of the log's own
-    axes, whose x stands at `rotation` [rad] in the beam's frame. Where the log as it is leaves something, each reading
-    may have the clock that suits it best: the clocks were matched by the log as it is.
-    """
+    The moment of the force about the middle of each span between tags up to the push is explained by the span's turn
+    since rest times one stiffness that is not negative. The readings are of the log's own axes, whose x stands at
+    `rotation` [rad] in the beam's frame. Each may have the clock that suits it best, as the clocks were matched by the
+    log as it is."""
     if not np.isfinite(push_s[loaded]).any():
         return None
     turns, levers = spans(markers, rest, push_s)
@@ -316,9 +315,7 @@ def pair(
 ) -> tuple[Array, Array]:
     """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
 
-    "nearest" is the paper's way: the nearest row of the log, if within `epsilon` [s]. Without a log the force is
-    zero and its place unknown.
-    """
+    "nearest" takes the nearest row of the log, if within `epsilon` [s]. Without a log the force is zero."""
     count = len(time)
     if clean is None:
         return np.zeros((count, 2)), np.full(count, np.nan)
@@ -355,13 +352,8 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
 def check_direction(
     rec: Recording, markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, refuse: bool
 ) -> tuple[Remark, ...]:
-    """A remark where another reading of the force's axes explains the bending far better; k(s) is in doubt where it
-    does so exactly. Where something is left, a sensor whose error changes with the load can have done it, which the fit
-    allows for.
-
-    Raises:
-        ObservationError: where `refuse`, if the force as it is contradicts the bending.
-    """
+    """A remark where another reading of the force's axes explains the bending far better, with doubt where it does so
+    exactly; `ObservationError` where `refuse` and the force contradicts the bending."""
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
     if reading is None or not (reading.impossible or reading.better or reading.rotated):

@@ -69,11 +69,7 @@ class PoseLoads:
 
 
 def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
-    """The loads of every pose that the table names; a row without a load names a pose of the bare beam.
-
-    Raises:
-        RecordingError: a row cannot be used; with its number and the reason.
-    """
+    """The loads of every pose that the table names; a row without a load names a pose of the bare beam."""
     columns = ("s", "clamp_deg", *AMOUNTS, *CAME_BY)
     table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
     held_rows = _held(table)
@@ -268,11 +264,10 @@ def with_zero(readings: Readings, xy: Array, covariance: Array) -> tuple[Array, 
 def point_covariances(
     entry: PosesEntry, length: float, s: Array, xy: Array, angle: Array, grids: Mapping[str, Array]
 ) -> tuple[Array, bool]:
-    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether somebody says them all.
+    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether all sds are stated.
 
-    What is said of one point goes before what is said of all, and what is said of a direction before what is said of
-    both. `grids`: (P, m) m of each of `SDS`.
-    """
+    That of one point goes before that of all, that of a direction before that of both. `grids`: (P, m) m of each of
+    `SDS`."""
     sds = []
     for name, whole in (("along_sd_m", entry.along_sd), ("across_sd_m", entry.across_sd)):
         sd = np.where(np.isfinite(grids[name]), grids[name], grids["sd_m"])
@@ -585,14 +580,15 @@ def measured(detections: Detections, rec: Recording) -> Markers:
     for i in range(len(detections.time)):
         photo = replace(detections, time=detections.time[i : i + 1], corners=detections.corners[i : i + 1], remarks=())
         per_photo.append(with_camera_as_noise(measure_markers(photo, rec)))
-    arrays = {name: np.concatenate([vars(one)[name] for one in per_photo]) for name in ("xy", "angle", "covariance")}
     remarks = {remark.text: remark for one in per_photo for remark in one.remarks}.values()
     return replace(
         per_photo[0],
         time=detections.time,
+        xy=np.concatenate([one.xy for one in per_photo]),
+        angle=np.concatenate([one.angle for one in per_photo]),
+        covariance=np.concatenate([one.covariance for one in per_photo]),
         base_angle=np.zeros(len(per_photo)),
         remarks=(*detections.remarks, *remarks),
-        **arrays,
     )
 
 

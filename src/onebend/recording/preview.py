@@ -1,8 +1,4 @@
-"""A film looked at in some twenty frames: enough to know whether its tags can be learned from, and what would stop it.
-
-What would end the reading of the whole film ends up in `Preview.fault` with the same words, so that the rest of the
-recording can still be looked at.
-"""
+"""A film looked at in some twenty frames, to know whether its tags can be learned from, and what would stop it."""
 
 from __future__ import annotations
 
@@ -66,11 +62,7 @@ def bent(markers: Markers) -> BoolArray:
 
 
 def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
-    """Read the film, and look for tags in `count` frames spread evenly over it.
-
-    Raises:
-        RecordingError: the film cannot be read to its end (or to its first `MOST_READ` frames).
-    """
+    """Read the film (or its first `MOST_READ` frames), and look for tags in `count` frames spread evenly over it."""
     assert rec.video is not None
     looked, frames, whole = spread_frames(rec.video, count)
     ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]

@@ -1,8 +1,6 @@
-"""How a table of a TOML file becomes a frozen record: keys with their units, checks, and the line of every mistake.
+"""How a table of a TOML file becomes a frozen record.
 
-A field of a record is declared once with `key(...)`: its name in the file (with the unit), what may stand there and
-what it means. Reading, unit conversion, error messages and the template all follow from that declaration.
-"""
+A field is declared once with `key(...)`; reading, units, messages with lines, and the template follow from that."""
 
 from __future__ import annotations
 

@@ -1,11 +1,7 @@
 """AprilTags in a picture, or in the part of it where one is expected.
 
-A little blur before the search takes noise off the edges of large tags, and closes the cells of small ones: below three
-pixels a cell they are lost. So a picture is searched with blur first, and without where tags may be too small for it.
-Where a tag's size is known, it decides: small tags are searched without blur, and still smaller ones in an enlarged
-picture, since the detector looks for an edge within two pixels, where they have their next one.
-`benchmarks/detectors.py` measures all three at every size.
-"""
+Blur before the search takes noise off the edges of large tags, and closes the cells of small ones. So small tags are
+searched without blur, and still smaller ones in an enlarged picture (`benchmarks/detectors.py` measures all three)."""
 
 from __future__ import annotations
 
@@ -123,9 +119,7 @@ ROOT = float(np.sqrt(2 * np.pi))
 class Pattern:
     """A tag's picture as a model: brightness = dark + contrast * blurred pattern(homography(pixel)).
 
-    Pixels are in tag sizes from the tag's centre. Light that falls unevenly makes `dark` and `contrast` change
-    linearly over the tag.
-    """
+    Pixels are in tag sizes from the centre. `dark` and `contrast` change linearly over the tag, for uneven light."""
 
     homography: Array  # (8,) pixel to cells, the ninth entry is 1
     dark: Array  # (3,) level, slope along x, slope along y
@@ -226,9 +220,8 @@ def read_cells(picture: Array, homography: Array, centre: Array, size: float, ce
 def linearise(model: Pattern, printed: Array, x: Array, y: Array, brightness: Array) -> tuple[Array, Array]:
     """Jacobian (15, pixels) of the model, transposed, and its residual of `brightness`.
 
-    Near an edge between cells the blurred pattern is a blend of the four cells around the nearest crossing of cell
-    borders, with the normal distribution's integral as weight; farther edges do not matter for blurs below 0.3 cells.
-    """
+    The blurred pattern is a blend of the four cells around the nearest crossing, with the normal distribution's
+    integral as weight; farther edges do not matter for blurs below 0.3 cells."""
     u, v, w = carry(model.homography, x, y)
     blur, last = float(np.exp(model.blur)), len(printed) - 3
     column, row = np.clip(np.rint(u), -1, last - 1).astype(int), np.clip(np.rint(v), -1, last - 1).astype(int)
@@ -317,9 +310,8 @@ class Finder:
     def look(self, picture: Picture, wanted: Collection[int] = ()) -> list[Sighting]:
         """Every tag in `picture`, the most certain first.
 
-        Where an id of `wanted` is missing and nothing says that the tags are large, small ones are looked for as well.
-        Without blur there is more that looks like a tag: these count only with so few errors that chance has no part.
-        """
+        Where an id of `wanted` is missing, small tags are searched as well, unless those found are large. Without blur
+        more looks like a tag: these count only with so few errors that chance has no part."""
         seen = self.search(picture, USUAL)
         missing = not {tag.tag_id for tag in seen}.issuperset(wanted)
         # px, a cell's side: where tags are larger, blur hides none.

@@ -486,11 +486,9 @@ def refuse_unseen(
     pictures: Sequence[Picture],
     frames: int,
 ) -> None:
-    """An error where no tag, no base tag or no beam tag was found in any frame, or one of them is never seen and
-    others are that recording.toml does not name.
+    """An error where no tag, no base or no beam tag was found, or one is never seen and others are that nobody named.
 
-    `share` (m,) is the share of the `frames` that show each tag, `pictures` are some of them (empty: they are read).
-    """
+    `share` (m,) of the `frames` shows each tag; `pictures` are some of them (empty: they are read)."""
     base = len(tags.on_base)
     if not share.any():
         raise ObservationError(
@@ -715,4 +713,4 @@ def _moved_along(then: Array, now: Array, i: int) -> Array | None:
     before, after = then[beside].mean(axis=0), now[beside].mean(axis=0)
     one, other = then[beside] - before, now[beside] - after
     turn = np.arctan2(np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]), np.sum(one * other))
-    return rotated(then[i] - before, turn) + after
+    return np.asarray(rotated(then[i] - before, turn) + after)

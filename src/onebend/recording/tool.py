@@ -66,10 +66,8 @@ def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
 def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     """How far every pixel of `pictures` (P, h, w) is from its background, in sds of its noise.
 
-    The background is the median over the pictures, after each is brought to the same brightness; of those `by` (P,)
-    alone where given. Noise is the median deviation of the pixel from it there, which a camera that shakes makes large
-    at edges; it is nowhere taken to be smaller than the pictures' typical one.
-    """
+    The background is the median over the pictures (those `by` (P,) where given) at equal brightness. Noise is the
+    median deviation from it, which is large at edges where a camera shakes, but at least the pictures' typical one."""
     by = np.ones(len(pictures), dtype=bool) if by is None else by
     background = middle(pictures[by])
     thin = (slice(None), slice(None, None, THIN), slice(None, None, THIN))
@@ -194,7 +192,7 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             # Times its usual width: a strip that becomes so wide has run into the beam.
             # Cells of width more, for the same.
             if end - begin > 1.6 * usual + 3:
-                ended.append(Strip(*np.array(strip, dtype=np.int64).T, flank=row))
+                ended.append(Strip(*np.array(strip, dtype=np.int64).T, row))
             else:
                 going.append([*strip, (row, begin, end)])
         # what the edge cuts off has no middle
@@ -271,13 +269,9 @@ def tool_place(
 ) -> ToolPlace:
     """Where the tool is that pushes a beam of `length` [m], by `pictures` (P, h, w) shrunk by `factor`.
 
-    A tool is what lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than
-    tags do, is off the beam in some of the pictures at rest, and has no like elsewhere. What is not clear is not seen:
-    no guess is made. `markers` and `loaded` have one row a picture.
-
-    Args:
-        tag_size: m, side of the tags on the beam, whose paper may stand out beside it.
-    """
+    A tool lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than tags (of
+    side `tag_size` [m]) and their paper, is off the beam in some pictures at rest, and is alone. If not, it is not
+    seen. `markers` and `loaded` have one row a picture."""
     good = enough_tags(markers)
     if markers.view is None or not np.any(good):
         return not_seen("no frame shows the beam's tags")
@@ -399,11 +393,7 @@ class SmallPictures:
 
 def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
     """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
-    `base_angle` (T,) [rad] is of the same frames.
-
-    Raises:
-        RecordingError: the film cannot be read.
-    """
+    `base_angle` (T,) [rad] is of the same frames."""
     if rec.push is None or not isfinite(rec.push.at):
         return seen
     markers = Markers(
@@ -425,12 +415,10 @@ def tool_in_film(
     every: int = 1,
     kept: KeptFrames | None = None,
 ) -> ToolPlace:
-    """Where the film of `rec` shows the tool. `markers`, `loaded` and `frame`, the index in the film, have a row a
+    """Where the film of `rec` shows the tool; `markers`, `loaded` and `frame`, the index in the film, have a row a
     frame.
 
-    Args:
-        every: of the frames that may be `kept`, see `kept_frames.spacing_of`: others are looked at only where these
-            are too few.
+    `every` is the spacing of frames that may be `kept` (`spacing_of`); others are looked at only where these are few.
     """
     if rec.video is None or markers.view is None:
         return not_seen("there is no film")

@@ -348,7 +348,7 @@ def _held(values: Array) -> Array:
 
 def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int]) -> None:
     """An error where a marker of recording.toml is nowhere in the table."""
-    present = np.isfinite(xy).all(axis=-1).any(axis=0)
+    present = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
     if never := [marker for marker, shown in zip(wanted, present, strict=True) if not shown]:
         in_table = _ids(sorted(set(table.get("id").tolist())))
         raise ObservationError(
