@@ -16,8 +16,8 @@ from onebend.lab.designs import force_that_bends
 from onebend.lab.virtual import VirtualBench, VirtualRecording, observe_virtual, virtual_recording
 from onebend.recording.camera import check_turns
 from onebend.recording.clock import fit_clock
-from onebend.recording.description import entry_remarks
-from onebend.recording.entries import BeamEntry, CameraEntry
+from onebend.recording.description import SECTIONS, camera_remarks, implausible
+from onebend.recording.entries import BeamEntry, CameraEntry, TagsEntry
 from onebend.recording.force_log import read_force_log, size_remarks, whole_log
 from onebend.records import ForceLog
 from tests.made_up import BEAM
@@ -264,11 +264,12 @@ def test_what_is_wrong_with_a_log_is_said(tmp_path: Path, lines: list[str], word
 )
 def test_an_unlikely_camera_is_doubted(fx: float, fy: float, centre: tuple[float, float], words: str) -> None:
     camera = CameraEntry(width=1280, height=720, fx=fx, fy=fy, cx=centre[0], cy=centre[1], dist=(0.0,) * 5)
-    remarks = entry_remarks(BeamEntry(length=0.15), camera)
+    remarks = camera_remarks(camera)
     assert [words in one.text for one in remarks] == ([True] if words else [])
 
 
 def test_a_mass_in_grams_is_doubted() -> None:
-    assert entry_remarks(BeamEntry(length=0.15, mass=0.08), None) == ()
-    (told_of_mass,) = entry_remarks(BeamEntry(length=0.15, mass=80.0), None)
+    nothing = dict.fromkeys(SECTIONS)
+    assert implausible(BeamEntry(length=0.15, mass=0.08), TagsEntry(), nothing, np.nan) == ()
+    (told_of_mass,) = implausible(BeamEntry(length=0.15, mass=80.0), TagsEntry(), nothing, np.nan)
     assert "is it in kilograms?" in told_of_mass.text

@@ -324,8 +324,8 @@ def _numbers(least: int, item: Check) -> Check:
 class SizeEntry:
     """[beam]: its outer sizes."""
 
-    length: float = key("length_m", number(above=0), "the beam's length from clamp to tip, m", example="0.15")
-    depth: float = key("depth_m", number(above=0), "its size across the plane of bending, m", example="0.03")
+    length: float = key("length_m = 0.15", number(above=0), "the beam's length from clamp to tip, m")
+    depth: float = key("depth_m = 0.03", number(above=0), "its size across the plane of bending, m")
 
 
 @dataclass(frozen=True)
@@ -333,32 +333,19 @@ class WidthEntry:
     """[width]: the size in the plane of bending, as a polynomial or a table."""
 
     polynomial: tuple[float, ...] = key(
-        "polynomial_m",
-        _numbers(1, number()),
-        "the width's coefficients of s^0, s^1, ..., m",
-        example="[0.010, 0.010]",
-        default=(),
+        "polynomial_m = [0.010, 0.010]", _numbers(1, number()), "the width's coefficients of s^0, s^1, ..., m", ()
     )
     s: tuple[float, ...] = key(
-        "s",
-        _numbers(2, number(least=0, most=1)),
-        "places from 0 (clamp) to 1 (tip)",
-        example="[0.0, 0.5, 1.0]",
-        default=(),
+        "s = [0.0, 0.5, 1.0]", _numbers(2, number(least=0, most=1)), "places from 0 (clamp) to 1 (tip)", ()
     )
     width: tuple[float, ...] = key(
-        "width_m",
-        _numbers(2, number(above=0)),
-        "the width at each place of s, m",
-        example="[0.02, 0.01, 0.02]",
-        default=(),
+        "width_m = [0.02, 0.01, 0.02]", _numbers(2, number(above=0)), "the width at each place of s, m", ()
     )
     between: Literal["smooth", "straight"] = key(
-        "between",
+        'between = "smooth"',
         one_of("smooth", "straight"),
         'between the places: "smooth" (monotone cubic) or "straight" lines',
-        example='"smooth"',
-        default="smooth",
+        "smooth",
     )
 
 
@@ -366,20 +353,17 @@ class WidthEntry:
 class MaterialEntry:
     """[material]: one of a named silicone, a hardness, or a modulus."""
 
-    silicone: str = key("silicone", text, "a named silicone", example='"Dragon Skin 30"', default=NO_NAME)
-    shore_a: float = key("shore_a", number(), "its hardness on scale A", example="30", default=math.nan)
-    shore_00: float = key("shore_00", number(), "its hardness on scale 00", example="30", default=math.nan)
-    modulus: float = key(
-        "modulus_Pa", number(above=0), "Young's modulus at small strain, Pa", example="7.0e5", default=math.nan
-    )
+    silicone: str = key('silicone = "Dragon Skin 30"', text, "a named silicone", NO_NAME)
+    shore_a: float = key("shore_a = 30", number(), "its hardness on scale A", math.nan)
+    shore_00: float = key("shore_00 = 30", number(), "its hardness on scale 00", math.nan)
+    modulus: float = key("modulus_Pa = 7.0e5", number(above=0), "Young's modulus at small strain, Pa", math.nan)
     modulus_log_sd: float = key(
-        "modulus_log_sd",
+        "modulus_log_sd = 0.1",
         number(least=0),
         "how sure the modulus is: one sd of its logarithm (0.1 = 10 %)",
-        example="0.1",
-        default=math.nan,
+        math.nan,
     )
-    density: float = key("density_kg_m3", number(above=0), "its density, kg/m^3", example="1080", default=math.nan)
+    density: float = key("density_kg_m3 = 1080", number(above=0), "its density, kg/m^3", math.nan)
 
 
 def read_design(path: Path | str) -> Design:

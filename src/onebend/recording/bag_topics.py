@@ -22,10 +22,6 @@ from onebend.recording.signals import missing, step
 from onebend.records import Array, ForceLog, Remark
 from onebend.text_files import ascii_only, quoted
 
-# The times of a bag's messages: the stamps of their headers, or the times of receipt where these are empty.
-
-FIRST = 100  # messages that are searched for a stamp
-
 
 @dataclass(frozen=True)
 class TopicClock:
@@ -36,13 +32,9 @@ class TopicClock:
 
 
 def clock_of(bag: Bag, topic: Topic, definitions: Path | None = None) -> TopicClock:
-    """By the headers' stamps if one of the first messages has any, else by receipt.
-
-    Raises:
-        RecordingError: as `messages` does, or no message of the topic can be read.
-    """
+    """By the headers' stamps if one of the first messages has any, else by receipt."""
     received = None
-    for time, message in islice(messages(bag, topic, definitions), FIRST):
+    for time, message in islice(messages(bag, topic, definitions), 100):  # messages that are searched for a stamp
         received = time if received is None else received
         if stamp := stamp_of(message):
             return TopicClock("header", stamp)
@@ -64,8 +56,6 @@ def timed(bag: Bag, topic: Topic, clock: TopicClock, definitions: Path | None = 
         yield (time - clock.origin) * 1e-9 if time else float("nan"), message
 
 
-# The film in a bag: images of one topic, packed or not, with the times of their headers.
-
 Pixels = NDArray[np.uint8]
 
 RAW, PACKED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -78,29 +68,22 @@ LUMA_AT = {"uyvy": 1, "yuv422": 1, "yuyv": 0, "yuv422_yuy2": 0}  # of two bytes 
 MOSAICS = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
 
 
-def bag_film(video: VideoEntry) -> tuple[Bag, Topic]:
-    """The bag and its image topic.
-
-    Raises:
-        RecordingError: no such topic, or it holds no images.
-    """
-    bag = open_bag(video.file, keep=video.damaged == "keep")
-    topic = topic_of(bag, video.topic, "[video] topic")
-    if topic.channel.type not in (RAW, PACKED):
+def bag_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
+    """The bag of a film or a force log, and its topic."""
+    film = isinstance(entry, VideoEntry)
+    bag = open_bag(entry.file, keep=entry.damaged == "keep")
+    topic = topic_of(bag, entry.topic, "[video] topic" if film else "[force] topic")
+    if film and topic.channel.type not in (RAW, PACKED):
         raise RecordingError(
-            f"[video] topic: {topic.channel.topic} of {video.file} is {topic.channel.type}, not images. Name one of "
+            f"[video] topic: {topic.channel.topic} of {entry.file} is {topic.channel.type}, not images. Name one of "
             f"{RAW} or {PACKED}."
         )
     return bag, topic
 
 
 def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
-    """Time since the first, s, and message of every image, in order.
-
-    Raises:
-        RecordingError: as `bag_film`, or a time that is missing or does not rise.
-    """
-    bag, topic = bag_film(video)
+    """Time since the first, s, and message of every image, in order."""
+    bag, topic = bag_topic(video)
     clock = clock_of(bag, topic, video.definitions)
     last, first = -math.inf, 0.0
     for count, (time, message) in enumerate(timed(bag, topic, clock, video.definitions)):
@@ -113,11 +96,7 @@ def bag_frames(video: VideoEntry) -> Iterator[tuple[float, Any]]:
 
 
 def picture_of(message: Any, place: str, *, colour: bool = False) -> Pixels:
-    """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message.
-
-    Raises:
-        RecordingError: an encoding that is not known, or fewer bytes than the size asks for.
-    """
+    """Luma (H, W), or with `colour` RGB (H, W, 3), of an image message."""
     if not hasattr(message, "encoding"):
         return unpacked(message, place, colour)
     height, width, name = int(message.height), int(message.width), str(message.encoding)
@@ -170,8 +149,6 @@ def unpacked(message: Any, where: str, colour: bool) -> Pixels:
         raise RecordingError(f"{where}: an image packed as {kind!r} cannot be read ({wrong}).") from None
 
 
-# The calibration of a camera in a bag: `sensor_msgs/CameraInfo`, as it stands there.
-
 INFO = "sensor_msgs/msg/CameraInfo"
 
 
@@ -192,34 +169,24 @@ class CameraInfo:
 
 
 def bag_camera(video: VideoEntry, name: str) -> CameraInfo:
-    """The calibration on topic `name` of the film's bag.
-
-    Raises:
-        RecordingError: no such topic, another type, numbers that are none, or messages that differ.
-    """
-    bag, _ = bag_film(video)
+    """The calibration on topic `name` of the film's bag."""
+    bag, _ = bag_topic(video)
     topic = topic_of(bag, name, "[camera] camera_info")
     place = f"[camera] camera_info: {ascii_only(topic.channel.topic)} of {video.file}"
     if topic.channel.type != INFO:
         raise RecordingError(f"{place} is {ascii_only(topic.channel.type)}, no calibration. Name one of type {INFO}.")
-    first: Any = None
-    for count, (_, message) in enumerate(messages(bag, topic, video.definitions)):
-        said = fields_of(message, place)
-        if first is None:
-            first = said
-        elif any(not np.array_equal(one, other) for one, other in zip(first, said, strict=True)):
+    every = (info_of(message, topic, place) for _, message in messages(bag, topic, video.definitions))
+    first = next(every)
+    for count, info in enumerate(every, start=1):
+        if not all(map(np.array_equal, vars(first).values(), vars(info).values())):
             raise RecordingError(
                 f"{place} changes at message {count}: the camera was zoomed or set anew. Keep it as it is in a film."
             )
-    width, height, model, lens, matrix, projection, binning, corner, part = first
-    whole = (part[0] or width, part[1] or height)
-    return CameraInfo(
-        topic.channel.topic, width, height, model, lens, matrix, projection[:, :3], binning, corner, whole
-    )
+    return first
 
 
-def fields_of(message: Any, place: str) -> tuple[Any, ...]:
-    """Size, lens, matrices and part of the sensor in one message; ROS 1 writes D, K and P, ROS 2 d, k and p."""
+def info_of(message: Any, topic: Topic, place: str) -> CameraInfo:
+    """The calibration in one message; ROS 1 writes D, K and P, ROS 2 d, k and p."""
 
     def numbers(name: str) -> Array:
         value = getattr(message, name.upper(), getattr(message, name, ()))
@@ -228,17 +195,18 @@ def fields_of(message: Any, place: str) -> tuple[Any, ...]:
             raise RecordingError(f"{place}: {name.upper()} holds what is no number. Calibrate the camera.")
         return read
 
-    roi = message.roi
-    return (
-        int(message.width),
-        int(message.height),
+    roi, width, height = message.roi, int(message.width), int(message.height)
+    return CameraInfo(
+        topic.channel.topic,
+        width,
+        height,
         str(message.distortion_model),
         numbers("d"),
         numbers("k").reshape(3, 3),
-        numbers("p").reshape(3, 4),
+        numbers("p").reshape(3, 4)[:, :3],
         (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
         (int(roi.x_offset), int(roi.y_offset)),
-        (int(roi.width), int(roi.height)),
+        (int(roi.width) or width, int(roi.height) or height),
     )
 
 
@@ -250,8 +218,6 @@ def picture_size(video: VideoEntry) -> tuple[int, int]:
     raise RecordingError(f"{video.file} holds no image of {quoted(video.topic)}.")
 
 
-# The force log in a bag: a wrench topic, or a field of a robot's state.
-
 FIELDS = {
     "geometry_msgs/msg/WrenchStamped": "wrench.force",
     "geometry_msgs/msg/Wrench": "force",
@@ -262,14 +228,8 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def read_bag_force(entry: ForceEntry) -> ForceLog:
-    """The force along `entry.axes` of every message of `entry.topic`, on the headers' clock; its zero is the first one.
-
-    Raises:
-        RecordingError: no such topic or field, a damaged bag, too few messages, forces in several frames, or zero
-            throughout.
-    """
-    bag = open_bag(entry.file, keep=entry.damaged == "keep")
-    topic = topic_of(bag, entry.topic, "[force] topic")
+    """The force along `entry.axes` of every message, on the headers' clock; its zero is the first message."""
+    bag, topic = bag_topic(entry)
     field = entry.field or default_field(topic, entry)
     clock = clock_of(bag, topic, entry.definitions)
     rows: list[tuple[float, float, float]] = []
@@ -289,14 +249,16 @@ def read_bag_force(entry: ForceEntry) -> ForceLog:
     order = np.argsort(read[:, 0], kind="stable")
     early = int(np.sum(np.diff(read[:, 0]) < 0))
     remarks = (*remark(early, len(read), "messages of the force log lie out of order and are sorted"),)
-    if clock.by == "receipt":
-        text = (
-            f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
-            "stamps."
-        )
-        remarks = (*remarks, Remark("warning", text, about="no stamps"))
-    remarks = (*remarks, *frame_remarks(entry, field, named))
+    remarks = (*remarks, *stamp_remarks(topic, clock), *frame_remarks(entry, field, named))
     return whole_log(f"{entry.file}, {topic.channel.topic}", read[order], remarks)
+
+
+def stamp_remarks(topic: Topic, clock: TopicClock) -> list[Remark]:
+    """A warning where the times are those of receipt."""
+    if clock.by == "header":
+        return []
+    text = f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
+    return [Remark("warning", f"{text}stamps.", about="no stamps")]
 
 
 def default_field(topic: Topic, entry: ForceEntry) -> str:
@@ -311,11 +273,7 @@ def default_field(topic: Topic, entry: ForceEntry) -> str:
 
 
 def force_of(message: Any, field: str, where: str) -> tuple[Array, str]:
-    """(3,) N at `field` of the message, and the frame it is in ("" where nothing says).
-
-    Raises:
-        RecordingError: there is no such field, or it holds no force.
-    """
+    """(3,) N at `field` of the message, and the frame it is in ("" where nothing says)."""
     value, frame = message, frame_of(message)
     for name in (*field.split("."), "wrench", "force"):
         inside = getattr(value, name, None) if name in field_names(value) else None
@@ -397,14 +355,18 @@ def bag_contents(path: Path | str, definitions: Path | None = None) -> BagConten
     Raises `RecordingError` where nothing can be read.
     """
     path = Path(path)
+
+    def rows_of(bag: Bag) -> tuple[TopicRow, ...]:
+        return tuple(row_of(bag, topic, definitions) for _, topic in sorted(bag.topics.items()))
+
     try:
         bag = open_bag(path)
-        rows = tuple(row_of(bag, topic, definitions) for _, topic in sorted(bag.topics.items()))
+        rows = rows_of(bag)
     except RecordingError:
         bag = open_bag(path, keep=True)
         if not bag.fault or not bag.count:
             raise
-        rows = tuple(row_of(bag, topic, definitions) for _, topic in sorted(bag.topics.items()))
+        rows = rows_of(bag)
     return BagContents(path, rows, guess(bag, "force"), guess(bag, "image"), bag.fault)
 
 
@@ -426,16 +388,10 @@ def row_of(bag: Bag, topic: Topic, definitions: Path | None) -> TopicRow:
     time = np.sort(np.array(stamps if stamped else received, dtype=np.int64))
     since = np.asarray((time - time[:1]) * 1e-9, dtype=np.float64)
     spacing = step(since) if len(since) > 1 else np.nan
-    return TopicRow(
-        topic.channel.topic,
-        topic.channel.type,
-        topic.count,
-        1 / spacing if spacing > 0 else np.nan,
-        float(time[0]) * 1e-9 if len(time) else np.nan,
-        float(time[-1]) * 1e-9 if len(time) else np.nan,
-        "header" if stamped else "receipt",
-        missing(since),
-    )
+    start, end = (float(time[i]) * 1e-9 if len(time) else np.nan for i in (0, -1))
+    rate = 1 / spacing if spacing > 0 else np.nan
+    by: Literal["header", "receipt"] = "header" if stamped else "receipt"
+    return TopicRow(topic.channel.topic, topic.channel.type, topic.count, rate, start, end, by, missing(since))
 
 
 def guess(bag: Bag, what: Literal["force", "image"]) -> str:
@@ -447,8 +403,6 @@ def guess(bag: Bag, what: Literal["force", "image"]) -> str:
     ]
     return min(fitting)[2] if fitting else ""
 
-
-# Bags in a recording: that their topics are there, and when the film starts on the force log's clock.
 
 HEADERS_DOUBT = 0.1  # s: exposure, transfer and filters between an event and the stamp of its message
 RECEIPT_DOUBT = 0.3  # s: queues besides
@@ -487,11 +441,7 @@ def asked(bag: Bag, name: str) -> str:
 def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
     """The recording with the start of its film taken from the bag where film and force share one, and with remarks.
 
-    `written` is recording.toml as data: a start that stands there is kept.
-
-    Raises:
-        RecordingError: a bag cannot be read.
-    """
+    `written` is recording.toml as data: a start that stands there is kept."""
     video = rec.video if rec.video is not None and rec.video.topic else None
     force = rec.force if rec.force is not None and rec.force.topic else None
     remarks = [*rec.remarks]
@@ -504,63 +454,38 @@ def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
             text = f"recording.toml does not say {', '.join(silent)} of [force]: their defaults are assumed."
             text += " A bag does not know how the robot stands to the beam."
             remarks.append(Remark("warning", text, about="bag's axes"))
-    if video is None or force is None or not same(video, force) or "start_s" in written["video"]:
+    one_bag = video is not None and force is not None and video.file.resolve() == force.file.resolve()
+    if video is None or force is None or not one_bag or "start_s" in written["video"]:
         return replace(rec, remarks=tuple(remarks))
-    film_clock, force_clock = clock(video), clock(force)
+    film_clock, force_clock = (clock_of(*bag_topic(entry), entry.definitions) for entry in (video, force))
     start = (film_clock.origin - force_clock.origin) * 1e-9
-    doubt = HEADERS_DOUBT if film_clock.by == force_clock.by == "header" else RECEIPT_DOUBT
-    doubt = float(written["video"].get("start_uncertainty_s", doubt))
-    stamps = (
-        "their headers' stamps" if film_clock.by == force_clock.by == "header" else "when their messages were received"
-    )
+    stamped = film_clock.by == force_clock.by == "header"
+    doubt = float(written["video"].get("start_uncertainty_s", HEADERS_DOUBT if stamped else RECEIPT_DOUBT))
+    stamps = "their headers' stamps" if stamped else "when their messages were received"
     text = f"Film and force share the bag's clock: the film starts at {start:.4f} s by {stamps}, to {doubt:g} s."
     remarks = [remark for remark in remarks if "when the video starts" not in remark.text]
     remarks.append(Remark("note", text))
     return replace(rec, video=replace(video, start=start, start_uncertainty=doubt), remarks=tuple(remarks))
 
 
-def same(video: VideoEntry, force: ForceEntry) -> bool:
-    return video.file.resolve() == force.file.resolve()
-
-
-def clock(entry: VideoEntry | ForceEntry) -> TopicClock:
-    """The clock of the entry's topic."""
-    bag, topic = opened_topic(entry)
-    return clock_of(bag, topic, entry.definitions)
-
-
-def opened_topic(entry: VideoEntry | ForceEntry) -> tuple[Bag, Topic]:
-    if isinstance(entry, VideoEntry):
-        return bag_film(entry)
-    bag = open_bag(entry.file, keep=entry.damaged == "keep")
-    return bag, topic_of(bag, entry.topic, "[force] topic")
-
-
 def bag_remarks(name: str, entry: VideoEntry | ForceEntry) -> list[Remark]:
     """Remarks on damage of the bag and on its topic's clock."""
-    bag, topic = opened_topic(entry)
+    bag, topic = bag_topic(entry)
     remarks = []
     if bag.fault:
         text = f"[{name}] {entry.file.name} is damaged ({bag.fault}): {topic.count} messages of {topic.channel.topic}"
-        remarks.append(
-            Remark(
-                "warning", f"{text} are used, those before that. Check that the push is in them.", about="damaged bag"
-            )
-        )
+        text += " are used, those before that. Check that the push is in them."
+        remarks.append(Remark("warning", text, about="damaged bag"))
     elif bag.scanned and entry.damaged == "refuse":
         text = f"[{name}] {entry.file.name} has no index (its recorder was not closed): read from front to back."
         remarks.append(Remark("note", text))
-    if isinstance(entry, VideoEntry) and clock(entry).by == "receipt":
-        text = (
-            f"{topic.channel.topic} has no header stamps: the times at which it was received are used. Record header "
-            "stamps."
-        )
-        remarks.append(Remark("warning", text, about="no stamps"))
+    if isinstance(entry, VideoEntry):
+        remarks += stamp_remarks(topic, clock_of(bag, topic, entry.definitions))
     return remarks
 
 
 def bag_span(video: VideoEntry) -> tuple[int, float]:
     """How many images the topic holds, and the time from the first to the last that was received, s."""
-    bag, topic = bag_film(video)
+    bag, topic = bag_topic(video)
     times = [received for received, _ in raw_messages(bag, topic)]
     return topic.count, (times[-1] - times[0]) * 1e-9 if times else math.nan

@@ -6,29 +6,18 @@ import difflib
 import keyword
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from onebend.errors import RecordingError
 from onebend.extras import require
-from onebend.recording.damaged_bags import (
-    BrokenOffError,
-    Channel,
-    bounded_readers,
-    check_database,
-    check_message,
-    lacking,
-    scan,
-)
+from onebend.recording.bag_files import BrokenOffError, Channel, check_database, is_packed, scan, topics_by_index
 from onebend.text_files import MOST_ROWS, NAMES, QUOTED, ascii_only, quoted, read_text
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
     from rosbags.interfaces.typing import Typesdict
-    from rosbags.rosbag1 import Reader as Ros1Reader
-    from rosbags.rosbag2 import Reader as Ros2Reader
     from rosbags.typesys.store import Typestore
 
 
@@ -69,10 +58,8 @@ def without_constants(types: Typesdict) -> Typesdict:
 
 
 def check_types(types: Typesdict, known: Typesdict) -> None:
-    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound.
-
-    `known` are the types that need no check and may be named.
-    """
+    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound; `known`
+    are types that need no check."""
     for name, (_, fields) in types.items():
         check_type_name(name)
         for field, _ in fields:
@@ -130,11 +117,7 @@ IDL_PART = "=" * 80 + "\n"
 def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[[bytes], Any]:
     """What turns the bytes of the channel's messages into objects.
 
-    `definitions` is a folder with .msg files, for a bag that does not carry them.
-
-    Raises:
-        RecordingError: the type is not known, or its definition cannot be read.
-    """
+    `definitions` is a folder with .msg files, for a bag that does not carry them."""
     if channel.encoding not in ("cdr", "ros1"):
         raise RecordingError(
             f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
@@ -192,7 +175,6 @@ def types_of(channel: Channel, definitions: Path | None) -> Typestore:
 # Robot logs (ROS 1 and ROS 2 bags) without a ROS installation: their topics and their messages.
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
-METADATA = "metadata.yaml"
 
 
 @dataclass(frozen=True)
@@ -208,7 +190,7 @@ class Bag:
     """A bag as it was found; messages are read from its files as they are asked for."""
 
     path: Path
-    parts: tuple[Path, ...]  # its files in order; the folder itself where its metadata list them
+    parts: tuple[Path, ...]  # its files in order
     scanned: bool  # whether it is read without its index
     topics: dict[str, Topic]
     fault: str = ""  # where it breaks off; empty: it does not
@@ -247,33 +229,27 @@ def natural(name: str) -> list[tuple[int, str]]:
 def open_bag(path: Path, *, keep: bool = False) -> Bag:
     """Topics and counts of the bag at `path`: a file, or a folder with or without its metadata.
 
-    A bag that was not closed is read without its index. With `keep` one that is damaged is, too, up to the damage.
+    A bag that was not closed is read without its index. With `keep` one that is damaged is read up to the damage.
 
     Raises:
-        RecordingError: there is none, or it is damaged and `keep` is false; with the place and how many messages come
-            before it.
+        MissingPackageError: rosbags is not installed.
+        RecordingError: there is none, or it is damaged and `keep` is false; with the place.
     """
     files = files_of(path) if path.exists() else ()
     if not files:
         raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
+    require(("rosbags",), "ros")
     refuse_journals(files)
     for file in files:
         refuse_program(file)
-    packed = any(file.suffix == ".zstd" for file in files)  # as a whole: there is no way in but the usual one
-    if packed or (not keep and not any(lacking(file) for file in files)):
-        parts = (path,) if path.is_dir() and (path / METADATA).is_file() else files
-        try:
-            return Bag(path, parts, scanned=False, topics=together(connections(part) for part in parts))
-        except Exception as wrong:  # the readers' own, or what numbers that make no sense lead to
-            why = str(wrong).rstrip(".")
-    else:
-        why = ""
+    if not keep:
+        indexed = [topics_by_index(file) for file in files]
+        if None not in indexed:
+            return Bag(path, files, scanned=False, topics=together(part for part in indexed if part is not None))
     bag = scan_bag(path, files)
     if bag.fault and (not keep or not bag.count):
         raise damaged(bag, bag.fault)
-    if not bag.count and why:
-        raise RecordingError(f"{path} cannot be read: {why}.")
-    return bag
+    return replace(bag, scanned=keep or not any(is_packed(file) for file in files))
 
 
 def refuse_program(file: Path) -> None:
@@ -301,7 +277,6 @@ def scan_bag(path: Path, files: Sequence[Path]) -> Bag:
     counts: Counter[str] = Counter()
     faults = []
     for file in files:
-        bounded_readers([file])
         try:
             for item in scan(file):
                 channel = item if isinstance(item, Channel) else item[0]
@@ -325,39 +300,7 @@ def damaged(bag: Bag, fault: str) -> RecordingError:
     )
 
 
-def connections(part: Path) -> list[tuple[Channel, int]]:
-    """Topics and counts of one sound part, by its index."""
-    bounded_readers(list(files_of(part)))
-    from rosbags.interfaces import MessageDefinitionFormat
-
-    with reader_of(part) as reader:
-        topics = []
-        for connection in reader.connections:
-            kind = connection.msgdef.format
-            text = "" if kind == MessageDefinitionFormat.NONE else connection.msgdef.data
-            idl = kind == MessageDefinitionFormat.IDL
-            topics.append(
-                (Channel(connection.topic, connection.msgtype, encoding_of(connection), text, idl), connection.msgcount)
-            )
-        return topics
-
-
-def encoding_of(connection: Connection) -> str:
-    """How the messages are packed: "cdr" or "ros1"."""
-    from rosbags.interfaces import ConnectionExtRosbag2
-
-    return connection.ext.serialization_format if isinstance(connection.ext, ConnectionExtRosbag2) else "ros1"
-
-
-def reader_of(part: Path) -> Ros1Reader | Ros2Reader:
-    """The reader for one file, or for a folder with metadata."""
-    from rosbags.rosbag1 import Reader as Ros1Reader
-    from rosbags.rosbag2 import Reader as Ros2Reader
-
-    return Ros1Reader(part) if part.suffix in (".bag", ".active") else Ros2Reader(part)
-
-
-def together(parts: Iterator[list[tuple[Channel, int]]]) -> dict[str, Topic]:
+def together(parts: Iterable[list[tuple[Channel, int]]]) -> dict[str, Topic]:
     """Topics by name; publishers and parts of one topic are added up."""
     topics: dict[str, Topic] = {}
     for part in parts:
@@ -370,11 +313,7 @@ def together(parts: Iterator[list[tuple[Channel, int]]]) -> dict[str, Topic]:
 
 
 def topic_of(bag: Bag, name: str, where: str) -> Topic:
-    """The topic `name`; `where` says who asks for it.
-
-    Raises:
-        RecordingError: no such topic, or no message of it; those there are listed.
-    """
+    """The topic `name`, for which `where` asks; `RecordingError` where there is none, or no message of it."""
     topic = bag.topics.get(name) or bag.topics.get(f"/{name}")
     if topic is not None and topic.count:
         return topic
@@ -396,51 +335,25 @@ def listed(bag: Bag) -> str:
 
 
 def raw_messages(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
-    """When each message of the topic was received, ns, and its bytes, in the bag's order.
-
-    Raises:
-        RecordingError: the bag is damaged within, though its index is good.
-    """
-    for count, message in enumerate(_scanned(bag, topic) if bag.scanned else _indexed(bag, topic)):
-        if count == MOST_ROWS:
-            raise RecordingError(f"{bag.path}: {topic.channel.topic} has more than {count} messages. Cut the bag.")
-        yield message
-
-
-def _scanned(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
-    name = topic.channel.topic
-    for part in bag.parts:
-        bounded_readers([part])
-        try:
-            for item in scan(part):
-                if not isinstance(item, Channel) and item[0].topic == name:
-                    yield item[1], item[2]
-        except BrokenOffError:
-            continue  # `bag.fault` says so
-
-
-def _indexed(bag: Bag, topic: Topic) -> Iterator[tuple[int, bytes]]:
-    name = topic.channel.topic
+    """When each message of the topic was received, ns, and its bytes, in the bag's order."""
+    name, count = topic.channel.topic, 0
     for part in bag.parts:
         try:
-            bounded_readers(list(files_of(part)))
-            with reader_of(part) as reader:
-                wanted = [connection for connection in reader.connections if connection.topic == name]
-                if wanted:
-                    for _, received, data in reader.messages(wanted):
-                        check_message(received, data)
-                        yield received, data
-        except Exception as wrong:  # the readers' own, the unpackers', or what senseless numbers lead to
-            damaged_bag = scan_bag(bag.path, files_of(bag.path))
-            raise damaged(damaged_bag, damaged_bag.fault or str(wrong).rstrip(".")) from None
+            for item in scan(part, name):
+                if isinstance(item, Channel) or item[0].topic != name:
+                    continue
+                if count == MOST_ROWS:
+                    raise RecordingError(f"{bag.path}: {name} has more than {count} messages. Cut the bag.")
+                count += 1
+                yield item[1:]
+        except BrokenOffError as wrong:
+            if not bag.scanned:  # else `bag.fault` says so
+                whole = scan_bag(bag.path, bag.parts)
+                raise damaged(whole, whole.fault or str(wrong)) from None
 
 
 def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterator[tuple[int, Any]]:
-    """When each message of the topic was received, ns, and the message as an object.
-
-    Raises:
-        RecordingError: its type is not known, a message does not fit it, or the bag is damaged.
-    """
+    """When each message of the topic was received, ns, and the message as an object."""
     decode = decoder(bag.path, topic.channel, definitions)
     for count, (received, data) in enumerate(raw_messages(bag, topic)):
         try:

@@ -31,9 +31,8 @@ class RestShape:
 def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
     """Robust mean of the poses over the frames `still`.
 
-    The covariance is that of one frame over the number of frames, plus the scatter of the means of five blocks. The
-    second part holds slow changes (light, vibration), which do not average out. Constant errors are in neither.
-    """
+    The covariance is that of one frame over the number of frames, plus the scatter of the means of five blocks, which
+    holds slow changes (light, vibration). Constant errors are in neither."""
     poses = np.concatenate([markers.xy, markers.angle[..., None]], axis=-1)[still]
     m = len(markers.tag_id)
     turns: BoolArray = np.asarray(np.isfinite(markers.angle).any(axis=0))  # a marker of a tracker may have no angle
@@ -54,10 +53,9 @@ def rest_shape(markers: Markers, still: BoolArray) -> RestShape:
 
 
 def beam_turn(rest: RestShape, placement_sd: float) -> float:
-    """Angle of the undeformed beam against the base tag, rad.
+    """Angle of the undeformed beam against the base tag, rad, by least squares of a line through the origin.
 
-    Least squares of a line through the origin, by Gauss-Newton. The residual of a marker has the variance of its place
-    and of the placement tolerance. The prior: the angle is 0 with the sd `MOUNTING_SD`.
+    A residual has the variance of the marker's place and of the placement tolerance. The prior is 0, sd `MOUNTING_SD`.
     """
     known = np.isfinite(rest.xy).all(axis=1)
     turn = 0.0
@@ -90,12 +88,10 @@ def turned(markers: Markers, turn: float) -> Markers:
 def to_beam_frame(
     markers: Markers, still: BoolArray, placement_sd: float, gravity: Array
 ) -> tuple[Markers, RestShape, tuple[Remark, ...]]:
-    """Markers and rest shape in the beam's frame.
+    """Markers and rest shape in the beam's frame; `gravity` (T, 2) [m/s^2] in the base tag's, zero across the plane.
 
-    `gravity` (T, 2) [m/s^2] is in the base tag's frame, zero where it acts across the plane. Where weight bends the
-    beam (gravity in the plane and not along the beam) the undeformed beam is never seen: the base tag's frame is kept
-    and the rest shape is unknown (NaN). A beam that hangs straight down counts as undeformed.
-    """
+    Where weight bends the beam, the undeformed beam is never seen. The base tag's frame is kept then, and the rest
+    shape is NaN. A beam that hangs straight down counts as undeformed."""
     m = len(markers.tag_id)
     unknown = RestShape(np.full((m, 2), np.nan), np.full(m, np.nan), np.full((m, 3, 3), np.nan))
     size = np.linalg.norm(gravity, axis=1)
@@ -121,9 +117,6 @@ def to_beam_frame(
 
 # Gravity in the beam's frame, from its direction in the room and the angle of the base, constant or logged.
 
-MOST_DEGREES = 1e6
-MILLISECONDS = 100.0  # times the film's length: a longer log is probably in another unit
-
 
 @dataclass(frozen=True)
 class BaseLog:
@@ -134,11 +127,7 @@ class BaseLog:
 
 
 def read_base_log(path: Path) -> BaseLog:
-    """Read a CSV with the columns time_s and base_deg.
-
-    Raises:
-        RecordingError: a missing column, text or NaN, times that do not rise, fewer than two rows; with the line.
-    """
+    """The base's angle from a CSV with the columns time_s and base_deg."""
     time: list[float] = []
     angle: list[float] = []
     rows = csv_rows(path, RecordingError)
@@ -152,7 +141,7 @@ def read_base_log(path: Path) -> BaseLog:
             t, degrees = (float(row[place]) for place in places)
         except (IndexError, ValueError):
             t = degrees = math.nan
-        if not (abs(t) < LATEST and abs(degrees) < MOST_DEGREES):
+        if not (abs(t) < LATEST and abs(degrees) < 1e6):
             raise RecordingError(f"{path}, line {line}: not two numbers. Correct or remove the line.")
         if time and t <= time[-1]:
             raise RecordingError(f"{path}, line {line}: the time {t:g} s does not rise. Sort the file.")
@@ -205,11 +194,9 @@ def base_clock(
 
 
 def gravity_in_frame(entry: GravityEntry | None, log: BaseLog | None, markers: Markers, time: Array) -> Array:
-    """(T, 2) m/s^2 along and across the beam's x axis; zeros where gravity acts across the plane.
+    """(T, 2) m/s^2 along and across the beam's x axis, at `time` of the base log; zeros across the plane.
 
-    `time` is on the base log's clock. A base whose angle is written as a constant but turns in the film is followed
-    by its tag.
-    """
+    A base whose angle is written as a constant but turns in the film is followed by its tag."""
     if entry is None:
         return np.zeros((len(time), 2))
     base = np.interp(time, log.time, log.angle) if log is not None else entry.base_angle + markers.base_angle
@@ -221,7 +208,8 @@ def check_overlap(markers: Markers, log_time: Array, offset: float, what: str) -
     """Raise where no frame lies inside the log."""
     film = markers.time[[0, -1]] + offset
     if film[1] < log_time[0] or film[0] > log_time[-1]:
-        long = log_time[-1] - log_time[0] > MILLISECONDS * (film[1] - film[0])
+        # Times the film's length: a longer log is probably in another unit.
+        long = log_time[-1] - log_time[0] > 100.0 * (film[1] - film[0])
         hint = ' Its times look like milliseconds: write time_unit = "ms" in [force].' if long else ""
         raise ObservationError(
             f"The film ({film[0]:.1f} to {film[1]:.1f} s on the log's clock) and the {what} ({log_time[0]:.1f} to "

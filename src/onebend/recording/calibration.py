@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,17 +18,7 @@ from onebend.recording.entries import VideoEntry
 from onebend.recording.video import Picture, decoded, frame_count, picture_in
 from onebend.records import Array, IntArray, Remark
 
-# Calibration boards (chessboard, ChArUco) in a film: corners of every frame that shows one sharply, by OpenCV.
-#
-# OpenCV is an optional part of onebend. Only this module and `calibration` know it, and only while they work.
-
 BoardKind = Literal["chessboard", "charuco"]
-
-SEARCHED_FRAMES = 240  # frames of a film, evenly spread
-_BURST = 0.35  # s, of which the sharpest frame counts
-_FEWEST_CORNERS = 8
-_RATE = 30.0  # frames/s, where a film does not say
-_MOST_PIXELS = 1_000_000  # of a picture in which a chessboard is first looked for; refined in the whole one
 
 
 @dataclass(frozen=True)
@@ -88,27 +78,13 @@ class BoardFilm:
     frames_found: int  # of these, that show the board
 
 
-def opencv() -> Any:
-    """The module `cv2`.
-
-    Raises:
-        MissingPackageError: it is not installed.
-    """
-    return package("cv2", "calibrate")
-
-
 def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress = Silent()) -> BoardFilm:
-    """The board in frames spread over the film; of each few neighbours the sharpest. `topic`: of the images in a bag.
-
-    Raises:
-        RecordingError: no OpenCV, not a film, a bag without its topic, a picture that changes its size, an unknown
-            dictionary.
-    """
-    cv2 = opencv()
+    """The board in frames spread over the film (or the `topic` of a bag); of each few neighbours the sharpest."""
+    cv2 = package("cv2", "calibrate")
     find = _finder(cv2, board)
     video = _film_of(film, topic)
     count = frame_count(video) or 0
-    every = max(1, count // SEARCHED_FRAMES)
+    every = max(1, count // 240)  # frames of a film, evenly spread
     size: tuple[int, int] | None = None
     views: list[BoardView] = []
     burst: list[BoardView] = []
@@ -126,7 +102,7 @@ def find_boards(film: Path, board: Board, *, topic: str = "", progress: Progress
             looked += 1
             if corners is not None:
                 boards += 1
-                if burst and now - begin > _BURST:
+                if burst and now - begin > 0.35:  # s, of which the sharpest frame counts
                     views += _sharpest(burst)
                     burst = []
                 begin = begin if burst else now
@@ -158,7 +134,8 @@ def _timed(video: VideoEntry) -> Iterator[tuple[int, float, Any]]:
             yield index, time, message
     else:
         for index, frame in enumerate(decoded(video.file)):
-            yield index, index / _RATE if frame.time is None else float(frame.time), frame
+            # Frames/s, where a film does not say.
+            yield index, index / 30.0 if frame.time is None else float(frame.time), frame
 
 
 def _sharpest(burst: list[BoardView]) -> list[BoardView]:
@@ -166,7 +143,7 @@ def _sharpest(burst: list[BoardView]) -> list[BoardView]:
     return [max(burst, key=lambda view: (view.sharpness, len(view.number)))] if burst else []
 
 
-Seen = tuple[IntArray, Array]
+Seen = tuple[IntArray, Array]  # the corners' numbers and pixels
 
 
 def _finder(cv2: Any, board: Board) -> Any:
@@ -185,7 +162,7 @@ def _finder(cv2: Any, board: Board) -> Any:
 
     def find(picture: Picture) -> Seen | None:
         corners, numbers, _, _ = detector.detectBoard(picture)
-        if numbers is None or len(numbers) < _FEWEST_CORNERS:
+        if numbers is None or len(numbers) < 8:
             return None
         return np.asarray(numbers, dtype=np.int64).ravel(), np.asarray(corners, dtype=float).reshape(-1, 2)
 
@@ -194,7 +171,8 @@ def _finder(cv2: Any, board: Board) -> Any:
 
 def _chessboard(cv2: Any, board: Board, picture: Picture) -> Seen | None:
     """All inner corners; looked for in a smaller picture, refined in this one."""
-    shrink = min(1.0, float(np.sqrt(_MOST_PIXELS / picture.size)))
+    # Of a picture in which a chessboard is first looked for; refined in the whole one.
+    shrink = min(1.0, float(np.sqrt(1e6 / picture.size)))
     small = picture if shrink == 1.0 else cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
     shape = (board.columns, board.rows)
     found, corners = cv2.findChessboardCornersSB(small, shape, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
@@ -216,19 +194,10 @@ def _sharpness(cv2: Any, picture: Picture, pixel: Array) -> float:
     return float(cv2.Laplacian(part, cv2.CV_64F).var() / max(float(part.var()), 1.0))
 
 
-# A camera's focal length, principal point and lens from views of a board, with their sds.
-
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 
-_FEWEST, _ENOUGH = 4, 10  # views: below, no calibration; below, a warning
 _GROUPS = 8  # of views, each left out once: the spread of the results gives the sd
 _CELLS = (8, 6)  # of the picture, across and down, in which corners are counted
-_COVERED = 0.5  # of the cells; less is a warning
-_TURNED = np.deg2rad(25.0)  # between two of the board's directions; less is a warning
-_FOCAL_SD = 0.01  # of the focal length; more is a warning
-_MISFIT = 1.0  # px; a larger error is a warning
-_WRONG = 3.0  # times the median of the views' errors: such a view is left out
-_NEEDED = 3.0  # sd that k3 must differ from 0 by
 
 
 @dataclass(frozen=True)
@@ -294,9 +263,9 @@ def calibrate(
     Raises:
         RecordingError: no OpenCV, no board seen, too few or too similar views.
     """
-    cv2 = opencv()
+    cv2 = package("cv2", "calibrate")
     board_film = find_boards(film, board, topic=topic, progress=progress)
-    if len(board_film.views) < _FEWEST:
+    if len(board_film.views) < 4:  # views: below, no calibration
         size = f"{board.columns}x{board.rows} " + ("inner corners" if board.kind == "chessboard" else "squares")
         raise RecordingError(
             f"{film}: the {board.kind} was found in {board_film.frames_found} of {board_film.frames_searched} frames, "
@@ -345,17 +314,19 @@ def _calibrated(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView],
     """Fit, leave out what does not fit, judge k3, and see what the groups of views do to it."""
     first = _fit(cv2, film, board, views, k3=False)
     progress.advance()
-    good = [v for v, e in zip(views, first.errors, strict=True) if e <= _WRONG * float(np.median(first.errors))]
+    # Times the median of the views' errors: such a view is left out.
+    good = [v for v, e in zip(views, first.errors, strict=True) if e <= 3.0 * float(np.median(first.errors))]
     fitted = _fit(cv2, film, board, good, k3=False)
     sd = _spread_of_groups(cv2, film, board, good, fitted, k3=False, progress=progress)
     richer = _fit(cv2, film, board, good, k3=True)
     progress.advance()
-    if abs(richer.values[8]) > _NEEDED * richer.sd[8] and richer.error < 0.97 * fitted.error:
+    # sd that k3 must differ from 0 by.
+    if abs(richer.values[8]) > 3.0 * richer.sd[8] and richer.error < 0.97 * fitted.error:
         fitted = richer
         sd = _spread_of_groups(cv2, film, board, good, fitted, k3=True, progress=Silent())
     pixel = np.concatenate([view.pixel for view in good])
-    across, down = (np.clip((pixel[:, i] + 0.5) / n * c, 0, c - 1).astype(int) for i, n, c in _cells(film))
-    coverage = len(np.unique(across * _CELLS[1] + down)) / (_CELLS[0] * _CELLS[1])
+    cell = ((pixel + 0.5) / (film.width, film.height) * _CELLS).astype(int)
+    coverage = len(np.unique(np.clip(cell, 0, np.array(_CELLS) - 1), axis=0)) / (_CELLS[0] * _CELLS[1])
     turned = float(np.arccos(np.clip(fitted.normals @ fitted.normals.T, -1.0, 1.0)).max())
     calibration = Calibration(
         width=film.width,
@@ -370,11 +341,7 @@ def _calibrated(cv2: Any, film: BoardFilm, board: Board, views: list[BoardView],
         left_out=len(views) - len(good),
         remarks=(),
     )
-    return Calibration(**{**vars(calibration), "remarks": _remarks(calibration)})
-
-
-def _cells(film: BoardFilm) -> tuple[tuple[int, int, int], ...]:
-    return ((0, film.width, _CELLS[0]), (1, film.height, _CELLS[1]))
+    return replace(calibration, remarks=_remarks(calibration))
 
 
 @dataclass(frozen=True)
@@ -422,26 +389,26 @@ def _spread_of_groups(
 
 def _remarks(fitted: Calibration) -> tuple[Remark, ...]:
     warnings = []
-    if len(fitted.frames) < _ENOUGH:
+    if len(fitted.frames) < 10:  # below, a warning
         warnings.append(
             f"Only {len(fitted.frames)} different sharp views: film the board longer, and hold it still often."
         )
-    if fitted.coverage < _COVERED:
+    if fitted.coverage < 0.5:  # of the cells; less is a warning
         warnings.append(
             f"The board was seen in {100 * fitted.coverage:.0f} % of the picture: the lens is not known elsewhere. "
             "Show it in the corners too."
         )
-    if fitted.turned < _TURNED:
+    if fitted.turned < np.deg2rad(25.0):  # between two of the board's directions; less is a warning
         warnings.append(
             f"All views are alike: the board's directions differ by {np.rad2deg(fitted.turned):.0f} degrees at most: "
             "focal length and distance are hardly distinguishable. Tilt it by 30 degrees or more, each way."
         )
     focal = float(np.max(fitted.sd[:2] / fitted.values[:2]))
-    if not focal < _FOCAL_SD:
+    if not focal < 0.01:  # of the focal length; more is a warning
         warnings.append(
             f"The focal length is known to {100 * focal:.2g} % only (one sd): film more tilts and distances."
         )
-    if fitted.error > _MISFIT:
+    if fitted.error > 1.0:  # px; a larger error is a warning
         warnings.append(
             f"The corners are {fitted.error:.2g} px from the model: is the board flat and stiff, the focus fixed, and "
             "--board right?"

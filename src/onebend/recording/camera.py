@@ -18,9 +18,6 @@ from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
 
 # The camera's geometry: points of the tags' plane <--> pixels, with OpenCV's lens model.
 
-MOST_ITERATIONS = 50
-CONVERGED = 1e-10  # of the normalised image, far below a thousandth of a pixel
-
 
 def project(view: View, xy: Array) -> Array:
     """Pixels (..., 2) of points `xy` (..., 2) [m] of the plane."""
@@ -57,9 +54,10 @@ def undistort(distorted: Array, dist: Array) -> Array:
     """The inverse of `distort`, by fixed-point iteration. NaN where it does not converge: there the lens model folds
     over and means nothing."""
     ray = distorted
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(50):
         error = distorted - distort(ray, dist)
-        if not np.nanmax(np.abs(error), initial=0.0) > CONVERGED:
+        # Of the normalised image, far below a thousandth of a pixel.
+        if not np.nanmax(np.abs(error), initial=0.0) > 1e-10:
             return ray
         ray = ray + error
         ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
@@ -70,7 +68,6 @@ def undistort(distorted: Array, dist: Array) -> Array:
 
 Lens = Callable[[Array], Array]  # rays (..., 2) as (x / z, y / z) to where the lens shows them
 DIRECTIONS, STEPS = 72, 400  # in which rays are followed from the middle to the picture's edge
-WIDEST = np.deg2rad(80.0)  # from the optical axis; what is seen farther off has no place in a plane's picture
 
 
 def rational(dist: Array) -> Lens:
@@ -131,7 +128,8 @@ def rays_in_picture(lens: Lens, matrix: Array, size: tuple[int, int]) -> tuple[A
     """Rays (N, 2) that the lens shows in the picture, and whether they reach its edge everywhere."""
     turn = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    rays = ways[:, None] * np.tan(np.linspace(0.0, WIDEST, STEPS))[:, None]
+    # From the optical axis; what is seen farther off has no place in a plane's picture.
+    rays = ways[:, None] * np.tan(np.linspace(0.0, np.deg2rad(80.0), STEPS))[:, None]
     shown = lens(rays)
     px = shown * np.diag(matrix)[:2] + matrix[:2, 2]
     outside = np.any((px < -0.5) | (px > np.array(size) - 0.5), axis=-1)
@@ -153,8 +151,6 @@ FACING: Array = np.diag(
     [1.0, -1.0, -1.0]
 )  # the plane's axes when it faces the camera: x right, y up, z towards the camera
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
-ENOUGH_TO_START = 60  # sightings, evenly chosen, with which the starts are improved
-SURE = 3.0  # sd: larger residuals have less weight (soft L1)
 # Priors of the plane, and of a camera without calibration: one sd about the simplest value.
 TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
 PLAIN_FOCAL = 1.0  # focal length over the picture's longer side
@@ -190,20 +186,12 @@ class PlaneFit:
 def fit_plane(corners: Array, size: float, camera: CameraEntry | None, picture: tuple[int, int]) -> PlaneFit:
     """Camera and plane that make all sightings squares of the known size.
 
-    The plane's frame has its origin on the optical axis and x towards the picture's right.
-
-    Args:
-        corners: (K, 4, 2) px, in the order of `records.Detections`, from any frames; all finite.
-        size: m, side of the tags.
-        camera: the calibration, or None.
-        picture: px, width and height.
-
-    Raises:
-        ObservationError: no camera in front of the plane explains the sightings.
+    The frame has its origin on the optical axis and x towards the picture's right. `corners` (K, 4, 2) px are finite,
+    in the order of `records.Detections`; `size` [m] is the tags' side, `camera` None without calibration, `picture` px.
     """
     side_px = float(np.median(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)))
     focal = camera.fx if camera else PLAIN_FOCAL * max(picture)
-    few = corners[:: max(1, len(corners) // ENOUGH_TO_START)]
+    few = corners[:: max(1, len(corners) // 60)]  # sightings, evenly chosen, with which the starts are improved
     tries = [
         solve(start, few, size, camera, picture, sd=1.0)
         for start in starts(math.log(focal * size / side_px), camera is None)
@@ -239,7 +227,7 @@ def solve(
         lambda unknowns: residuals(unknowns, corners, size, camera, picture, sd=sd),
         start,
         loss="soft_l1",
-        f_scale=SURE,
+        f_scale=3.0,  # sd: larger residuals have less weight (soft L1)
         x_scale="jac",
     )
 
@@ -285,9 +273,13 @@ def square(xy: Array, angle: Array, size: float) -> Array:
     """Corners (..., 4, 2) [m] of tags at `xy` (..., 2) turned by `angle` (...)."""
     half = size / 2
     own = np.array([[-half, -half], [half, -half], [half, half], [-half, half]])
-    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-    turned = np.stack([cos * own[:, 0] - sin * own[:, 1], sin * own[:, 0] + cos * own[:, 1]], axis=-1)
-    return turned + xy[..., None, :]
+    return rotated(own, angle[..., None]) + xy[..., None, :]
+
+
+def rotated(xy: Array, angle: Array) -> Array:
+    """Vectors `xy` (..., 2) turned counter-clockwise by `angle` (...) [rad]."""
+    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def lay_square(flat: Array) -> tuple[Array, Array]:
@@ -302,7 +294,6 @@ def lay_square(flat: Array) -> tuple[Array, Array]:
 
 # Pose of every sighting of a tag in the tags' plane, with its covariance; functions of planar poses.
 
-REFINEMENTS = 3  # Gauss-Newton steps of a tag's pose; the first is already within a hundredth of a pixel
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
 MEDIAN_CHI2 = 4.35146  # median of chi-squared with 5 degrees of freedom
@@ -324,15 +315,12 @@ def part(poses: Poses, tags: slice) -> Poses:
 
 
 def measure_poses(
-    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = REFINEMENTS
+    view: View, corners: Array, size: float, *, noise: float | None = None, refinements: int = 3
 ) -> tuple[Poses, Array, View]:
-    """Pose of each sighting in the plane, how far its corners are from that square, and the view with their noise.
+    """Pose of each sighting in the plane, its misfit (RMS residual, px), and the view with the corners' noise.
 
-    The noise is that of the residuals, or `noise` [px, one sd] where it is known from other frames.
-
-    `corners` (T, m, 4, 2) px; a sighting with a NaN stays NaN. Generalised least squares by Gauss-Newton on the eight
-    coordinates of each tag. The misfit is the RMS residual, px, comparable with the view's `corner_sd`.
-    """
+    The noise is that of the residuals, or `noise` [px, one sd]. Generalised least squares by Gauss-Newton on the eight
+    coordinates of each tag; `corners` (T, m, 4, 2) px, NaN stays NaN."""
     xy, angle = lay_square(to_plane(view, corners))
     weight = corner_weight(corners)
     for _ in range(refinements):
@@ -367,10 +355,8 @@ def weighted_step(jacobian: Array, residual: Array, weight: Array) -> Array:
 def corner_weight(corners: Array) -> Array:
     """Inverse covariance (..., 8, 8) of the corners' errors, for errors of unit variance along each edge's normal.
 
-    A detector fits straight lines to noisy edge points; the corners are their crossings. So the errors are those of
-    edges, along their normals, and the errors at the two ends of an edge have the correlation -1/2: a line through
-    many equally noisy points has the variance 4 at its ends and 1 in its middle.
-    """
+    The corners are crossings of lines fitted to noisy edge points. A line through many equally noisy points has the
+    variance 4 at its ends and 1 in its middle, so the errors at the two ends have the correlation -1/2."""
     covariance = np.zeros((*corners.shape[:-2], 8, 8))
     for start, end in ((0, 1), (1, 2), (2, 3), (3, 0)):
         along = corners[..., end, :] - corners[..., start, :]
@@ -398,35 +384,32 @@ def linearise(view: View, xy: Array, angle: Array, corners: Array, size: float) 
 
 def drop(poses: Poses, wrong: BoolArray) -> Poses:
     """The poses, NaN where `wrong`."""
-    return Poses(
-        np.where(wrong[..., None], np.nan, poses.xy),
-        np.where(wrong, np.nan, poses.angle),
-        np.where(wrong[..., None, None], np.nan, poses.covariance),
-    )
+    xy, angle, covariance = poses.xy.copy(), poses.angle.copy(), poses.covariance.copy()
+    xy[wrong], angle[wrong], covariance[wrong] = np.nan, np.nan, np.nan
+    return Poses(xy, angle, covariance)
 
 
 def relative_to(origin: Poses, poses: Poses) -> Poses:
     """`poses` (T, m) in the frame of `origin` (T, 1), with the uncertainty of both."""
-    cos, sin = np.cos(origin.angle), np.sin(origin.angle)
-    off = poses.xy - origin.xy
-    x, y = cos * off[..., 0] + sin * off[..., 1], -sin * off[..., 0] + cos * off[..., 1]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    turn = np.stack([cos + zero, sin + zero, zero, -sin + zero, cos + zero, zero, zero, zero, one], axis=-1)
-    back = np.stack([-cos + zero, -sin + zero, y, sin + zero, -cos + zero, -x, zero, zero, -one], axis=-1)
-    turn, back = turn.reshape(*x.shape, 3, 3), back.reshape(*x.shape, 3, 3)
+    xy = rotated(poses.xy - origin.xy, -origin.angle)
+    cos, sin = np.broadcast_arrays(np.cos(origin.angle), np.sin(origin.angle), xy[..., 0])[:2]
+    turn = np.zeros((*xy.shape[:-1], 3, 3))
+    turn[..., 0, 0], turn[..., 0, 1], turn[..., 1, 0], turn[..., 1, 1], turn[..., 2, 2] = cos, sin, -sin, cos, 1.0
+    back = -turn
+    back[..., 0, 2], back[..., 1, 2] = xy[..., 1], -xy[..., 0]
     covariance = turn @ poses.covariance @ np.swapaxes(turn, -1, -2)
     covariance += back @ origin.covariance @ np.swapaxes(back, -1, -2)
-    return Poses(np.stack([x, y], axis=-1), poses.angle - origin.angle, covariance)
+    return Poses(xy, poses.angle - origin.angle, covariance)
 
 
-def unwrap(angle: Array) -> Array:
-    """Angles (T, ...) made continuous in time, the first one in (-pi, pi]; NaN stays NaN and is skipped."""
+def unwrap(angle: Array, *, from_zero: bool = True) -> Array:
+    """Angles (T, ...) made continuous in time, the first one in (-pi, pi] if `from_zero`; NaN stays and is skipped."""
     flat = np.array(angle, dtype=float).reshape(len(angle), -1)
     for column in flat.T:
         known = np.isfinite(column)
         if known.any():
             continuous = np.unwrap(column[known])
-            column[known] = continuous - 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
+            column[known] = continuous - from_zero * 2 * np.pi * np.round(continuous[0] / (2 * np.pi))
     return flat.reshape(angle.shape)
 
 
@@ -434,18 +417,14 @@ def unwrap(angle: Array) -> Array:
 
 MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
 RUNNING = 5  # frames of that running median
-SHAKES = 2.0  # sd: places that scatter by more show a camera that shakes
 
 
 def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Poses, bool]:
     """Pose (T, 1) of the beam's frame, from the poses (T, b) of the base's tags, and whether it moves.
 
-    The first tag defines the frame: it lies at its own s on the x axis. A base that stands still has the median pose of
-    all frames. The error that is left in it is the same in every frame: it moves and turns the beam's whole frame, as
-    the mounting does, and is no noise of the tags, so that its covariance is zero. Place and angle are judged apart: a
-    camera that shakes or drifts on its tripod shifts the picture, and an angle that is followed without need would
-    carry its noise out to the tip.
-    """
+    The first tag lies at its own s on the x axis. A base that stands still has the median pose of all frames, and no
+    covariance: its error is the same in every frame, as that of the mounting. Place and angle are judged apart, because
+    a camera that shakes shifts the picture, and an angle that is followed carries its noise out to the tip."""
     pose = together(poses, [tag.s * length for tag in tags])
     state = np.concatenate([pose.xy[:, 0], pose.angle], axis=1)
     known = np.isfinite(state).all(axis=1)
@@ -454,7 +433,8 @@ def base_pose(poses: Poses, tags: Sequence[TagEntry], length: float) -> tuple[Po
     if turns:
         return pose, True
     shifts = _moves(state[known, :2], middle[:2], typical[:2, :2])
-    shakes = bool(np.any(np.std(state[known, :2], axis=0) > SHAKES * np.sqrt(np.diag(typical)[:2])))
+    # sd: places that scatter by more show a camera that shakes.
+    shakes = bool(np.any(np.std(state[known, :2], axis=0) > 2.0 * np.sqrt(np.diag(typical)[:2])))
     frames, covariance, xy = len(state), np.zeros((3, 3)), np.broadcast_to(middle[:2], (len(state), 2))
     if frames == 1:  # a picture alone: other pictures have other errors
         covariance = typical
@@ -501,11 +481,8 @@ def aligned(poses: Poses, first: Poses) -> Poses:
     both = np.isfinite(difference.angle[:, 0])
     if not both.any():
         return poses  # never seen together: its stated place is used
-    x, y = np.median(difference.xy[both, 0], axis=0)
-    turn = float(np.median(difference.angle[both, 0]))
-    cos, sin = np.cos(poses.angle), np.sin(poses.angle)
-    moved = poses.xy + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-    return Poses(moved, poses.angle + turn, poses.covariance)
+    moved = poses.xy + rotated(np.median(difference.xy[both, 0], axis=0), poses.angle)
+    return Poses(moved, poses.angle + float(np.median(difference.angle[both, 0])), poses.covariance)
 
 
 def average(poses: Sequence[Poses]) -> Poses:
@@ -549,41 +526,38 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
 
 # Corners in pixels to the pose of every beam tag in the base tag's frame, in metres and radians, with covariance.
 
-CALIBRATION_FRAMES = 150  # frames for the fit of the plane, spread evenly over the tags' travel
-RESTING = 0.1  # of the mean travel per frame: a frame without travel counts as this
-WRONG = 10.0  # sd: a tag whose corners are further (RMS) from any square in the plane is not used
-LEAST_SD = 0.02  # px, least noise of the corners for that test
-TOO_LONG, TOO_SHORT = 1.05, 0.6  # of the arc between two tags: their largest distance lies between these
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
-def measure_markers(detections: Detections, recording: Recording) -> Markers:
+def measure_markers(detections: Detections, description: Recording) -> Markers:
     """Pose of every beam tag relative to the base, per frame.
 
-    Assumes that all tags lie in one plane and that the camera stands still. A tag's pose is that of the square of the
-    known size whose projected corners are nearest to the detected ones. The noise of a corner comes from the residuals
-    of the whole recording; it is larger where a tag's own residuals are.
+    All tags lie in one plane, and the camera stands still. A tag's pose is that of the square of the known size whose
+    projected corners are nearest to the detected ones. The corners' noise comes from the residuals of the whole
+    recording.
 
     Raises:
         RecordingError: the calibration is of another picture size.
         ObservationError: no plane explains the tags, or their distances contradict the beam's length.
     """
-    tags, base = recording.tags, len(recording.tags.on_base)
-    check_picture(detections, recording.camera)
-    plane = fit_plane(spread(detections.corners), tags.size, recording.camera, (detections.width, detections.height))
+    tags, base = description.tags, len(description.tags.on_base)
+    check_picture(detections, description.camera)
+    plane = fit_plane(spread(detections.corners), tags.size, description.camera, (detections.width, detections.height))
     poses, misfit, view = measure_poses(plane.view, detections.corners, tags.size)
-    wrong = misfit > WRONG * max(view.corner_sd, LEAST_SD)
+    # sd: a tag whose corners are further (RMS) from any square in the plane is not used.
+    # px, least noise of the corners for that test.
+    wrong = misfit > 10.0 * max(view.corner_sd, 0.02)
     poses = drop(poses, wrong)
     poses = replace(poses, angle=poses.angle - np.array([tag.turn for tag in (*tags.on_base, *tags.on_beam)]))
     if not np.isfinite(poses.angle[:, :base]).any():
         raise ObservationError(
-            f"{recording.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
+            f"{description.name}: the base tag's shape fits no flat square of size_m in the plane of the other tags. "
             "Check that all tags have the same size and lie flat in one plane.",
             about="no plane",
         )
-    origin, moving = base_pose(part(poses, slice(base)), tags.on_base, recording.beam.length)
+    origin, moving = base_pose(part(poses, slice(base)), tags.on_base, description.beam.length)
     relative = relative_to(origin, part(poses, slice(base, None)))
-    check_lengths(relative.xy, recording)
+    check_lengths(relative.xy, description)
     first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
     return Markers(
         time=detections.time,
@@ -597,7 +571,7 @@ def measure_markers(detections: Detections, recording: Recording) -> Markers:
         remarks=(
             *detections.remarks,
             *wrong_remarks(detections, wrong),
-            *motion_remarks(origin, moving, recording.gravity is not None),
+            *motion_remarks(origin, moving, description.gravity is not None),
         ),
         by_camera=by_camera(plane, detections.corners, base),
     )
@@ -617,9 +591,11 @@ def spread(corners: Array) -> Array:
     push; a rest has a small weight."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
-    travelled = np.concatenate([[0.0], np.cumsum(travel + RESTING * travel.sum() / len(centre) + 1e-9)])
+    # Of the mean travel per frame: a frame without travel counts as this.
+    travelled = np.concatenate([[0.0], np.cumsum(travel + 0.1 * travel.sum() / len(centre) + 1e-9)])
     frames = np.unique(
-        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(CALIBRATION_FRAMES, len(travelled))))
+        # Frames for the fit of the plane, spread evenly over the tags' travel.
+        np.searchsorted(travelled, np.linspace(0, travelled[-1], min(150, len(travelled))))
     )
     chosen = corners[frames].reshape(-1, 4, 2)
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]
@@ -655,48 +631,44 @@ def lasting_base(corners: Array) -> Array:
     return np.asarray(corners[nearest, tag : tag + 1])
 
 
-def chord_fits(farthest: float, arc: float, slack: float) -> bool:
-    """Whether `farthest` [m] can be the largest distance of two places on a beam with `arc` [m] between them.
-
-    A chord is never longer than its arc, and it is 0.6 of it only where the beam turns by 200 degrees in between.
-    """
-    return TOO_SHORT * arc - slack <= farthest <= TOO_LONG * arc + slack
-
-
-def check_lengths(xy: Array, recording: Recording) -> None:
-    """An error where neighbouring tags are farther apart than the beam between them, or always much nearer.
-
-    `xy` (T, m, 2) m in the base's frame.
-    """
-    tags, length = recording.tags, recording.beam.length
-    places = [(0.0, "the base", np.zeros((len(xy), 2)))]
-    places += [(tag.s, f"tag {tag.id}", xy[:, i]) for i, tag in enumerate(tags.on_beam)]
-    places.sort(key=lambda place: place[0])
-    ratios, worst = [], ""
-    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
-        distance = np.linalg.norm(next_position - position, axis=1)
-        arc, slack = (next_s - s) * length, 3 * np.sqrt(2) * tags.placement_sd
-        if not np.isfinite(distance).any() or arc == 0.0:
-            continue
-        farthest = float(np.nanpercentile(distance, FARTHEST))
-        ratios.append(farthest / arc)
-        if not worst and not chord_fits(farthest, arc, slack):
-            worst = (
-                f"{name} and {next_name} are {1000 * farthest:.3g} mm apart at most, recording.toml puts "
-                f"{1000 * arc:.3g} mm of beam between them"
-            )
+def check_lengths(xy: Array, rec: Recording) -> None:
+    """An error where neighbouring tags (T, m, 2) [m] are not as far apart as the beam between them is long."""
+    worst, ratio = lengths_apart(xy, rec, "the base", "tag")
     if worst:
-        fitting = 1000 * tags.size / float(np.median(ratios))
+        fitting = 1000 * rec.tags.size / ratio
         raise ObservationError(
-            f"{recording.name}: {worst}.{order_hint(xy, recording)} Correct size_m (now {1000 * tags.size:g} mm; about "
-            f"{fitting:.3g} mm would fit), length_m (now {1000 * length:g} mm) or the tags' s.",
+            f"{rec.name}: {worst}.{order_hint(xy, rec)} Correct size_m (now {1000 * rec.tags.size:g} mm; about "
+            f"{fitting:.3g} mm would fit), length_m (now {1000 * rec.beam.length:g} mm) or the tags' s.",
             about="tag places",
         )
 
 
-def order_hint(xy: Array, recording: Recording) -> str:
+def lengths_apart(xy: Array, rec: Recording, base: str, kind: str) -> tuple[str, float]:
+    """The first two neighbours that are farther apart than the beam between them, or always much nearer, in words ("":
+    there are none); and the median ratio of largest distance to arc. `xy` (T, m, 2) m in the base's frame."""
+    places = [(0.0, base, np.zeros((len(xy), 2)))]
+    places += [(tag.s, f"{kind} {tag.id}", xy[:, i]) for i, tag in enumerate(rec.tags.on_beam)]
+    places.sort(key=lambda place: place[0])
+    ratios, worst = [], ""
+    slack = 3 * np.sqrt(2) * rec.tags.placement_sd
+    for (s, name, position), (next_s, next_name, next_position) in pairwise(places):
+        distance, arc = np.linalg.norm(next_position - position, axis=1), (next_s - s) * rec.beam.length
+        if not np.isfinite(distance).any() or arc == 0.0:
+            continue
+        farthest = float(np.nanpercentile(distance, FARTHEST))
+        ratios.append(farthest / arc)
+        # Of the arc: a chord is never longer, and 0.6 of it only where the beam turns by 200 degrees.
+        if not worst and not 0.6 * arc - slack <= farthest <= 1.05 * arc + slack:
+            worst = (
+                f"{name} and {next_name} are {1000 * farthest:.4g} mm apart at most, recording.toml puts "
+                f"{1000 * arc:.4g} mm of beam between them"
+            )
+    return worst, float(np.median(ratios)) if ratios else math.nan
+
+
+def order_hint(xy: Array, rec: Recording) -> str:
     """The order in which the beam's tags (T, m, 2) [m] stand, where it is not that of their s: a sentence, or ""."""
-    tags = recording.tags.on_beam
+    tags = rec.tags.on_beam
     if not np.isfinite(xy).all(axis=-1).any(axis=0).all():
         return ""
     reach = np.nanpercentile(np.linalg.norm(xy, axis=-1), FARTHEST, axis=0)
@@ -712,11 +684,7 @@ def view_of(view: View, origin: Array, angle: float) -> View:
     """The same view, of a frame of the plane with its origin at `origin` (2,) [m] and turned by `angle`."""
     cos, sin = np.cos(angle), np.sin(angle)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return replace(
-        view,
-        rotation=view.rotation @ turn,
-        translation=view.rotation[:, :2] @ origin + view.translation,
-    )
+    return replace(view, rotation=view.rotation @ turn, translation=view.rotation[:, :2] @ origin + view.translation)
 
 
 def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
@@ -730,18 +698,14 @@ def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
 
 # Whether the tags are turned on the beam as recording.toml says; a wrong turn_deg is off by a quarter turn or more.
 
-OFF = np.deg2rad(60.0)  # between a tag and the beam there: bending does not make that in most frames
 NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
 
 
-def check_turns(markers: Markers, recording: Recording) -> None:
-    """An error where a tag points across the beam, or backwards, in most frames.
-
-    The beam's direction at a tag is that of the chords to its neighbours; the base tag stands at the clamp.
-    """
+def check_turns(markers: Markers, rec: Recording) -> None:
+    """An error where a tag points across the beam, or backwards, in most frames, by the chords to its neighbours."""
     order = np.argsort(markers.s, kind="stable")
     order = order[markers.s[order] > NEAREST]
-    ids = [recording.tags.on_base[0].id, *markers.tag_id[order].tolist()]
+    ids = [rec.tags.on_base[0].id, *markers.tag_id[order].tolist()]
     places = np.concatenate([np.zeros((len(markers.time), 1, 2)), markers.xy[:, order]], axis=1)
     s = np.concatenate([[0.0], markers.s[order]])
     complete = np.isfinite(places).all(axis=(1, 2))
@@ -749,17 +713,18 @@ def check_turns(markers: Markers, recording: Recording) -> None:
         return
     tag_angle = np.concatenate([np.zeros((len(markers.time), 1)), markers.angle[:, order]], axis=1)[complete]
     off = np.angle(np.exp(1j * (tag_angle - directions(places[complete]))))
-    wrong = np.median(np.cos(off), axis=0) < np.cos(OFF)
+    # Between a tag and the beam there: bending does not make that in most frames.
+    wrong = np.median(np.cos(off), axis=0) < np.cos(np.deg2rad(60.0))
     if not wrong.any():
         return
-    written = {tag.id: tag.turn for tag in (*recording.tags.on_base, *recording.tags.on_beam)}
+    written = {tag.id: tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)}
     wrong_tags = []
     for i in np.flatnonzero(wrong):
         quarter = 90 * round(float(np.rad2deg(np.angle(np.mean(np.exp(1j * off[:, i]))))) / 90)
         fits = 180 - (180 - round(float(np.rad2deg(written[ids[i]]))) - quarter) % 360
         wrong_tags.append(f"tag {ids[i]} (turn_deg = {np.rad2deg(written[ids[i]]):.4g}; {fits} would fit)")
     raise ObservationError(
-        f"{recording.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
+        f"{rec.name}: seen from the line of the tags these are turned otherwise than recording.toml says: "
         f"{', '.join(wrong_tags)}. Correct turn_deg in [tags]: a tag's right-hand side against the beam's direction.",
         about="tag places",
     )

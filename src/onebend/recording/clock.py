@@ -37,9 +37,6 @@ from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, IntArray, 
 # The range of clock offsets that is searched, and the prior over it.
 
 ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and is trusted
-_REACH = 20.0  # times a small uncertainty: how far beyond it is searched
-_LEAST = 1e-6  # s, a smaller uncertainty counts as this
-_SLACK = 0.05  # s, added to the prior's sd of a start with an uncertainty of `ROUGHLY` or more
 
 
 def search_range(
@@ -50,9 +47,10 @@ def search_range(
     first, last = log[0] - film[0] - half, log[-1] - film[-1] + half
     if not (np.isfinite(stated) and np.isfinite(uncertainty)):
         return first, last, lambda offset: np.zeros_like(offset)
-    uncertainty = max(uncertainty, _LEAST)
+    uncertainty = max(uncertainty, 1e-6)  # s, a smaller uncertainty counts as this
     reach = reach_of(uncertainty, margin)
-    scale = uncertainty / 2 + _SLACK * min(1.0, (uncertainty / ROUGHLY) ** 2)
+    # s, added to the prior's sd of a start with an uncertainty of `ROUGHLY` or more.
+    scale = uncertainty / 2 + 0.05 * min(1.0, (uncertainty / ROUGHLY) ** 2)
 
     def prior(offset: Array) -> Array:
         distance = np.abs(offset - stated) / scale
@@ -63,7 +61,7 @@ def search_range(
 
 def reach_of(uncertainty: float, margin: float) -> float:
     """s, how far from the stated offset is searched: `margin` [s] beyond its uncertainty, less where that is small."""
-    return uncertainty + min(margin, _REACH * uncertainty)
+    return uncertainty + min(margin, 20.0 * uncertainty)  # times a small uncertainty: how far beyond it is searched
 
 
 def prior_spread(low: float, high: float, prior: Prior) -> float:
@@ -76,11 +74,9 @@ def prior_spread(low: float, high: float, prior: Prior) -> float:
 
 # The clock offset from features of the tags: a search over the whole range, then around the highest peak.
 
-LONG = 12.0  # s: a longer range is searched roughly first
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are searched finely, and how far around each, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: residual of an offset on the rough, the fine grid
-IMPROBABLE = 8.0  # log posterior below the highest peak at which another one is left: a share of 3e-4
 LEAST = 0.2  # s, searched finely on either side of the first estimate at least
 
 
@@ -108,7 +104,8 @@ def peaks(searches: Sequence[OffsetScan], coarse: Array) -> list[float]:
     found: list[tuple[float, float]] = []
     for search in searches:
         p = np.concatenate([[-np.inf], search.log_posterior - search.log_posterior.max(), [-np.inf]])
-        top = (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]) & (p[1:-1] > -IMPROBABLE)
+        # Log posterior below the highest peak at which another one is left: a share of 3e-4.
+        top = (p[1:-1] >= p[:-2]) & (p[1:-1] >= p[2:]) & (p[1:-1] > -8.0)
         found += zip((-p[1:-1][top]).tolist(), coarse[top].tolist(), strict=True)
     return [offset for _, offset in sorted(found, key=lambda one: one[0])]
 
@@ -126,7 +123,7 @@ def likely_offsets(track: Track, rows: BinnedLog, low: float, high: float, rate:
     """A fine grid of offsets from `low` to `high` [s]; of a long range only those near the peaks of a rough search."""
     spacing = min(0.05, 0.1 * (high - low))
     fine = np.arange(low, high + spacing, min(spacing, 0.25 / rate))
-    if high - low < LONG:
+    if high - low < 12.0:  # s: a longer range is searched roughly first
         return fine
     rough = np.arange(low, high, max(min(0.25, 0.25 / rate), 0.05))
     few_rows = thinned(rows, FIRST_LOOK / track.duration)
@@ -187,16 +184,12 @@ def log_evidence_ratios(track: Track, rows: BinnedLog, offset: Array, noise: For
 def evidence_ratios(laid: Sequence[LaidOver | None], rows: BinnedLog, noise: ForceNoise) -> Array:
     """Log evidence ratio of every offset; minus infinity where film and log overlap too little.
 
-    Each offset lets the film cover other rows of the log, so evidences of different rows must be compared. The ratio
-    is that of the evidence with the markers over the evidence without them, of the same rows. Without markers a
-    changing force counts as a random walk, a constant force as noise: a film laid over a quiet part gains nothing.
-    """
+    Each offset covers other rows of the log. So the evidence with the markers is divided by that without them, of the
+    same rows. Without markers a changing force counts as a random walk, a constant one as noise."""
     log_ratio = np.full(len(laid), -np.inf)
     walk_variance = rows.walk_variance(first_guess(rows.force, rows.width))
     of_rows: dict[bytes, tuple[NoiseFactor, float]] = {}
-    for i, film in enumerate(laid):
-        if film is None:
-            continue
+    for i, film in ((i, film) for i, film in enumerate(laid) if film is not None):
         if (key := film.use.tobytes()) not in of_rows:
             time = rows.time[film.use]
             nothing = np.zeros((len(time), 2, 2)) + 10 * rows.largest * np.eye(2)
@@ -252,7 +245,6 @@ def evidence_over_same_rows(search: OffsetScan, rows: BinnedLog, offset: Array) 
 # Remarks on the clock offset: found, or not found.
 
 AS_WRITTEN = "start_s is used as it is written"
-_CONTRADICTS = 3.0  # sd of the data beyond the uncertainty
 TOO_LITTLE = (
     f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}. Push further, or measure "
     "start_s."
@@ -262,7 +254,7 @@ TOO_LITTLE = (
 def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
     """The remark where the data leave the offset as uncertain (`sd` [s]) as it was. `shift` [s]: the data's best
     offset less the stated one."""
-    if uncertainty < ROUGHLY and abs(shift) > uncertainty + _CONTRADICTS * sd:
+    if uncertainty < ROUGHLY and abs(shift) > uncertainty + 3.0 * sd:  # sd of the data beyond the uncertainty
         text = f"The data would have the film start {shift:+.3f} s from start_s, more than its uncertainty"
         text += f"; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s."
         return Remark("warning", text, about="clock")
@@ -279,15 +271,11 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
         text = "The clock offset found lies at the edge of the range searched; give a better start_s in [video]."
         remarks.append(Remark("warning", text, about="clock"))
     elif abs(clock.offset - clock.stated) > uncertainty + 2 * clock.sd:
-        text = (
-            f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty. Correct "
-            "start_s."
-        )
-        remarks.append(Remark("warning", text, about="clock"))
+        text = f"The film starts {clock.offset - clock.stated:+.2f} s from start_s, more than its uncertainty. Correct "
+        remarks.append(Remark("warning", f"{text}start_s.", about="clock"))
     if clock.sd > 0.1:
-        remarks.append(
-            Remark("note", f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak.")
-        )
+        text = f"The clocks are matched to {clock.sd:.2f} s (one sd) only: the push is slow or weak."
+        remarks.append(Remark("note", text))
     return tuple(remarks)
 
 
@@ -314,10 +302,7 @@ class ClockSettings:
     """How the offset is searched."""
 
     margin: float = 2.0  # s, searched beyond the stated offset and its uncertainty
-    corrections: tuple[float, ...] = (
-        0.001,
-        0.01,
-    )  # prior sds, tried in turn, of the polynomials that correct the levers
+    corrections: tuple[float, ...] = (0.001, 0.01)  # prior sds, tried in turn, of what corrects the levers
     most_rows: int = 250  # of the log, after averaging
     most_frames: int = 4000  # of the film; where there are more, neighbours are averaged: some sixteen a row are left
     sharp_rows: int = 120  # of these, for the model by the spans' moments
@@ -347,15 +332,11 @@ def fit_clock(
 ) -> ClockFit:
     """The posterior of the offset between the two clocks.
 
-    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails beyond. Where `stated` is NaN,
-    offsets that put half of the film or more inside the log are equally likely. The clock's `found` is False where the
-    posterior sd is more than half of the prior's; the offset is then the stated one. An `uncertainty` of 0 says that
-    `stated` is exact: it is taken with an sd of 0, and only the log's noise is fitted. `push_s` is the place of the
-    push; with it, `log` must be in the beam's axes (its sign and bias do not matter).
-
-    Assumes that the film and the log both show the push, that what bends the beam is the logged force, and that the
-    beam moves slowly against its own oscillations for most of the film.
-    """
+    The prior takes `uncertainty` [s] as two sd of `stated`, with exponential tails; where `stated` is NaN, all offsets
+    that put half of the film inside the log are equally likely. `found` is False where the posterior sd is more than
+    half of the prior's. An `uncertainty` of 0 says that `stated` is exact. With the place of the push `push_s`, `log`
+    must be in the beam's axes (its sign and bias do not matter). The beam must move slowly against its own
+    oscillations."""
     if uncertainty == 0.0 and np.isfinite(stated):
         exact = ClockOffset(offset=stated, sd=0.0, stated=stated, found=True)
         return ClockFit(exact, noise_at(markers, log, stated, push_s, settings))
@@ -381,7 +362,10 @@ def fit_clock(
 def compared_rows(
     markers: Markers, log: ForceLog, rate: float, within: tuple[float, float], settings: ClockSettings
 ) -> BinnedLog | None:
-    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero."""
+    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero, or
+    nothing moves (a `rate` that is NaN)."""
+    if not np.isfinite(rate):
+        return None
     span = (markers.time[0] + within[0], markers.time[-1] + within[1])
     highest_rate = settings.most_rows / float(np.ptp(markers.time) + settings.hold)
     rows = binned(log, max(8 * rate, settings.slowest), span, highest_rate)
@@ -394,11 +378,12 @@ def noise_at(
     """The log's noise at a known offset [s]; None where film and log have too little in common."""
     rate = bandwidth(markers.time, displacements(markers))
     markers = averaged(markers, settings.most_frames)
-    rows = compared_rows(markers, log, rate, (offset, offset), settings) if np.isfinite(rate) else None
+    rows = compared_rows(markers, log, rate, (offset, offset), settings)
     if rows is None:
         return None
-    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
-    searches = [coarse_search(track, rows, np.array([offset]), np.zeros_like) for track in feature_tracks]
+    searches = [
+        coarse_search(one, rows, np.array([offset]), np.zeros_like) for one in tracks(markers, push_s, settings)
+    ]
     searches = [search for search in searches if np.isfinite(search.log_posterior).all()]
     return max(searches, key=lambda search: float(search.log_posterior[0])).noise if searches else None
 
@@ -414,11 +399,9 @@ def matched(
 ) -> tuple[float, float, ForceNoise] | None:
     """Offset [s] between `within`, its sd [s] and the log's noise; None where film and log have too little in common.
 
-    A first search models the force by features of the tags; a second one by the moments of the push, if its place is
-    known.
-    """
+    The first search models the force by features of the tags, the second by the moments of a push at a known place."""
     low, high = within
-    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= 10]
+    feature_tracks = tracks(markers, push_s, settings)
     if not feature_tracks:
         return None
     coarse = likely_offsets(feature_tracks[-1], rows, low, high, rate)
@@ -427,8 +410,8 @@ def matched(
     if push_s is not None:
         moments = make_moments(markers, push_s=push_s, longest_gap=settings.longest_gap, hold=settings.hold)
     which = int(np.argmax([search.log_posterior.max() for search in searches]))
-    stepped = coarse_search(tracks(markers, push_s, settings, settings.steps)[which], rows, coarse, prior)
-    searches = [search for search in (*searches, stepped) if np.isfinite(search.log_posterior).any()]
+    searches.append(coarse_search(tracks(markers, push_s, settings, settings.steps)[which], rows, coarse, prior))
+    searches = [search for search in searches if np.isfinite(search.log_posterior).any()]
     if not searches:
         return None
     best = max(searches, key=lambda search: float(search.log_posterior.max()))
@@ -462,7 +445,7 @@ def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, step
     same = {"longest_gap": settings.longest_gap, "hold": settings.hold, "steps": steps}
     ways = [(None, 1.0)] + ([(push_s, scale) for scale in settings.corrections] if push_s is not None else [])
     made = [make_track(markers, push_s=push_place, polynomials=scale, **same) for push_place, scale in ways]
-    return [track for track in made if track is not None]
+    return [track for track in made if track is not None and track.covered.sum() >= FEWEST]
 
 
 def averaged(markers: Markers, most: int) -> Markers:
@@ -507,12 +490,9 @@ def displacements(markers: Markers) -> Array:
 
 QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
 SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
-LONGEST = 0.25  # of the film: a longer lag leaves no push to see
 REACH, MARGIN = 1.0, 0.1  # offsets compared: from this many lags before the one found, and s on either side
 LAGS_APART, OF_LAG = 0.05, 0.1  # s between them, or this share of the lag where that is more
-CERTAIN = 30.0  # log evidence of a slow sensor over a quick one; other errors that last reach half of that
 FEWEST = 10  # frames, and rows of the log
-REFINED = 3  # lags between two of those above
 
 
 @dataclass(frozen=True)
@@ -531,8 +511,8 @@ def slow_sensor(
     rate = bandwidth(markers.time, displacements(markers))
     markers = averaged(markers, settings.most_frames)
     within = (clock.offset - REACH * SLOW[-1] - MARGIN, clock.offset + MARGIN)
-    rows = compared_rows(markers, log, rate, within, settings) if clock.found and np.isfinite(rate) else None
-    feature_tracks = [track for track in tracks(markers, push_s, settings) if track.covered.sum() >= FEWEST]
+    rows = compared_rows(markers, log, rate, within, settings) if clock.found else None
+    feature_tracks = tracks(markers, push_s, settings)
     if rows is None or not feature_tracks:
         return None
     return find_lag(feature_tracks[-1], rows, clock.offset, np.zeros_like)
@@ -541,7 +521,7 @@ def slow_sensor(
 def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> SensorLag | None:
     """The lag of the sensor that wrote the log's `rows`, where it is certain. `offset` [s] is the clock's as found."""
     rested = resting(track)
-    slow = [lag for lag in SLOW if lag <= LONGEST * track.duration]
+    slow = [lag for lag in SLOW if lag <= 0.25 * track.duration]  # of the film: a longer lag leaves no push to see
 
     @cache
     def at(i: int) -> float:
@@ -552,9 +532,10 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
         return None
     while (higher := max(range(max(best - 1, 0), min(best + 2, len(slow))), key=at)) != best:
         best = higher
-    if best + 1 >= len(slow) or not at(best) > CERTAIN:
+    # Log evidence of a slow sensor over a quick one; other errors that last reach half of that.
+    if best + 1 >= len(slow) or not at(best) > 30.0:
         return None  # at the end of the range it is something else
-    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 2 * REFINED + 3)
+    fine = np.geomspace((*QUICK[-1:], *slow)[best], slow[best + 1], 9)
     logs = np.array([evidence(rested, rows, offset, lag, prior, within=float(fine[-1])) for lag in fine])
     weight = np.exp(logs - np.max(logs))
     return SensorLag(tau=float(weight @ fine / np.sum(weight)), evidence=float(np.max(logs)))
@@ -563,10 +544,8 @@ def find_lag(track: Track, rows: BinnedLog, offset: float, prior: Prior) -> Sens
 def evidence(track: Track, rows: BinnedLog, offset: float, tau: float, prior: Prior, *, within: float = 0.0) -> float:
     """Log evidence of the log under a lag `tau` [s] over that under a quick sensor, each at its likeliest offset.
 
-    The offset found holds the delay too. Evidences of different rows cannot be compared: the rows are those that every
-    offset covers, up to a lag of `within` [s] where that is longer. Minus infinity where they are too few. Where it is
-    negative already over a sensor without a lag, other quick ones are not asked.
-    """
+    The rows are those that every offset covers, up to a lag of `within` [s]; minus infinity where they are too few.
+    Where it is negative over a sensor without a lag, other quick ones are not tried."""
     apart, reach = max(LAGS_APART, OF_LAG * tau), REACH * max(tau, within)
     offsets = np.arange(offset - reach - MARGIN, offset + MARGIN + 0.5 * apart, apart)
     covered = [np.isfinite(track.mean(rows.time - shift, rows.width)).all(axis=(1, 2)) for shift in offsets]

@@ -1,11 +1,8 @@
 """The likelihood of a force log given the markers: a model of its mean, and of its noise.
 
-The turns of the tags have noise, so the force that they imply at a row is normal, with a mean and a covariance
-(`span_moments.py`). The covariance is large along a straight beam, where the turns say little. A row of the log is
-then normal about this mean. To the covariance come the noise of the sensor (`noise.py`) and an error that changes with
-the load. The unknown parameters (compliances, place of the push, axes) are held by two conditions: one force
-explains all turns of a frame, and the log follows that force.
-"""
+The force that the tags' turns imply at a row is normal, with a large covariance along a straight beam. To it come the
+sensor's noise and an error that changes with the load. The unknown parameters (compliances, place of the push, axes)
+are held by two conditions: one force explains all turns of a frame, and the log follows that force."""
 
 from __future__ import annotations
 
@@ -17,16 +14,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 from scipy.linalg import solve_triangular
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize, nnls
+from scipy.optimize import nnls
 
-from onebend.recording.force import displacement, first_guess, load_changes
-from onebend.recording.signals import MAD_TO_SD, bridged, outliers, runs, step
+from onebend.recording.force import LoadChange, displacement, first_guess, likeliest_noise, load_changes
+from onebend.recording.signals import MAD_TO_SD, bridged, from_clamp, outliers, runs, step
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceLog, ForceNoise, IntArray, Markers
 
 # The force log averaged over bins of equal width, as the search for the clock offset uses it.
-
-LOCAL = 1.0  # s, window around a row over which the power of its changes is averaged
-CHANGES = 2.0  # times the power of the noise's own changes: above it the force itself changes
 
 
 @dataclass(frozen=True)
@@ -43,9 +37,10 @@ class BinnedLog:
         gaps = np.diff(self.time)
         own = 2 * noise.white**2 + 2 * noise.coloured**2 * (1 - np.exp(-gaps / noise.tau)) + noise.walk**2 * gaps
         power = np.mean(np.diff(self.force, axis=0) ** 2, axis=1)
-        size = max(3, round(LOCAL / self.width))
+        size = max(3, round(1.0 / self.width))  # s, window around a row over which the power of its changes is averaged
         local = uniform_filter1d(power, size, mode="nearest")
-        return np.concatenate([[0.0], np.cumsum(np.where(local > CHANGES * own, local, 0.0))])
+        # Times the power of the noise's own changes: above it the force itself changes.
+        return np.concatenate([[0.0], np.cumsum(np.where(local > 2.0 * own, local, 0.0))])
 
 
 def binned(log: ForceLog, rate: float, span: tuple[float, float], highest_rate: float) -> BinnedLog:
@@ -91,12 +86,10 @@ def thinned(rows: BinnedLog, rate: float) -> BinnedLog:
 
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
 RIDGE = 0.01  # of the longest lever squared
-PLACE = 1.0  # prior sd of the change with a span's lever, per largest force
 SHORTEST_SPAN = 0.05  # of the beam: a shorter span between a tag and the push does not count
 TERMS = (2.0, 0.5, 0.25)  # prior sd of a polynomial's coefficient by degree, per largest force
 TOUCHED = 0.02  # of the largest displacement: a smaller one counts as rest
 PARTS = 5  # into which a change of the load is divided; the log's error may change in each
-COMPONENTS = 3  # principal components
 
 
 @dataclass(frozen=True)
@@ -136,10 +129,9 @@ def make_track(
 ) -> Track | None:
     """Features of the markers that are missing least; None where there is no such marker, or no lever.
 
-    `push_s`: the place of the push for levers, None for polynomials alone; `polynomials` scales their prior;
-    `longest_gap` [s] may be interpolated; a beam that stands still at an end of the film does so for `hold` [s] more.
-    `steps`: prior sd, per largest force, of an error of the log that changes where the load begins, reverses and ends.
-    """
+    `push_s`: place of the push for levers, None for polynomials alone; `polynomials` scales their prior. Gaps up to
+    `longest_gap` [s] are interpolated; a beam at rest at an end of the film stays so for `hold` [s]. `steps`: prior sd,
+    per largest force, of an error of the log that changes with the load."""
     used, covered = lasting(markers, longest_gap)
     if not used.any():
         return None
@@ -153,8 +145,11 @@ def make_track(
             return None
         columns.append(FREE * turns)
     if steps > 0.0:
-        for part in _load_steps(markers.time, xy).T:
-            columns.append(steps * part[:, None, None] * np.eye(2))
+        changes = moved_load_changes(markers.time, xy)
+        ramps = [
+            np.clip(PARTS * change.fraction(markers.time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)
+        ]
+        columns += [steps * (ramp / np.sqrt(PARTS))[:, None, None] * np.eye(2) for ramp in ramps]
     features = np.concatenate(columns, axis=2)
     flat = xy.reshape(len(xy), -1)
     before, after = (hold if is_still(flat, rows) else 0.0 for rows in (slice(0, 10), slice(-10, None)))
@@ -162,12 +157,10 @@ def make_track(
     return Track(spline.antiderivative(), covered, markers.time, before, after)
 
 
-def _load_steps(time: Array, xy: Array) -> Array:
-    """(T, n) consecutive ramps over each change of the load, scaled so that their sum has unit variance."""
-    size = displacement(time, xy, np.median(xy[:10], axis=0))
-    changes = load_changes(time, size, size > TOUCHED * size.max())
-    ramps = [np.clip(PARTS * change.fraction(time) - i, 0.0, 1.0) for change in changes for i in range(PARTS)]
-    return np.asarray(np.stack([np.zeros(len(time)), *ramps], axis=1)[:, 1:] / np.sqrt(PARTS))
+def moved_load_changes(time: Array, xy: Array) -> list[LoadChange]:
+    """The changes of the load, by tags (T, m, 2) that rest in the first frames."""
+    size = displacement(time, xy, np.median(xy[:STILL], axis=0))
+    return load_changes(time, size, size > TOUCHED * size.max())
 
 
 def lasting(markers: Markers, longest_gap: float) -> tuple[BoolArray, BoolArray]:
@@ -190,7 +183,7 @@ def monomials(xy: Array, angle: Array) -> Array:
     flat = np.concatenate([xy.reshape(len(xy), -1), 0.1 * reach * angle], axis=1)
     flat = flat - flat[: max(5, len(flat) // 50)].mean(axis=0)
     components, size, _ = np.linalg.svd(flat, full_matrices=False)
-    count = int(min(COMPONENTS, np.sum(size > 1e-9 * max(size[0], np.finfo(float).tiny))))
+    count = int(min(3, np.sum(size > 1e-9 * max(size[0], np.finfo(float).tiny))))  # principal components
     if not count:
         return np.empty((len(xy), 0))
     scores = components[:, :count] / np.abs(components[:, :count]).max(axis=0)
@@ -205,15 +198,9 @@ def monomials(xy: Array, angle: Array) -> Array:
 def levers(xy: Array, angle: Array, s: Array, push_s: float) -> Array:
     """(T, 2, p) force that gives each span up to the push its turn at unit stiffness; the largest scaled to 1.
 
-    Where in a span the bending takes place depends on its stiffness. So for every span there are further features: the
-    change of the forces when its lever is taken a quarter of the span before or behind the middle.
-    """
+    Further features are the changes of the forces with each lever a quarter of the span before or behind the middle."""
     count = len(xy)
-    s = np.concatenate([[0.0], s])
-    xy = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)
-    angle = np.concatenate([np.zeros((count, 1)), angle], axis=1)
-    order = np.argsort(s, kind="stable")
-    s, xy, angle = s[order], xy[:, order], angle[:, order]
+    s, xy, angle = from_clamp(s, xy, angle)
     spans = np.flatnonzero(s[:-1] < push_s - SHORTEST_SPAN)
     bend = angle - np.median(angle[:10], axis=0)
     turns = bend[:, spans + 1] - bend[:, spans]
@@ -232,7 +219,8 @@ def levers(xy: Array, angle: Array, s: Array, push_s: float) -> Array:
     base = forces(middle)[..., moved]
     size = np.abs(base).max(axis=(0, 1))
     shifts = [forces(middle + 0.25 * unit) - forces(middle - 0.25 * unit) for unit in np.eye(len(spans))]
-    changes = [PLACE / FREE * shift[..., moved] / size for shift in shifts]
+    # Prior sd of the change with a span's lever, per largest force.
+    changes = [1.0 / FREE * shift[..., moved] / size for shift in shifts]
     return np.concatenate([base / size, *changes], axis=2)
 
 
@@ -278,10 +266,6 @@ def is_still(moved: Array, rows: slice) -> bool:
 # unit force about s. This is exact for a beam that moves slowly, and linear in F. Of w, the mean over the span and
 # the slope are used.
 
-JUMP = 8.0  # robust sd, of a pose that is read wrongly
-NODES = 5  # Gauss, on a span
-LEAST = 0.02  # of the largest turn: a span that turns by less is not used
-FINEST = 1e-3  # of a span's largest turn: least noise of the turn
 SLACK = 0.2  # s, by which the log's error may change before or after the load does
 FEWEST_SPANS = 2  # that end at or before the push
 STILL = 10  # first frames, whose angles are the ones at rest
@@ -318,28 +302,22 @@ class MomentsAtRows:
 
 
 def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: float) -> Moments | None:
-    """Moments of the markers that are missing least; None where fewer than `FEWEST_SPANS` whole spans before the push
-    turn. Most of the information is then in the places of the tags beyond, which turns do not contain.
-
-    `push_s`: the place of the push; `longest_gap` [s] may be interpolated; a beam that stands still at an end of the
-    film does so for `hold` [s] more.
-    """
+    """Moments of the markers that are missing least, as for `make_track`; None where fewer than `FEWEST_SPANS` whole
+    spans before the push turn: most of the information is then in the places of the tags beyond."""
     used, covered = lasting(markers, longest_gap)
     if not used.any() or len(markers.time) < STILL:
         return None
     markers = without_jumps(markers)
     time, count = markers.time, len(markers.time)
     moved = bridged(time, markers.xy[:, used].reshape(count, -1))
-    xy = np.concatenate([np.zeros((count, 1, 2)), moved.reshape(count, -1, 2)], axis=1)
-    angle = np.concatenate([np.zeros((count, 1)), bridged(time, markers.angle[:, used])], axis=1)
-    s = np.concatenate([[0.0], markers.s[used]])
-    order = np.argsort(s, kind="stable")
-    s, xy, angle = s[order], xy[:, order], angle[:, order]
+    angle = bridged(time, markers.angle[:, used])
+    s, xy, angle = from_clamp(markers.s[used], moved.reshape(count, -1, 2), angle)
     spans = np.flatnonzero((s[:-1] < push_s - SHORTEST_SPAN) & (np.diff(s) > 0.0))
     bend = angle - np.median(angle[:STILL], axis=0)
     turns = bend[:, spans + 1] - bend[:, spans]
     largest = np.abs(turns).max(axis=0, initial=0.0)
-    good = (largest > LEAST * largest.max(initial=0.0)) & (largest > 0.0)
+    # Of the largest turn: a span that turns by less is not used.
+    good = (largest > 0.02 * largest.max(initial=0.0)) & (largest > 0.0)
     if np.sum(good & (s[spans + 1] <= push_s + SHORTEST_SPAN)) < FEWEST_SPANS:
         return None
     spans, turns, largest = spans[good], turns[:, good], largest[good]
@@ -355,7 +333,7 @@ def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: f
         track(np.concatenate([turns[..., None], mean, slope], axis=-1)),
         track(np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)),
         track(load_change_ramps(time, moved.reshape(count, -1, 2))),
-        np.maximum(noise, FINEST * largest),
+        np.maximum(noise, 0.001 * largest),  # of a span's largest turn: least noise of the turn
         largest,
     )
 
@@ -366,7 +344,7 @@ def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: floa
     push = along(xy, angle, s, push_s)
     beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
     direction = angle[:, 0] + np.diff(angle, axis=1) @ beside
-    x, weight = np.polynomial.legendre.leggauss(NODES)
+    x, weight = np.polynomial.legendre.leggauss(5)  # Gauss, on a span
     ends = np.minimum(s[spans + 1], push_s)
     lever = np.zeros((2, len(xy), len(spans), 2))
     for node, share in zip(x, 0.5 * weight, strict=True):
@@ -391,14 +369,13 @@ def without_jumps(markers: Markers) -> Markers:
     size = np.abs(off) / np.maximum(MAD_TO_SD * np.nanmedian(np.abs(off), axis=0), np.finfo(float).tiny)
     size = np.nan_to_num(size).max(axis=-1)
     peak = np.maximum(np.roll(size, 1, axis=0), np.roll(size, -1, axis=0)) <= size
-    state[(size > JUMP) & peak] = np.nan
+    state[(size > 8.0) & peak] = np.nan  # robust sd, of a pose that is read wrongly
     return replace(markers, xy=state[..., :2], angle=state[..., 2])
 
 
 def load_change_ramps(time: Array, xy: Array) -> Array:
     """(T, n) ramps from 0 to 1 over each change of the load, in which the log's error may change."""
-    size = displacement(time, xy, np.median(xy[:STILL], axis=0))
-    changes = load_changes(time, size, size > TOUCHED * size.max())
+    changes = moved_load_changes(time, xy)
     wide = [replace(change, begin=change.begin - SLACK, end=change.end + SLACK) for change in changes]
     return np.asarray(np.stack([np.zeros(len(time)), *(change.fraction(time) for change in wide)], axis=1)[:, 1:])
 
@@ -414,13 +391,9 @@ def moments_at(moments: Moments, centre: Array, width: float) -> MomentsAtRows:
     )
 
 
-SLOPE = 1.0  # prior sd of the slope of a span's compliance over half the span, relative to its mean
-FREE_SCALE = 1.0  # prior sd of the log of a span's compliance about a first regression
 FREE_BIAS = 10.0  # of the largest force: prior sd of the log's bias
-SOFTEST = 0.1  # of the stiffness that the largest force implies: the least that the first regression may give
 DEGREES_OF_FREEDOM = 4.0  # of Student's t: some tags are read wrongly
 PARAMETER_BOUND = 6.0  # prior sd: the search keeps parameters within it
-ROUNDS = 12  # of expectation and maximisation
 DIFFERENCE = 1e-4  # step of the parameters for derivatives
 
 # Of the parameters (p,): a negative log likelihood, minus its gradient (p,), and its curvature (p, p)
@@ -447,7 +420,8 @@ def rough_compliance(rows: MomentsAtRows, force: Array) -> tuple[Array, float, A
     # The stiffness at which the largest force makes the largest turns: a first regression may find none.
     needed = np.abs(force - np.median(force, axis=0)).max() * np.sqrt((lever**2).sum(axis=-1).max(axis=0))
     needed /= np.abs(rows.turn).max(axis=0)
-    stiffness = np.maximum(stiffness[:spans], SOFTEST * needed)
+    # Of the stiffness that the largest force implies: the least that the first regression may give.
+    stiffness = np.maximum(stiffness[:spans], 0.1 * needed)
     return 1.0 / stiffness, sign, bias
 
 
@@ -455,9 +429,8 @@ def rough_compliance(rows: MomentsAtRows, force: Array) -> tuple[Array, float, A
 class ForceLogModel:
     """Mean of the log at N rows as a function of 3 k + 4 parameters z, standard normal before the data.
 
-    z holds the logs of the spans' compliances (k), their slopes (k), the push's place, the log's direction, its bias
-    (2), and the spans' turns at rest (k). z may have leading axes; the results then have them too.
-    """
+    z holds the logs of the spans' compliances (k), their slopes over half a span, relative to the mean (k), the push's
+    place, the log's direction, its bias (2), and the spans' turns at rest (k). Leading axes of z are kept."""
 
     moments: Moments
     compliance: Array  # (k,) rad / (N m), at z = 0
@@ -473,9 +446,9 @@ class ForceLogModel:
     def turns_per_force(self, rows: MomentsAtRows, z: Array) -> Array:
         """(N, k, 2) rad / N: turns of the spans per unit force."""
         k = len(self.compliance)
-        w = self.compliance * np.exp(FREE_SCALE * z[..., :k])
+        w = self.compliance * np.exp(z[..., :k])
         lever = rows.lever[:, 0] + PLACE_SD * z[..., 2 * k, None, None, None] * rows.tangent[:, None, :]
-        return np.asarray((lever + SLOPE * z[..., None, k : 2 * k, None] * rows.lever[:, 1]) * w[..., None, :, None])
+        return np.asarray((lever + z[..., None, k : 2 * k, None] * rows.lever[:, 1]) * w[..., None, :, None])
 
     def force_on_beam(self, rows: MomentsAtRows, z: Array) -> tuple[Array, Array]:
         """(N, 2) N and (N, 2, 2) N^2: mean and covariance of the force on the beam."""
@@ -601,12 +574,11 @@ def residual_and_design(
 def fit_jumps(residual: Array, design: Array, others: Array, jumps: Array, typical: Array) -> Array:
     """(N,) N^2: variances of the jumps of the log's error before each row, by expectation and maximisation.
 
-    Jumps are Cauchy distributed with variances of about `typical` (N,) N^2; both axes share one variance. `jumps` is
-    the guess to begin with, `others` (2N, 2N) N^2 the covariance of all else.
-    """
+    Jumps are Cauchy distributed with variances of about `typical` (N,) N^2, first guess `jumps`, alike on both axes;
+    `others` (2N, 2N) N^2 is the covariance of all else."""
     n = len(jumps)
     rows = np.kron(np.tril(np.ones((n, n))), np.eye(2))
-    for _ in range(ROUNDS):
+    for _ in range(12):
         size = np.repeat(jumps, 2)
         root = np.linalg.cholesky(others + design @ design.T + (rows * size) @ rows.T)
         white = solve_triangular(root, np.column_stack([rows, residual]), lower=True, check_finite=False)
@@ -621,44 +593,28 @@ def fit_residual_noise(
 ) -> ForceNoise:
     """The likeliest noise of the `residual` (2N,) N of the log.
 
-    `design` (2N, p) N times standard normal numbers is the part of the residual that comes from the parameters. As in
-    `noise.fit_noise`, a weak prior about `start` bounds the sizes."""
-    scale = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
-    centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
+    `design` (2N, p) N times standard normal numbers is the part of the residual that comes from the parameters."""
 
-    def sized(x: Array) -> ForceNoise:
-        white, coloured, tau, walk = np.exp(centre + scale * x).tolist()
-        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
-
-    def negative_log_posterior(x: Array) -> float:
-        root = np.linalg.cholesky(covariance(sized(x), time, spread, jumps))
+    def misfit(noise: ForceNoise, square: float) -> float:
+        root = np.linalg.cholesky(covariance(noise, time, spread, jumps))
         white = solve_triangular(root, np.column_stack([design, residual]), lower=True, check_finite=False)
         a, b = white[:, :-1], white[:, -1]
         inner = np.linalg.cholesky(np.eye(design.shape[1]) + a.T @ a)
         explained = solve_triangular(inner, a.T @ b, lower=True)
-        fit = 0.5 * float(x @ x + b @ b - explained @ explained)
+        fit = 0.5 * float(square + b @ b - explained @ explained)
         return fit + float(np.sum(np.log(np.diag(root))) + np.sum(np.log(np.diag(inner))))
 
-    simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
-    options = {"maxfev": 80, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    optimum = minimize(negative_log_posterior, np.zeros(4), method="Nelder-Mead", options=options)
-    return sized(optimum.x)
+    return likeliest_noise(start, misfit, 80)
 
 
 # The posterior of the clock offset from the moments of the push about the spans, where its place is known.
 
 TYPICAL, LARGE = 0.01, 0.1  # of the largest force: jumps of the log's error when the load changes, usual and largest
 STEP, MOST_OFFSETS = 0.02, 31  # of the first grid: s between offsets at least, and their largest number
-FINE = 15  # offsets that each refinement of the grid adds
 REACH = 4.0  # sd: half-width of a refinement
-RESOLVED = 0.6  # sd: a grid as fine as that around the mean needs no refinement
 TURNS = 2  # rounds of parameters, noise and jumps at one offset
-MOST_TURNS, SETTLED = 4, 2e-3  # rounds of these and the offset; s, a change of the offset that ends them
 FEWEST = 10  # rows
-REFINEMENTS, NEXT = 3, 0.3  # of the grid; s, distance from the mean within which its spacing is read
-LEAST_SD = 1e-3  # s, least sd that is claimed
 STEP_DOUBT = 0.05  # s, sd of the offset from not knowing when the log's error changes with the load
-UNLIKELY = 8.0  # log probability below the best: a share of 3e-4
 FIRST, FAST = 10, 3  # rounds of the parameters at one offset, and from there at another one
 
 
@@ -707,10 +663,8 @@ def offset_from_moments(
 ) -> tuple[float, float, ForceNoise] | None:
     """Mean [s] and sd [s] of the offset within `span` [s], and the noise; None where film and log share too little.
 
-    `first` [s] are estimates of the offset. From each the noise is fitted there, then at the mean, until that settles:
-    what is an error of the log at one offset is force at another one, so that a search stays near where it began. The
-    ends of the searches count by their evidence.
-    """
+    From each estimate `first` [s] the noise is fitted there, then at the mean, until that settles. An error of the log
+    at one offset is force at another one, so a search stays near where it began. Its evidence weights its end."""
     wide = span[1] - span[0]
     offsets = np.arange(span[0], span[1] + 1e-9, max(min(STEP, wide / FEWEST), wide / (MOST_OFFSETS - 1)))
     every = np.append(offsets, first)
@@ -732,15 +686,16 @@ def _found_from(
     if shared is None:
         return None
     best = first
-    for _ in range(MOST_TURNS):
+    for _ in range(4):
         errors = likely_errors(shared, best, z)
         mean, sd, log_evidence = scan_closer(shared, offsets, errors, prior)
         previous, best, z = best, mean, errors[0].z
-        if abs(best - previous) < max(SETTLED, sd):
+        if abs(best - previous) < max(0.002, sd):  # s, a change of the offset that ends them
             break
     # A jump at a wrong time shifts the offset, and a larger jump shifts it more.
     size = sum(error.probability * min(error.jump_sd / (LARGE * shared.model.force), 1.0) ** 2 for error in errors)
-    return _Found(mean, float(np.hypot(max(sd, LEAST_SD), np.sqrt(size) * STEP_DOUBT)), log_evidence, errors[0].noise)
+    # s, least sd that is claimed.
+    return _Found(mean, float(np.hypot(max(sd, 0.001), np.sqrt(size) * STEP_DOUBT)), log_evidence, errors[0].noise)
 
 
 def scan_closer(
@@ -749,13 +704,16 @@ def scan_closer(
     """Mean and sd of the offset, on the grid `offsets` refined around its mean, and the log evidence."""
     span = float(offsets[0]), float(offsets[-1])
     log_density = log_posterior(shared, offsets, errors, prior)
-    for _ in range(REFINEMENTS):
+    for _ in range(3):
         mean, sd = moments_of(offsets, log_density)
         spacing = np.diff(offsets)[np.abs(offsets[1:] - mean) <= REACH * sd]
-        if len(spacing) >= REACH and spacing.max() < RESOLVED * sd:
+        # sd: a grid as fine as that around the mean needs no refinement.
+        if len(spacing) >= REACH and spacing.max() < 0.6 * sd:
             break
-        reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= NEXT])))
-        new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), FINE), offsets)
+        # s, distance from the mean within which its spacing is read.
+        reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= 0.3])))
+        # Offsets that each refinement of the grid adds.
+        new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), 15), offsets)
         offsets, log_density = (
             np.append(offsets, new),
             np.append(log_density, log_posterior(shared, new, errors, prior)),
@@ -773,7 +731,8 @@ def likely_errors(shared: CommonRows, offset: float, z: Array) -> list[LogError]
     flat: Prior = np.zeros_like
     size = np.array([log_posterior(shared, np.array([offset]), [error], flat)[0] for error in both])
     share = np.exp(size - np.logaddexp.reduce(size))
-    return [replace(both[i], probability=float(share[i])) for i in np.argsort(-size) if size[i] > size.max() - UNLIKELY]
+    # Log probability below the best: a share of 3e-4.
+    return [replace(both[i], probability=float(share[i])) for i in np.argsort(-size) if size[i] > size.max() - 8.0]
 
 
 def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:

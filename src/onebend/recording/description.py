@@ -6,25 +6,17 @@ import math
 import re
 from typing import Any
 
+from onebend.recording import entries
 from onebend.recording.entries import (
-    FAMILIES,
     FAMILY_SIZES,
+    MOST_FREQUENCIES,
+    MOST_MODE,
     MOST_TAGS,
     BeamEntry,
     CameraEntry,
-    CameraInfoEntry,
-    ForceEntry,
     FrequencyEntry,
-    GravityEntry,
-    MarkersEntry,
-    MassEntry,
-    PhotosEntry,
-    PosesEntry,
-    PushEntry,
     TagEntry,
     TagsEntry,
-    UncalibratedEntry,
-    VideoEntry,
 )
 from onebend.recording.schema import (
     LONGEST_KEY,
@@ -33,6 +25,7 @@ from onebend.recording.schema import (
     keys_of,
     lines_of_keys,
     place_name,
+    read_rows,
     read_table,
     report_unknown,
 )
@@ -41,26 +34,32 @@ from onebend.text_files import quoted
 
 FORMAT = 1
 SECTIONS: dict[str, type] = {
-    "camera": CameraEntry,
-    "video": VideoEntry,
-    "force": ForceEntry,
-    "push": PushEntry,
-    "gravity": GravityEntry,
-    "markers": MarkersEntry,
-    "poses": PosesEntry,
-    "photos": PhotosEntry,
+    "camera": entries.CameraEntry,
+    "video": entries.VideoEntry,
+    "force": entries.ForceEntry,
+    "push": entries.PushEntry,
+    "gravity": entries.GravityEntry,
+    "markers": entries.MarkersEntry,
+    "poses": entries.PosesEntry,
+    "photos": entries.PhotosEntry,
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
 TABLES = ("beam", "tags", *SECTIONS)
-LISTED: dict[str | int, type] = {"on_base": TagEntry, "on_beam": TagEntry, "masses": MassEntry}  # of [[...]]
-RECORDS = {"beam": BeamEntry, "tags": TagsEntry, **SECTIONS, "frequencies": FrequencyEntry}
-# Which tables know a key: what stands in the wrong one is told its place.
-HOMES: dict[str, tuple[str, ...]] = {
-    name: tuple(table for table, one in RECORDS.items() if name in {key.name for key, _ in keys_of(one).values()})
-    for record in RECORDS.values()
-    for name in {key.name for key, _ in keys_of(record).values()}
+LISTED: dict[str | int, type] = {
+    "on_base": entries.TagEntry,
+    "on_beam": entries.TagEntry,
+    "masses": entries.MassEntry,
+}  # of [[...]]
+RECORDS = {
+    "beam": entries.BeamEntry,
+    "tags": entries.TagsEntry,
+    **SECTIONS,
+    "frequencies": entries.FrequencyEntry,
 }
+_KEYS = {table: {key.name for key, _ in keys_of(record).values()} for table, record in RECORDS.items()}
+# Which tables know a key: the message about one in the wrong table names its place.
+HOMES = {name: tuple(table for table in _KEYS if name in _KEYS[table]) for names in _KEYS.values() for name in names}
 
 
 def empty_values(content: str) -> list[tuple[Place, int, str]]:
@@ -80,7 +79,9 @@ def camera_record(data: dict[str, Any]) -> type:
     """What [camera] is read as: a calibration, the topic of one, or all that is known of a camera without one."""
     table = data.get("camera")
     keys = set(table) if isinstance(table, dict) else set()
-    return UncalibratedEntry if keys == {"scale_sd"} else CameraInfoEntry if "camera_info" in keys else CameraEntry
+    if keys == {"scale_sd"}:
+        return entries.UncalibratedEntry
+    return entries.CameraInfoEntry if "camera_info" in keys else CameraEntry
 
 
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
@@ -111,16 +112,37 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
 
 
 def read_beam(table: Any, mistakes: Mistakes) -> BeamEntry | None:
-    """[beam] with what rides on it."""
+    """[beam] with the masses that ride on it."""
     rows = table.get("masses", []) if isinstance(table, dict) else []
     if not isinstance(rows, list):
-        mistakes.add(
-            ("beam", "masses"), "[beam] masses must be tables: `[[beam.masses]]` with s and mass_kg, one each."
-        )
+        text = "[beam] masses must be tables: `[[beam.masses]]` with s and mass_kg, one each."
+        mistakes.add(("beam", "masses"), text)
         rows = []
-    read = [read_table(MassEntry, row, ("beam", "masses", i), mistakes) for i, row in enumerate(rows)]
-    masses = tuple(one for one in read if one is not None)
+    masses = read_rows(entries.MassEntry, rows, ("beam", "masses"), mistakes)
     return read_table(BeamEntry, table, ("beam",), mistakes, masses=masses)
+
+
+def read_frequencies(rows: Any, mistakes: Mistakes) -> tuple[FrequencyEntry, ...]:
+    """The [[frequencies]] of a file."""
+    if not isinstance(rows, list) or not 0 < len(rows) <= MOST_FREQUENCIES:
+        text = f"Give 1 to {MOST_FREQUENCIES} tables [[frequencies]], each with hz and sd_hz."
+        mistakes.add(("frequencies",), text)
+        return ()
+    read = [read_table(FrequencyEntry, row, ("frequencies", i), mistakes) for i, row in enumerate(rows)]
+    seen: set[tuple[int, str, float]] = set()
+    for i, one in enumerate(read):
+        if one is None:
+            continue
+        place, posture = ("frequencies", i), (one.mode, f"{one.base_angle}", one.tip_mass)
+        if one.mode > MOST_MODE:
+            mistakes.add((*place, "mode"), f"mode is {one.mode}; modes 1 to {MOST_MODE} of a slender beam are known.")
+        if one.sd >= one.hz:
+            mistakes.add((*place, "sd_hz"), f"sd_hz = {one.sd:g} is no smaller than hz = {one.hz:g}. Are they swapped?")
+        if one.mode > 0 and posture in seen:
+            text = f"mode {one.mode} is given twice for one posture and tip mass. Give their mean, with its sd."
+            mistakes.add((*place, "mode"), text)
+        seen.add(posture)
+    return tuple(one for one in read if one is not None)
 
 
 def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
@@ -130,46 +152,39 @@ def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | 
         return None
     lists: dict[str, tuple[TagEntry, ...]] = {}
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
-        rows = table.get(group, [])
+        rows, place = table.get(group, []), ("tags", group)
         if not isinstance(rows, list) or not (rows or (group == "on_base" and not pictures)):
-            mistakes.add(("tags", group), f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
+            mistakes.add(place, f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
             rows = []
         if len(rows) > MOST_TAGS:
-            mistakes.add(
-                ("tags", group), f"[[tags.{group}]] lists {len(rows)} tags; at most {MOST_TAGS} can be followed."
-            )
+            mistakes.add(place, f"[[tags.{group}]] lists {len(rows)} tags; at most {MOST_TAGS} can be followed.")
             rows = []
-        read = [read_table(TagEntry, row, ("tags", group, i), mistakes) for i, row in enumerate(rows)]
-        lists[group] = tuple(tag for tag in read if tag is not None)
-    known_ids: set[int] = set()
-    for group, tags in lists.items():
-        for i, tag in enumerate(tags):
-            if tag.id in known_ids:
-                mistakes.add(
-                    ("tags", group, i, "id"), f"The tag id {tag.id} is given twice. Each tag needs its own id."
-                )
-            known_ids.add(tag.id)
-    if pictures:
-        refuse_unprinted(table.get("family", FAMILIES[0]), lists, mistakes)
+        lists[group] = read_rows(TagEntry, rows, place, mistakes)
+    check_ids(lists, table.get("family", entries.FAMILIES[0]) if pictures else None, mistakes)
     if pictures and "size_m" not in table:
         mistakes.add(("tags",), "[tags] lacks size_m: the side of the tag's black square, m, for example 0.012.")
     return read_table(TagsEntry, table, ("tags",), mistakes, **lists)
 
 
-def refuse_unprinted(family: object, lists: dict[str, tuple[TagEntry, ...]], mistakes: Mistakes) -> None:
-    """Note every id that the family of tags does not have."""
+def check_ids(lists: dict[str, tuple[TagEntry, ...]], family: object, mistakes: Mistakes) -> None:
+    """Note every id that is given twice, or that the family of the tags does not have."""
     count = FAMILY_SIZES.get(family, math.inf) if isinstance(family, str) else math.inf
+    known: set[int] = set()
     for group, tags in lists.items():
         for i, tag in enumerate(tags):
+            place = ("tags", group, i, "id")
+            if tag.id in known:
+                mistakes.add(place, f"The tag id {tag.id} is given twice. Each tag needs its own id.")
             if tag.id >= count:
                 text = f"There is no tag {tag.id} in {family}: it has tags 0 to {count - 1:.0f}."
-                mistakes.add(("tags", group, i, "id"), f"{text} Correct the id or the family.")
+                mistakes.add(place, f"{text} Correct the id or the family.")
+            known.add(tag.id)
 
 
-def check_together(entries: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
+def check_together(tables: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
     """Mistakes between tables, or between keys of one table."""
-    push, gravity = entries["push"], entries["gravity"]
-    if push is not None and push.column and entries["force"] is not None and entries["force"].topic:
+    push, gravity = tables["push"], tables["gravity"]
+    if push is not None and push.column and tables["force"] is not None and tables["force"].topic:
         mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")
     if push is not None and math.isnan(push.at) == (push.column == ""):
         mistakes.add(("push",), "[push] needs either at_s (a place) or column (a column of the force log), not both.")
@@ -205,109 +220,67 @@ def remarks_on(tags: TagsEntry, data: dict[str, Any]) -> tuple[Remark, ...]:
     return tuple(remarks)
 
 
-# Implausible numbers in recording.toml, possible but probably wrong: of the camera, the mass, an sd.
+def implausible(beam: BeamEntry, tags: TagsEntry, tables: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
+    """A warning for each number that is possible but probably wrong, and notes on those without effect."""
+    remarks = camera_remarks(tables["camera"]) if tables["camera"] is not None else []
 
-PIXELS = 0.05  # by which fx and fy may differ: pixels are square
-MIDDLE = 0.2  # of the picture, that the principal point may be away from its middle
-SHORTEST, LONGEST = 0.3, 10.0  # focal length over the picture's longer side: 118 deg to 6 deg of view
-HEAVIEST = 50.0  # kg/m, a steel bar of 90 mm
-RIDERS = 20.0  # masses of the beam, of all that rides on it
-LOOSEST = math.radians(15.0)  # sd of a clamp's direction
-ROUNDEST = 2.0  # rad, sd of what a beam turns by its own curvature
-ROUGHEST = 0.1  # sd of a picture's scale
-LONG = 10.0  # m, of a beam
-NOWHERE = 0.2  # of the length, sd of a place
-TURNED = math.radians(45.0)  # sd of a direction
-SCALED = 0.5  # sd of the force's scale
+    def warn(wrong: bool, text: str, about: str = "unit") -> None:
+        if wrong:
+            remarks.append(Remark("warning", text, about=about))
 
-
-def entry_remarks(beam: BeamEntry, camera: CameraEntry | None) -> tuple[Remark, ...]:
-    """A warning for each number that is probably wrong, a note on two that are easily swapped."""
-    remarks = [] if camera is None else [Remark("warning", text, about="camera") for text in camera_doubts(camera)]
-    if beam.mass / beam.length > HEAVIEST:
-        text = f"mass_kg makes the beam weigh {beam.mass / beam.length:.3g} kg a metre: is it in kilograms?"
-        remarks.append(Remark("warning", text, about="unit"))
+    length = beam.length
+    push, force, gravity = tables["push"], tables["force"], tables["gravity"]
+    text = f"mass_kg makes the beam weigh {beam.mass / length:.3g} kg a metre: is it in kilograms?"
+    warn(beam.mass / length > 50.0, text)  # a steel bar of 90 mm
     riding = sum(one.mass for one in beam.masses)
-    if riding > RIDERS * beam.mass:
-        text = f"what rides on the beam weighs {riding:.3g} kg, {riding / beam.mass:.2g} times the beam: in kilograms?"
-        remarks.append(Remark("warning", text, about="unit"))
+    text = f"what rides on the beam weighs {riding:.3g} kg, {riding / beam.mass:.2g} times the beam: in kilograms?"
+    warn(riding > 20.0 * beam.mass, text)
     if beam.width > beam.thickness:
         text = (
             f"width_m = {beam.width:g} is larger than thickness_m = {beam.thickness:g}, so the beam bends over its "
             "thicker side: width_m lies in the plane of bending. Are the two swapped?"
         )
         remarks.append(Remark("note", text))
-    return tuple(remarks)
-
-
-def spread_remarks(beam: BeamEntry, entries: dict[str, Any], scale_sd: float) -> tuple[Remark, ...]:
-    """A warning for each stated sd (clamp, rest shape, scale) that is too large, a note on one that is not used."""
-    warnings = []
-    clamp = max((entries[name].clamp_sd for name in SOURCES if entries[name] is not None), default=math.nan)
-    if clamp > LOOSEST:
-        warnings.append(
-            f"clamp_sd_deg = {math.degrees(clamp):g} lets the clamp turn freely: k near it cannot be known then. "
-            "Write how firm it is."
-        )
-    if beam.rest == "unknown" and beam.curvature_sd > ROUNDEST:
-        warnings.append(
-            f"rest_curvature_sd_deg = {math.degrees(beam.curvature_sd):.3g} is a beam that may be rolled up: is it in "
-            "degrees?"
-        )
-    if scale_sd > ROUGHEST:
-        warnings.append(f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?")
-    remarks = [Remark("warning", text, about="wide tolerance") for text in warnings]
+    clamp = math.degrees(max((tables[name].clamp_sd for name in SOURCES if tables[name] is not None), default=math.nan))
+    text = f"clamp_sd_deg = {clamp:g} lets the clamp turn freely: k near it cannot be known then. Write how firm it is."
+    warn(clamp > 15.0, text, "wide tolerance")
+    curvature = math.degrees(beam.curvature_sd)
+    text = f"rest_curvature_sd_deg = {curvature:.3g} is a beam that may be rolled up: is it in degrees?"
+    warn(beam.rest == "unknown" and beam.curvature_sd > 2.0, text, "wide tolerance")
+    text = f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?"
+    warn(scale_sd > 0.1, text, "wide tolerance")
     if beam.rest == "straight" and beam.curvature_sd not in (0.0, CURVATURE_SD):
         remarks.append(Remark("note", 'rest_curvature_sd_deg is used only with rest = "unknown".'))
+    warn(length > 10.0, f"length_m = {length:g} is a beam longer than 10 m: is it in metres?")
+    warn(tags.size > length, f"size_m = {tags.size:g} is a tag wider than the beam is long: are both in metres?")
+    for name, size in (("width_m", beam.width), ("thickness_m", beam.thickness), ("diameter_m", beam.diameter)):
+        warn(size > length, f"{name} = {size:g} is a section larger than the beam is long: are both in metres?")
+    for name, sd in (("placement_sd_m", tags.placement_sd), ("at_sd_m", math.nan if push is None else push.at_sd)):
+        warn(sd > 0.2 * length, f"{name} = {sd:g} is more than a fifth of the beam's length: is it in metres?")
+    gain = math.nan if force is None else force.gain_sd
+    warn(gain > 0.5, f"gain_sd = {gain:g} is {100.0 * gain:g} %: is it a share (0.02 = 2 %)?")
+    turns = {
+        "turn_sd_deg": tags.turn_sd,
+        "rotation_sd_deg": math.nan if force is None else force.rotation_sd,
+        "direction_sd_deg": math.nan if gravity is None else gravity.direction_sd,
+    }
+    for name, sd in turns.items():
+        text = f"{name} = {math.degrees(sd):g} leaves the direction open: is it right?"
+        warn(sd > math.radians(45.0), text, "wide tolerance")
     return tuple(remarks)
 
 
-def unit_remarks(beam: BeamEntry, tags: TagsEntry, entries: dict[str, Any]) -> tuple[Remark, ...]:
-    """A warning for each size that looks written in another unit, or says nothing."""
-    length, warnings = beam.length, []
-    if length > LONG:
-        warnings.append(f"length_m = {length:g} is a beam longer than {LONG:g} m: is it in metres?")
-    if tags.size > length:
-        warnings.append(f"size_m = {tags.size:g} is a tag wider than the beam is long: are both in metres?")
-    sizes = (("width_m", beam.width), ("thickness_m", beam.thickness), ("diameter_m", beam.diameter))
-    warnings += [
-        f"{name} = {size:g} is a section larger than the beam is long: are both in metres?"
-        for name, size in sizes
-        if size > length
-    ]
-    push, force, gravity = entries["push"], entries["force"], entries["gravity"]
-    sds = [("placement_sd_m", tags.placement_sd), ("at_sd_m", math.nan if push is None else push.at_sd)]
-    for name, sd in sds:
-        if sd > NOWHERE * length:
-            warnings.append(f"{name} = {sd:g} is more than a fifth of the beam's length: is it in metres?")
-    turns = [
-        ("turn_sd_deg", tags.turn_sd),
-        ("rotation_sd_deg", math.nan if force is None else force.rotation_sd),
-        ("direction_sd_deg", math.nan if gravity is None else gravity.direction_sd),
-    ]
-    open_turns = [
-        f"{name} = {math.degrees(sd):g} leaves the direction open: is it right?" for name, sd in turns if sd > TURNED
-    ]
-    if force is not None and force.gain_sd > SCALED:
-        warnings.append(f"gain_sd = {force.gain_sd:g} is {100.0 * force.gain_sd:g} %: is it a share (0.02 = 2 %)?")
-    return (
-        *(Remark("warning", text, about="unit") for text in warnings),
-        *(Remark("warning", text, about="wide tolerance") for text in open_turns),
-    )
-
-
-def camera_doubts(camera: CameraEntry) -> list[str]:
-    """What is unlikely of a calibration."""
+def camera_remarks(camera: CameraEntry) -> list[Remark]:
+    """A warning for each number of a calibration that is unlikely."""
     warnings = []
-    if abs(camera.fx / camera.fy - 1.0) > PIXELS:
+    if abs(camera.fx / camera.fy - 1.0) > 0.05:  # pixels are square
         warnings.append(f"[camera] fx = {camera.fx:g} and fy = {camera.fy:g} differ by more than 5 %: check them.")
     longer = max(camera.width, camera.height)
-    if not SHORTEST * longer < camera.fx < LONGEST * longer:
+    if not 0.3 * longer < camera.fx < 10.0 * longer:  # 118 deg to 6 deg of view
         warnings.append(f"[camera] fx = {camera.fx:g} is unlikely for a picture {longer} px wide: is it in pixels?")
-    off = max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5))
-    if off > MIDDLE:
+    if max(abs((camera.cx + 0.5) / camera.width - 0.5), abs((camera.cy + 0.5) / camera.height - 0.5)) > 0.2:
         warnings.append(
             f"[camera] the principal point ({camera.cx:g}, {camera.cy:g}) is far from the picture's middle "
             f"({0.5 * (camera.width - 1):g}, {0.5 * (camera.height - 1):g}): check cx and cy."
         )
-    return warnings
+    return [Remark("warning", text, about="camera") for text in warnings]

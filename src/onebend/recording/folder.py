@@ -6,7 +6,7 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -27,39 +27,30 @@ from onebend.recording.description import (
     check_together,
     check_top,
     empty_values,
-    entry_remarks,
+    implausible,
     read_beam,
+    read_frequencies,
     read_tags,
     remarks_on,
-    spread_remarks,
-    unit_remarks,
 )
 from onebend.recording.entries import (
     BeamEntry,
     CameraEntry,
     CameraInfoEntry,
-    ForceEntry,
     FrequencyEntry,
     GravityEntry,
     MarkersEntry,
-    PhotosEntry,
-    PosesEntry,
-    PushEntry,
     Recording,
     TagEntry,
     TagsEntry,
     UncalibratedEntry,
     VideoEntry,
-    read_frequencies,
 )
 from onebend.recording.schema import Mistakes, Place, keys_of, place_name, read_table
 from onebend.records import Array, Remark
 from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, to_json, toml_data
 
 # Recordings of one beam: what their files alone say against it.
-
-SAME_LENGTH = 0.01  # of the length: a larger difference is another beam, or a wrong length_m
-SAME_PLACE = 4.0  # placement tolerances: written places of one tag that differ by more are a mistake
 
 
 def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
@@ -79,7 +70,8 @@ def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
             )
         for tag, same in zip(one.tags.on_beam, first.tags.on_beam, strict=True):
             away = abs(tag.s - same.s) * first.beam.length
-            if away > SAME_PLACE * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
+            # Placement tolerances: written places of one tag that differ by more are a mistake.
+            if away > 4.0 * max(one.tags.placement_sd, first.tags.placement_sd, 1e-6):
                 raise LearningError(
                     f"tag {tag.id} is at s = {tag.s:.4g} in {one.folder} and at s = {same.s:.4g} in {first.folder}. "
                     "Recordings that are learned from together need the same tags in the same places"
@@ -90,18 +82,18 @@ def _ids(one: Recording) -> list[int]:
     return [tag.id for tag in one.tags.on_beam]
 
 
-def check_same_length(length: float, recording: Recording) -> None:
+def check_same_length(length: float, description: Recording) -> None:
     """Raises `ObservationError` where the recording is not of a beam of that length [m]."""
-    if abs(recording.beam.length - length) > SAME_LENGTH * length:
+    # Of the length: a larger difference is another beam, or a wrong length_m.
+    if abs(description.beam.length - length) > 0.01 * length:
         raise ObservationError(
-            f"{recording.folder}: its beam is {1000 * recording.beam.length:.4g} mm long, the learned one "
+            f"{description.folder}: its beam is {1000 * description.beam.length:.4g} mm long, the learned one "
             f"{1000 * length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
         )
 
 
 # [camera] from a bag: the camera's calibration as its driver published it.
 
-NEAR_ENOUGH = 0.1  # px: a lens of another model that ours meets so nearly is taken as ours
 RECTIFIED = "image_rect"  # how the name of a topic of rectified pictures begins
 POLYNOMIAL, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", ("equidistant", "fisheye")
 OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the camera is inferred from the tags."
@@ -124,12 +116,7 @@ def known_camera(
 
 
 def camera_in_bag(entry: CameraInfoEntry, video: VideoEntry | None) -> tuple[CameraEntry, tuple[Remark, ...]]:
-    """The calibration that `entry` names, for the pictures of `video`, and what is to be said of it.
-
-    Raises:
-        RecordingError: the film is in no bag, the camera is not calibrated, its lens has no place in our model, or the
-            calibration is of pictures of another size.
-    """
+    """The calibration that `entry` names, for the pictures of `video`, and what is to be said of it."""
     if video is None or not video.topic:
         raise RecordingError(
             "[camera] camera_info names a topic, and the film is in no bag. Write width, height, fx, fy, cx, cy, dist."
@@ -183,7 +170,7 @@ def lens_of(info: CameraInfo, video: VideoEntry) -> tuple[Array, str]:
         return info.lens[:5], f"lens {info.model}, without k4 to k6"
     lens = rational(info.lens) if info.model == RATIONAL else equidistant(info.lens)
     dist, worst = nearest_lens(lens, info.matrix, (info.width, info.height))
-    if not worst <= NEAR_ENOUGH:
+    if not worst <= 0.1:  # px: a lens of another model that ours meets so nearly is taken as ours
         how = f"miss it by up to {worst:.2g} px" if np.isfinite(worst) else "cannot follow it to the picture's edges"
         raise RecordingError(
             f"{place}: its lens is {info.model}, and k1, k2, p1, p2, k3 {how}. Record rectified pictures (image_rect), "
@@ -232,9 +219,8 @@ def read_recording(
 ) -> Recording:
     """Read and check `recording.toml` of `folder` (or that file itself), and that the files it names exist.
 
-    Args:
-        stated: values by table and key, in the file's units, that take the place of those in the file.
-        filmed: False: film and force log are still to be made, so that their files need not be there.
+    `stated` are values by table and key, in the file's units, that replace those in the file. With `filmed` False the
+    film and the force log need not be there yet.
 
     Raises:
         RecordingError: everything that is wrong, each with its line and what to do.
@@ -254,9 +240,7 @@ def read_recording(
 def check_text(folder: Path, content: str) -> TextCheck:
     """Check the text of a `recording.toml` for this folder, without writing it; quick enough for every key pressed.
 
-    The files that it names must exist. What stands in bags is not looked at. Keys that are still empty do not keep the
-    others from being checked.
-    """
+    The files that it names must exist; bags are not opened. Empty keys do not keep the others from being checked."""
     empty = empty_values(content)
     rows = content.splitlines()
     for _, line, _ in empty:
@@ -317,9 +301,7 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
         remarks=(
             *(remarks_on(tags, data) if "tags" in data else ()),
             *camera_remarks,
-            *entry_remarks(beam, entries["camera"]),
-            *spread_remarks(beam, entries, scale_sd),
-            *unit_remarks(beam, tags, entries),
+            *implausible(beam, tags, entries, scale_sd),
         ),
         scale_sd=scale_sd,
         frequencies=swung,
@@ -409,6 +391,22 @@ WHAT: dict[Kind, tuple[str, str]] = {
     "mocap": ("What was tracked", " Start and stop with nothing touching the beam."),
 }
 TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one that looks right
+TABLES_OF: dict[Kind, tuple[str, ...]] = {
+    "video": ("video", "force", "push"),
+    "ros": ("video", "force", "push"),
+    "photos": ("photos",),
+    "weights": ("poses", "gravity"),
+    "mocap": ("markers", "force", "push"),
+}
+DEFAULTS = {
+    "video": {"file": '"video.mp4"'},
+    "photos": {"folder": '"photos"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "poses": {"file": '"poses.csv"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "gravity": {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN},
+    "markers": {"file": '"markers.csv"'},
+    "force": {"file": '"force.csv"', "acts_on": TO_FILL_IN, "rotation_deg": TO_FILL_IN},
+    "push": {"at_s": TO_FILL_IN},
+}
 CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
 GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
 
@@ -451,60 +449,19 @@ def files_beside(folder: Path) -> dict[str, dict[str, str]]:
 def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:
     """The text of the template: it keeps the schema once what is empty is filled in."""
     what, hint = WHAT[kind]
-    known = {name: dict(values) for name, values in filled.items()}
     seen_by_camera = kind in ("video", "ros", "photos")
+    tables = {name: {**DEFAULTS.get(name, {}), **filled.get(name, {})} for name in TABLES_OF[kind]}
     parts = [
         INTRODUCTION.format(what=what, hint=hint),
         table("[beam]", BeamEntry, length_m=TO_FILL_IN, **({"mass_kg": TO_FILL_IN} if kind == "weights" else {})),
         table("[tags]", TagsEntry, **({"size_m": TO_FILL_IN} if seen_by_camera else {})),
-        *([tag("[[tags.on_base]]", "0.0")] if seen_by_camera else []),
-        *(tag("[[tags.on_beam]]", TO_FILL_IN) for _ in range(3)),
-        *_SOURCES[kind](known),
+        *([table("[[tags.on_base]]", TagEntry, id=TO_FILL_IN, s="0.0")] if seen_by_camera else []),
+        *(table("[[tags.on_beam]]", TagEntry, id=TO_FILL_IN, s=TO_FILL_IN) for _ in range(3)),
+        *(table(f"[{name}]", SECTIONS[name], **values) for name, values in tables.items()),
     ]
-    if kind != "weights":
-        parts.append(optional(GRAVITY, table("[gravity]", GravityEntry)))
-    parts.append(optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry)))
-    return "\n".join(parts)
-
-
-def _filmed(known: dict[str, dict[str, str]]) -> list[str]:
-    video = {"file": '"video.mp4"'} | known.get("video", {})
-    camera = optional(CAMERA, table("[camera]", CameraEntry))
-    return [table("[video]", VideoEntry, **video), *_pushed(known), camera]
-
-
-def _tracked(known: dict[str, dict[str, str]]) -> list[str]:
-    return [table("[markers]", MarkersEntry, file='"markers.csv"'), *_pushed(known)]
-
-
-def _photographed(_: dict[str, dict[str, str]]) -> list[str]:
-    photos = table("[photos]", PhotosEntry, folder='"photos"', loads='"loads.csv"', axes=TO_FILL_IN)
-    return [photos, optional(CAMERA, table("[camera]", CameraEntry))]
-
-
-def _weighed(_: dict[str, dict[str, str]]) -> list[str]:
-    poses = table("[poses]", PosesEntry, file='"poses.csv"', loads='"loads.csv"', axes=TO_FILL_IN)
-    return [poses, table("[gravity]", GravityEntry, **WEIGHT)]
-
-
-def _pushed(known: dict[str, dict[str, str]]) -> list[str]:
-    force = {"file": '"force.csv"', "acts_on": TO_FILL_IN, "rotation_deg": TO_FILL_IN} | known.get("force", {})
-    return [table("[force]", ForceEntry, **force), table("[push]", PushEntry, at_s=TO_FILL_IN)]
-
-
-WEIGHT = {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN}
-_SOURCES: dict[Kind, Callable[[dict[str, dict[str, str]]], list[str]]] = {
-    "video": _filmed,
-    "ros": _filmed,
-    "photos": _photographed,
-    "weights": _weighed,
-    "mocap": _tracked,
-}
-
-
-def tag(header: str, s: str) -> str:
-    """One tag to fill in; more of them are more such tables."""
-    return table(header, TagEntry, id=TO_FILL_IN, s=s)
+    parts += [optional(CAMERA, table("[camera]", CameraEntry))] if seen_by_camera else []
+    parts += [optional(GRAVITY, table("[gravity]", GravityEntry))] if kind != "weights" else []
+    return "\n".join([*parts, optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry))])
 
 
 def table(header: str, record: type, **values: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -197,10 +197,8 @@ def load_changes(time: Array, size: Array, loaded: BoolArray) -> list[LoadChange
         ends = [0, *turns, len(part) - 1]
         for before, turn, after in zip(ends, ends[1:], ends[2:], strict=False):
             from_turn = np.abs(part - part[turn])
-            earlier, later = (
-                from_turn[before : turn + 1][::-1] > BEFORE * largest,
-                from_turn[turn : after + 1] > CLEAR * largest,
-            )
+            earlier = from_turn[before : turn + 1][::-1] > BEFORE * largest
+            later = from_turn[turn : after + 1] > CLEAR * largest
             low = turn - int(np.argmax(earlier))
             high = turn + int(np.argmax(later)) if later.any() else after
             changes.append(LoadChange(float(when[low]), float(when[high]), release=False))
@@ -242,7 +240,6 @@ def displacement(time: Array, xy: Array, rest: Array) -> Array:
 # one.
 
 _NEGLIGIBLE = 1e-14  # of the white variance: a step of a process below it is taken for it
-_FEW = 150  # rows, up to which the dense factor is the quicker one
 
 
 @dataclass(frozen=True)
@@ -266,12 +263,9 @@ class NoiseFactor:
 
 def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
     """Of the covariance of `noise` at rising `time` (N,) [s]; with `walked` (N,) [N^2], the variance that a second walk
-    has gathered so far, counted from the first row.
-
-    Raises:
-        numpy.linalg.LinAlgError: the covariance is not positive definite.
-    """
-    return dense_factor(noise, time, walked) if len(time) <= _FEW else banded_factor(noise, time, walked)
+    has gathered so far, counted from the first row."""
+    # Rows, up to which the dense factor is the quicker one.
+    return dense_factor(noise, time, walked) if len(time) <= 150 else banded_factor(noise, time, walked)
 
 
 def dense_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
@@ -394,33 +388,34 @@ def first_guess(values: Array, spacing: float) -> ForceNoise:
 
 
 def fit_noise(time: Array, model: LinearModel, start: ForceNoise) -> ForceNoise:
-    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow.
+    """The likeliest noise of the model's values at `time` (N,) around anything that its columns can follow."""
+
+    def misfit(noise: ForceNoise, square: float) -> float:
+        return 0.5 * square - log_evidence(noise_factor(noise, time), model)
+
+    return likeliest_noise(start, misfit, 120)
+
+
+def likeliest_noise(start: ForceNoise, misfit: Callable[[ForceNoise, float], float], most: int) -> ForceNoise:
+    """The noise of least `misfit`, a negative log posterior, in at most so many evaluations.
 
     A weak prior bounds the sizes: one sd is a factor of five about `start`, of the correlation time a factor of 2.5.
+    `misfit` takes the noise and the square of its distance from `start` in sd.
     """
     spread = np.log(np.array([5.0, 5.0, 2.5, 5.0]))
     centre = np.log(np.array([start.white, start.coloured, start.tau, start.walk]))
 
-    def negative_log_posterior(z: Array) -> float:
-        noise = _sized(start, centre + spread * z)
-        return 0.5 * float(z @ z) - log_evidence(noise_factor(noise, time), model)
+    def sized(z: Array) -> ForceNoise:
+        white, coloured, tau, walk = np.exp(centre + spread * z).tolist()
+        return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
 
     simplex = np.vstack([np.zeros(4), 0.4 * np.eye(4)])
-    options = {"maxfev": 120, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
-    optimum = minimize(negative_log_posterior, np.zeros(4), method="Nelder-Mead", options=options)
-    return _sized(start, centre + spread * optimum.x)
-
-
-def _sized(start: ForceNoise, logs: Array) -> ForceNoise:
-    """`start` with white, coloured, tau and walk of these logarithms."""
-    white, coloured, tau, walk = np.exp(logs).tolist()
-    return replace(start, white=white, coloured=coloured, tau=tau, walk=walk)
+    options = {"maxfev": most, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
+    optimum = minimize(lambda z: misfit(sized(z), z @ z), np.zeros(4), method="Nelder-Mead", options=options)
+    return sized(optimum.x)
 
 
 # Cleaning the force log: sign, frame, outliers, zero, zero-phase low-pass, and the noise that remains.
-
-_DRIFTED = 0.2  # of the largest force: a zero that changes by more between two rests is warned of
-_LOST = 0.5  # by more than this, the log hardly tells the force
 
 
 @dataclass(frozen=True)
@@ -428,9 +423,8 @@ class ForceSettings:
     """How the log is cleaned."""
 
     overtone: float = 2.0  # cut-off over the bandwidth of the markers' motion: see `choose_cutoff`
-    tare_span: float = (
-        3.0  # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
-    )
+    # s of a rest, nearest to contact, for the zero; a longer one adds drift, a shorter one noise
+    tare_span: float = 3.0
     outlier_sd: float = 6.0
     longest_gap: float = 0.1  # s, or as long as the filter's memory where that is longer: a longer gap stays a gap
 
@@ -485,29 +479,26 @@ def clean_force(
     zero = zero_of(log.time, force, rests, noise, settings)
     clean = smooth - zero.at(log.time)
     remarks = zero_remarks(zero, float(np.abs(clean).max()), cutoff)
-    drift = np.full(2, np.nan)
+    noise_sd = remaining_sd(log.time, smooth, rests, zero, cutoff, noise)
+    drift, spacing = np.full(2, np.nan), step(log.time)
     if len(zero.time) > 1:
         drift = (zero.value[-1] - zero.value[0]) / (zero.time[-1] - zero.time[0])
+    if noise is not None:  # the log's own samples show its white part
+        noise = replace(noise, white=first_guess(force, spacing).white, spacing=spacing)
     return CleanForce(
         time=log.time,
         force=clean,
         push_s=log.push_s,
-        noise_sd=remaining_sd(log.time, smooth, rests, zero, cutoff, noise),
+        noise_sd=noise_sd,
         tare=zero.value[0] if len(zero.time) else np.zeros(2),
         drift=drift,
         cutoff=cutoff,
         outliers=int(bad.sum()),
-        noise=None if noise is None else _with_white(noise, log.time, force),
+        noise=noise,
         zero_time=zero.time,
         zero=zero.value,
         remarks=(*log.remarks, *remarks),
     )
-
-
-def _with_white(noise: ForceNoise, time: Array, force: Array) -> ForceNoise:
-    """`noise` with its white part as the log's own samples show it: there it stands out from all that is slower."""
-    spacing = step(time)
-    return replace(noise, white=first_guess(force, spacing).white, spacing=spacing)
 
 
 def to_beam(rotation: float) -> Array:
@@ -578,9 +569,9 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
     elif len(zero.time) == 1:
         text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
         remarks.append(Remark("note", text))
-    elif change > _DRIFTED * largest:
+    elif change > 0.2 * largest:  # of the largest force: a zero that changes by more between two rests is warned of
         text = f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up."
-        if doubt := change > _LOST * largest:
+        if doubt := change > 0.5 * largest:  # by more than this, the log hardly tells the force
             text = (
                 f"The force's zero drifted by {change:.2g} N between the rests, and the push is {largest:.2g} N: how "
                 "the zero ran during the push is a guess. Push harder, or let the sensor warm up."

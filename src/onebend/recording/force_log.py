@@ -59,12 +59,10 @@ def likely_forces(header: Sequence[str]) -> tuple[str, str] | None:
 # Mistakes that a force log shows by itself: a channel not connected, a sensor at its limit, another unit.
 
 AXES = ("first", "second")
-AT_END, MORE_THAN_NEXT, FEWEST = 0.01, 3.0, 5  # share of rows at an extreme value; times those at the next; rows
 LARGEST, SMALLEST = (
     100.0,
     5e-3,
 )  # N: less than the first bends a soft beam, and sensors for it do not resolve the second
-TOO_LARGE = 500.0  # N: what a person could not hold bends no soft beam
 TOO_MANY_WEIGHTS, TOO_FEW_WEIGHTS = 700.0, 0.01  # a rod of carbon fibre bends under some hundred times its weight
 OF_WEIGHT = 50.0  # times the beam's weight; the force that bends a soft beam is near its weight
 OTHER_UNIT = re.compile(r"[_\s\[(/](mN|kN|uN|g|gf|kg|kgf|lbf?|ozf?|counts|V|mV)[\])]?$")
@@ -92,7 +90,10 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
     for axis, column in zip(AXES, force.T, strict=True):
         values, counts = np.unique(column, return_counts=True)
         for end, index, inward in (("largest", -1, -2), ("smallest", 0, 1)):
-            if len(values) < 3 or counts[index] < max(AT_END * len(column), MORE_THAN_NEXT * counts[inward], FEWEST):
+            # Share of rows at an extreme value.
+            # Times those at the next.
+            # Rows.
+            if len(values) < 3 or counts[index] < max(0.01 * len(column), 3.0 * counts[inward], 5):
                 continue
             at_extreme = column == values[index]
             after, before = np.append(False, at_extreme[:-1]), np.append(at_extreme[1:], False)
@@ -109,16 +110,12 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
 
 
 def refuse_other_unit(force: Array, mass: float, where: str) -> None:
-    """Raise where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are a thousand times off: no soft
-    beam bends under as much, or under as little, of what its weight is.
-
-    Raises:
-        ObservationError: with the unit that would fit.
-    """
+    """`ObservationError` with the fitting unit where the forces (N, 2) [N] are a thousand times off what bends a soft
+    beam of `mass` [kg; NaN: unknown]."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     weights = largest / (9.81 * mass) if mass > 0 else math.nan
     times = f", {weights:.3g} times its weight" if mass > 0 else ""
-    if largest > TOO_LARGE or weights > TOO_MANY_WEIGHTS:
+    if largest > 500.0 or weights > TOO_MANY_WEIGHTS:  # N: what a person could not hold bends no soft beam
         said, units = "is", "millinewtons, grams or counts"
     elif 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS:
         said, units = "is only", "kilonewtons"
@@ -167,7 +164,6 @@ LOST = (
     "left out"
 )
 HUNG = "rows of the force log only repeat the row before, for long (the sensor or the logger hung), and are left out"
-MANY = 0.1  # of the rows: if more are left out or share a time, it is a warning
 
 
 def read_force_log(
@@ -179,13 +175,11 @@ def read_force_log(
 ) -> ForceLog:
     """Read a CSV force log: a header, then one row a sample.
 
-    `columns` names time [`time_unit`] and two forces [N]; `push_column`, where not empty, the place of the push.
-    Rows with an empty or infinite entry or NaN are left out, rows of one time become their mean; a remark says how
-    many.
+    `columns` names time [`time_unit`] and two forces [N]; `push_column`, where not empty, the place of the push. Rows
+    with an empty or infinite entry are left out, rows of one time become their mean; remarks say how many.
 
     Raises:
-        RecordingError: unreadable, a missing column (those found are listed), text instead of a number, times that
-            fall, too few rows, a force that is zero throughout; with the line.
+        RecordingError: the file cannot be read as a log; with the line or the columns found.
     """
     path = Path(path)
     if unit_advice := unit_in_name(columns, time_unit):
@@ -218,11 +212,7 @@ def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: Sequenc
 
 
 def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> ForceLog:
-    """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall.
-
-    Raises:
-        RecordingError: too few rows are left, or every force is zero.
-    """
+    """The log from rows (N, 3 or 4) of time, two forces and perhaps the place of the push; times do not fall."""
     full = np.isfinite(read).all(axis=1)
     zeros = false_zeros(read[full, 1:3])
     measured = read[full][~zeros]
@@ -323,6 +313,6 @@ def remark(count: int, rows: int, what: str) -> tuple[Remark, ...]:
     """Nothing, a note or a warning on `count` of the rows."""
     if not count:
         return ()
-    if count <= MANY * rows:
+    if count <= 0.1 * rows:  # of the rows: if more are left out or share a time, it is a warning
         return (Remark("note", f"{count} of {rows} {what}.", about="bad rows"),)
     return (Remark("warning", f"{count} of {rows} {what}. Check the logger, and record again.", about="bad rows"),)

@@ -13,10 +13,10 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import check_turns, measure_markers
-from onebend.recording.clock import ClockFit, ClockSettings
+from onebend.recording.clock import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
-from onebend.recording.force import Contact, ContactSettings, ForceSettings, find_contact
+from onebend.recording.force import ContactSettings, ForceSettings, find_contact
 from onebend.recording.pairing import (
     check_direction,
     check_place,
@@ -46,13 +46,10 @@ from onebend.recording.video import KeptFrames, spacing_of
 from onebend.records import (
     Array,
     BoolArray,
-    CleanForce,
-    ClockOffset,
     Detections,
     ForceLog,
     Markers,
     Observations,
-    Remark,
     Source,
 )
 
@@ -138,11 +135,7 @@ def _shown(
 
 
 def markers_of(rec: Recording, detections: Detections) -> Markers:
-    """The tags in metres, turned as recording.toml says.
-
-    Raises:
-        ObservationError: they are turned otherwise, or no plane explains them.
-    """
+    """The tags in metres, turned as recording.toml says."""
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
     return markers
@@ -153,11 +146,7 @@ def observe_markers(
 ) -> Observations:
     """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
 
-    No picture is there to show the tool that pushes: see `tool.film.tool_checked`.
-
-    Raises:
-        ObservationError: as `observe`.
-    """
+    No picture is there to show the tool that pushes: see `tool_checked`. Raises as `observe`."""
     return with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
 
@@ -181,19 +170,6 @@ def swing_signals(
     return signals_of_markers(measure_markers(detections.of_searched()[0], rec), rec.name)
 
 
-@dataclass(frozen=True)
-class _LoadsAtFrames:
-    """The loads on the beam in every frame, on the log's clock."""
-
-    time: Array  # (T,) s
-    gravity: Array  # (T, 2) m/s^2
-    force: Array  # (T, 2) N, NaN where the log has no row
-    push_s: Array  # (T,)
-    loaded: BoolArray  # (T,)
-    clean: CleanForce | None
-    clock: ClockOffset
-
-
 @one_blas_thread
 def assemble(
     rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ObserveSettings
@@ -211,83 +187,69 @@ def assemble(
     if slow:
         fit = match_clocks(rec, reading, log, base, settings.clock)
     contact = find_contact(reading, log, offset=fit.clock.offset, settings=settings.contact)
-    gravity = gravity_in_frame(rec.gravity, base, markers, markers.time + fit.clock.offset)
-    in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
-    acting = _acting(rec, markers, log, contact, fit, gravity, settings=settings)
-    angled, refuse = with_angles(in_frame), settings.check_force
-    bare = rest if angled is in_frame else rest_shape(angled, contact.still)
-    implausible = check_direction(rec, angled, bare, acting.force, acting.push_s, acting.loaded, refuse=refuse)
-    implausible += check_place(rec, in_frame, rest, acting.push_s, acting.loaded)
-    usable_frames, drop_remarks = usable(markers, acting.force)
-    of_log = ((), ()) if acting.clean is None else (contact.remarks, acting.clean.remarks)
-    remarks = (
-        *rec.remarks,
-        *markers.remarks,
-        *slow,
-        *fit.remarks,
-        *of_log[0],
-        *frame_remarks,
-        *of_log[1],
-        *implausible,
-        *drop_remarks,
-    )
-    return _observations(rec, in_frame, rest, acting, usable_frames, remarks)
-
-
-def _acting(
-    rec: Recording,
-    markers: Markers,
-    log: ForceLog | None,
-    contact: Contact,
-    fit: ClockFit,
-    gravity: Array,
-    *,
-    settings: ObserveSettings,
-) -> _LoadsAtFrames:
-    """Weight, and the log, cleaned, at the frames' times."""
     time, clean = markers.time + fit.clock.offset, None
+    gravity = gravity_in_frame(rec.gravity, base, markers, time)
+    in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     if log is not None:
         clean = cleaned(rec, markers, log, contact, fit, settings.force)
     force, push_s = pair(rec, clean, time, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
     loaded = contact.loaded if clean is not None else np.zeros(len(time), dtype=bool)
-    return _LoadsAtFrames(time, gravity, force, push_s, loaded, clean, fit.clock)
+    angled = with_angles(in_frame)
+    bare = rest if angled is in_frame else rest_shape(angled, contact.still)
+    implausible = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
+    implausible += check_place(rec, in_frame, rest, push_s, loaded)
+    use, drop_remarks = usable(markers, force)
+    remarks = (*rec.remarks, *markers.remarks, *slow, *fit.remarks)
+    remarks += frame_remarks if clean is None else (*contact.remarks, *frame_remarks, *clean.remarks)
+    source = Source(
+        name=rec.name,
+        video=rec.video.file if rec.video else None,
+        video_topic=rec.video.topic if rec.video else "",
+        view=in_frame.view,
+        clock=fit.clock,
+        clean_force=clean,
+        remarks=(*remarks, *implausible, *drop_remarks),
+    )
+    loads = _LoadsAtFrames(time, gravity, force, push_s, loaded)
+    force_sd = np.zeros(2) if clean is None else clean.noise_sd
+    return _observations(rec, source, in_frame, rest, loads, force_sd, use)
+
+
+@dataclass(frozen=True)
+class _LoadsAtFrames:
+    """The loads on the beam in every frame, on the log's clock."""
+
+    time: Array  # (T,) s
+    gravity: Array  # (T, 2) m/s^2
+    force: Array  # (T, 2) N, NaN where the log has no row
+    push_s: Array  # (T,)
+    loaded: BoolArray  # (T,)
 
 
 def _observations(
     rec: Recording,
+    source: Source,
     markers: Markers,
     rest: RestShape,
-    acting: _LoadsAtFrames,
-    usable_frames: BoolArray,
-    remarks: tuple[Remark, ...],
+    loads: _LoadsAtFrames,
+    force_sd: Array,
+    use: BoolArray,
 ) -> Observations:
-    """The frames `usable_frames` (T,) of what was read, in one record."""
+    """The frames `use` (T,) of what was read, in one record."""
     return Observations(
-        source=Source(
-            name=rec.name,
-            video=rec.video.file if rec.video else None,
-            video_topic=rec.video.topic if rec.video else "",
-            view=markers.view,
-            clock=acting.clock,
-            clean_force=acting.clean,
-            remarks=remarks,
-        ),
+        source=source,
         stated=stated_in(rec),
         length=rec.beam.length,
-        time=acting.time[usable_frames],
-        frame=np.flatnonzero(usable_frames).astype(np.int64),
+        frame=np.flatnonzero(use).astype(np.int64),
         tag_id=markers.tag_id,
         marker_s=markers.s,
-        xy=markers.xy[usable_frames],
-        angle=markers.angle[usable_frames],
-        covariance=markers.covariance[usable_frames],
-        force=acting.force[usable_frames],
-        force_sd=np.zeros(2) if acting.clean is None else acting.clean.noise_sd,
-        push_s=acting.push_s[usable_frames],
-        loaded=acting.loaded[usable_frames],
+        xy=markers.xy[use],
+        angle=markers.angle[use],
+        covariance=markers.covariance[use],
+        force_sd=force_sd,
         rest_xy=rest.xy,
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
-        gravity=acting.gravity[usable_frames],
-        by_camera=None if markers.by_camera is None else markers.by_camera[usable_frames],
+        by_camera=None if markers.by_camera is None else markers.by_camera[use],
+        **{name: values[use] for name, values in vars(loads).items()},
     )

@@ -15,7 +15,7 @@ from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_
 from onebend.recording.entries import ForceEntry, Recording
 from onebend.recording.force import Contact, ForceSettings, choose_cutoff, clean_force, force_at, gap_limit, to_beam
 from onebend.recording.force_log import FEWEST_ROWS, read_force_log, refuse_other_unit, size_remarks
-from onebend.recording.signals import at_times, bandwidth, step
+from onebend.recording.signals import at_times, bandwidth, from_clamp, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
 # Whether the force can have bent this beam. Flipped signs and swapped axes are the commonest mistakes.
@@ -38,7 +38,7 @@ _OTHER = "give acts_on the other value, beam or robot"
 _EXCHANGE = "exchange the two forces in {key}"
 _NEGATE = "give the {axis} force the opposite sign, or exchange both in {{key}} and set rotation_deg to {{fits:.0f}}"
 _TURN = "correct rotation_deg (about {fits:.0f} would fit)"
-_MENDED: dict[str, tuple[float, str]] = {  # what then has to be added to rotation_deg, in rad, and what to do
+_CORRECTION: dict[str, tuple[float, str]] = {  # what then has to be added to rotation_deg, in rad, and what to do
     "opposite": (0.0, _OTHER),
     "x and y swapped": (0.0, _EXCHANGE),
     "x and y swapped and both of opposite sign": (0.0, f"{_EXCHANGE}, and {_OTHER}"),
@@ -49,17 +49,12 @@ _MENDED: dict[str, tuple[float, str]] = {  # what then has to be added to rotati
 }
 TINY = 1e-300  # of a force that is zero throughout
 CERTAIN = 0.5  # unexplained share of the moments above which the log as it is contradicts the film
-BETTER = 0.25  # of that share: another reading leaves less only where the log as it is is not the right one
 CLEARLY = 0.003  # by which it must leave less: a right log whose axes are off by 5 deg leaves 0.0003 more
-AS_SIMPLE = 3.0  # times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn
-DOUBT = 0.015  # unexplained share above which a turn is searched; simulated clean logs leave 0.008
 SHIFTS = np.arange(-10, 11) * 0.05  # s: clocks that were matched by wrong axes are off by a few tenths
 MOST = 95.0  # percentile over the frames that stands for the largest
-SHARPER = 0.25  # of that share: a turned log that leaves less is named in the message
-EXACT = (
-    0.002  # unexplained share after the mending: axes that were merely turned leave less than a tenth of it. What is
-)
-# left by an error that changes with the load, as of a robot's own estimate of the force, is 0.003 and more
+# Unexplained share after the correction. Axes that were merely turned leave less than a tenth of it. An error that
+# changes with the load, as of a robot's own estimate of the force, leaves 0.003 and more.
+EXACT = 0.002
 LOADED = (
     "Or it is the sensor's own error, which changes with the load as that of a robot's estimate of the force does: "
     "push harder, or take a force sensor."
@@ -89,8 +84,10 @@ class Reading:
         """The reading that fits better than the log as it is by more than errors of a log can do, or nothing."""
         best = min(self.unexplained, key=lambda name: self.unexplained[name])
         as_written, left = self.unexplained["as it is"], self.unexplained[best]
-        clearly = left < min(BETTER * as_written, as_written - CLEARLY)
-        return best if clearly and left < max(AS_SIMPLE * self.turned, CLEARLY) else ""
+        # Of that share: another reading leaves less only where the log as it is is not the right one.
+        clearly = left < min(0.25 * as_written, as_written - CLEARLY)
+        # Times what the best turn leaves: up to this a reading of `READINGS` is named, and not the turn.
+        return best if clearly and left < max(3.0 * self.turned, CLEARLY) else ""
 
     @property
     def rotated(self) -> bool:
@@ -98,7 +95,9 @@ class Reading:
         if self.better:
             return False
         as_written = self.unexplained["as it is"]
-        return as_written > DOUBT and self.turned < SHARPER * as_written
+        # Unexplained share above which a turn is searched; simulated clean logs leave 0.008.
+        # Of that share: a turned log that leaves less is named in the message.
+        return as_written > 0.015 and self.turned < 0.25 * as_written
 
     @property
     def exact(self) -> bool:
@@ -111,17 +110,14 @@ def read_force(
 ) -> Reading | None:
     """Compare the readings over the `loaded` of T frames; None where the film cannot tell.
 
-    For each span between neighbouring tags up to the push, the moment of the force about the span's middle is
-    explained by the span's turn since rest times one stiffness that is not negative. The readings are of the log's own
-    axes, whose x stands at `rotation` [rad] in the beam's frame. Where the log as it is leaves something, each reading
-    may have the clock that suits it best: the clocks were matched by the log as it is.
-    """
+    The moment of the force about the middle of each span between tags up to the push is explained by the span's turn
+    since rest times one stiffness that is not negative. The readings are of the log's own axes, whose x stands at
+    `rotation` [rad] in the beam's frame. Each may have the clock that suits it best, as the clocks were matched by the
+    log as it is."""
     if not np.isfinite(push_s[loaded]).any():
         return None
     turns, levers = spans(markers, rest, push_s)
-    good = (
-        loaded & np.isfinite(turns).all(axis=1) & np.isfinite(levers).all(axis=(1, 2)) & np.isfinite(force).all(axis=1)
-    )
+    good = loaded & np.isfinite(np.column_stack([turns, levers.reshape(len(turns), -1), force])).all(axis=1)
     if good.sum() < 10 or not turns.shape[1] or float(np.ptp(turns[good], axis=0).max()) < 0.05:
         return None
     turns, levers = turns[good], levers[good]
@@ -162,18 +158,13 @@ def _unexplained(axes: Array, force: Array, turns: Array, levers: Array) -> Arra
 def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> str:
     """What the log's axes look like, and the line of [force] to mend; `rotation` [rad] is what is written there, `key`
     the line that names its two axes."""
-    if reading.better:
-        turn, line = _MENDED[reading.better]
+    if reading.better or reading.rotated:
+        turn, line = _CORRECTION[reading.better] if reading.better else (reading.turn, _TURN)
         fits = math.degrees(math.remainder(rotation + turn, 2.0 * math.pi))
-        how = reading.better if reading.better.startswith("turned") else f"with {reading.better}"
-        how = "with both axes of opposite sign" if reading.better == "opposite" else how
+        how = reading.better or f"turned by {math.degrees(reading.turn):.0f} deg"
+        how = "both axes of opposite sign" if how == "opposite" else how
+        how = how if how.startswith("turned") else f"with {how}"
         return f"The force fits the bending far better {how}. In [force], {line.format(key=key, fits=fits)}."
-    if reading.rotated:
-        fits = math.degrees(math.remainder(rotation + reading.turn, 2.0 * math.pi))
-        return (
-            f"The force fits the bending far better turned by {math.degrees(reading.turn):.0f} deg. In [force], "
-            f"{_TURN.format(fits=fits)}."
-        )
     if reading.inexplicable:
         return "The force does not follow the bending, however its axes are read. Check that the log is of this push."
     return f"The force contradicts the bending. In [force], check {key}, rotation_deg and acts_on."
@@ -197,22 +188,13 @@ def turn_beyond(markers: Markers, rest: RestShape, push_s: Array, loaded: BoolAr
 
 def spans(markers: Markers, rest: RestShape, push_s: Array) -> tuple[Array, Array]:
     """(T, k) rad turn since rest, and (T, k, 2) m lever from its middle to the push, of each span between tags."""
-    count = len(markers.time)
-    s = np.concatenate([[0.0], markers.s])
-    order = np.argsort(s, kind="stable")
-    xy = np.concatenate([np.zeros((count, 1, 2)), markers.xy], axis=1)[:, order]
-    bend = np.concatenate([np.zeros((count, 1)), markers.angle - rest.angle], axis=1)[:, order]
-    s = s[order]
+    s, xy, bend = from_clamp(markers.s, markers.xy, markers.angle - rest.angle)
     push = np.stack(
         [[np.interp(place, s, row[:, k]) for place, row in zip(push_s, xy, strict=True)] for k in (0, 1)], axis=1
     )
     inner = np.flatnonzero(s[1:] <= np.nanmin(push_s) + 1e-9)
     middle = 0.5 * (xy[:, inner] + xy[:, inner + 1])
     return bend[:, inner + 1] - bend[:, inner], push[:, None] - middle
-
-
-BENDS_BEYOND = 0.05  # of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push
-LEAST_TURN = math.radians(3.0)
 
 
 def read_log(rec: Recording) -> ForceLog | None:
@@ -230,11 +212,7 @@ def match_clocks(
 ) -> ClockFit:
     """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
 
-    Where the start is said to be exact, it is as written, with an sd of 0.
-
-    Raises:
-        ObservationError: film and log do not overlap, or nothing says when the film starts.
-    """
+    Where the start is said to be exact, it is as written, with an sd of 0."""
     stated, uncertainty = rec.start
     if log is None and base is None:
         start = stated if math.isfinite(stated) else 0.0
@@ -242,9 +220,8 @@ def match_clocks(
     fit = None
     if log is not None and rec.force is not None:
         check_pace(rec, markers, log)
-        fit = fit_clock(
-            markers, _turned(log, rec.force), stated, uncertainty, push_s=push_place(rec, log), settings=settings
-        )
+        in_frame, push_s = _turned(log, rec.force), push_place(rec, log)
+        fit = fit_clock(markers, in_frame, stated, uncertainty, push_s=push_s, settings=settings)
     exact = uncertainty == 0.0 and math.isfinite(stated)
     if exact and fit is None:
         fit = ClockFit(ClockOffset(offset=stated, sd=0.0, stated=stated, found=True), None)
@@ -324,8 +301,7 @@ def cleaned(
         settings=settings,
     )
     refuse_other_unit(clean.force, rec.beam.mass, rec.name)
-    implausible = size_remarks(clean.force, rec.beam.mass)
-    return replace(clean, remarks=(*clean.remarks, *implausible)) if implausible else clean
+    return replace(clean, remarks=(*clean.remarks, *size_remarks(clean.force, rec.beam.mass)))
 
 
 def pair(
@@ -339,47 +315,32 @@ def pair(
 ) -> tuple[Array, Array]:
     """(T, 2) N force and (T,) place of the push at the times `time` [s, log's clock]; NaN where the log is silent.
 
-    "nearest" is the paper's way: the nearest row of the log, if within `epsilon` [s]. Without a log the force is
-    zero and its place unknown.
-    """
+    "nearest" takes the nearest row of the log, if within `epsilon` [s]. Without a log the force is zero."""
     count = len(time)
     if clean is None:
         return np.zeros((count, 2)), np.full(count, np.nan)
+    place = np.full(count, rec.push.at if rec.push else math.nan)
     if pairing == "nearest":
         after = np.clip(np.searchsorted(clean.time, time), 1, len(clean.time) - 1)
         row = np.where(time - clean.time[after - 1] < clean.time[after] - time, after - 1, after)
         close = np.abs(clean.time[row] - time) <= epsilon
         force = np.where(close[:, None], clean.force[row], np.nan)
-        place = clean.push_s[row] if clean.push_s is not None else None
-    else:
-        force = force_at(clean, time, settings=settings)
+        return force, place if clean.push_s is None else clean.push_s[row]
+    if clean.push_s is not None:
         limit = gap_limit(clean.time, clean.cutoff, settings)
-        place = (
-            None if clean.push_s is None else at_times(clean.time, clean.push_s[:, None], time, longest_gap=limit)[:, 0]
-        )
-    if place is None:
-        place = np.full(count, rec.push.at if rec.push else math.nan)
-    return force, place
+        place = at_times(clean.time, clean.push_s[:, None], time, longest_gap=limit)[:, 0]
+    return force_at(clean, time, settings=settings), place
 
 
 def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...]]:
-    """(T,) frames with a force and at least one marker, and remarks on the others.
-
-    Raises:
-        ObservationError: no frame is left.
-    """
+    """(T,) frames with a force and at least one marker, and remarks on the others."""
     has_force: BoolArray = np.isfinite(force).min(axis=1)
     has_marker: BoolArray = np.isfinite(markers.xy).min(axis=-1).max(axis=1)
-    remarks = []
-    if not has_force.all():
-        text = (
-            f"{int(np.sum(~has_force))} of {len(has_force)} frames lie outside the force log or in its gaps; left out."
-        )
-        remarks.append(Remark("note", text))
-    if not has_marker.all():
-        remarks.append(
-            Remark("note", f"{int(np.sum(~has_marker))} of {len(has_marker)} frames show no marker; left out.")
-        )
+    remarks = [
+        Remark("note", f"{int(np.sum(~good))} of {len(good)} frames {why}; left out.")
+        for good, why in ((has_force, "lie outside the force log or in its gaps"), (has_marker, "show no marker"))
+        if not good.all()
+    ]
     good: BoolArray = np.asarray(has_force & has_marker)
     if not good.any():
         raise ObservationError(
@@ -391,13 +352,8 @@ def usable(markers: Markers, force: Array) -> tuple[BoolArray, tuple[Remark, ...
 def check_direction(
     rec: Recording, markers: Markers, rest: RestShape, force: Array, push_s: Array, loaded: BoolArray, *, refuse: bool
 ) -> tuple[Remark, ...]:
-    """A remark where another reading of the force's axes explains the bending far better; k(s) is in doubt where it
-    does so exactly. Where something is left, a sensor whose error changes with the load can have done it, which the fit
-    allows for.
-
-    Raises:
-        ObservationError: where `refuse`, if the force as it is contradicts the bending.
-    """
+    """A remark where another reading of the force's axes explains the bending far better, with doubt where it does so
+    exactly; `ObservationError` where `refuse` and the force contradicts the bending."""
     rotation = rec.force.rotation if rec.force else 0.0
     reading = read_force(markers, rest, force, push_s, loaded, rotation=rotation)
     if reading is None or not (reading.impossible or reading.better or reading.rotated):
@@ -420,7 +376,8 @@ def check_place(
     if rec.gravity is not None or rec.push is None or not loaded.any():
         return ()
     beyond, largest = turn_beyond(markers, rest, push_s, loaded)
-    if beyond < max(BENDS_BEYOND * largest, LEAST_TURN):
+    # Of the largest turn of a tag: a heavy or a fast beam bends less than that beyond the push.
+    if beyond < max(0.05 * largest, math.radians(3.0)):
         return ()
     text = (
         f"The beam bends by {math.degrees(beyond):.2g} deg between tags beyond the push, where nothing acts on it. "

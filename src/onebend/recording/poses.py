@@ -41,8 +41,6 @@ from onebend.records import (
 )
 from onebend.text_files import MOST_TOML, read_text
 
-# The loads of static poses: a table with one row per load, weights along gravity, forces, moments.
-
 WRENCH = ("fx_N", "fy_N", "moment_N_m")  # what may be unknown, all three at once
 AMOUNTS = ("weight_N", "mass_kg", *WRENCH)
 CAME_BY = ("turned_from_deg", "order")  # how the beam came into the pose
@@ -71,12 +69,7 @@ class PoseLoads:
 
 
 def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
-    """The loads of every pose that the table names; a row without a load names a pose of the bare beam.
-
-    Raises:
-        RecordingError: a load without a place, a weight or a room axis without the clamp's angle, angles that differ
-            within a pose.
-    """
+    """The loads of every pose that the table names; a row without a load names a pose of the bare beam."""
     columns = ("s", "clamp_deg", *AMOUNTS, *CAME_BY)
     table = read_columns(path, (), columns, labels=("pose",), kind="table of loads", unknown=WRENCH, strict=True)
     held_rows = _held(table)
@@ -90,8 +83,10 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
     table.refuse(np.isfinite(amounts["weight_N"]) & np.isfinite(amounts["mass_kg"]), "both weight_N and mass_kg.")
     names = tuple(dict.fromkeys(table.labels["pose"]))
     pose = np.array([names.index(name) for name in table.labels["pose"]])
-    clamp = _clamps(table, rec, pose, len(names))
-    hung = np.nan_to_num(amounts["weight_N"]) + np.nan_to_num(amounts["mass_kg"]) * _magnitude(rec)
+    clamp = np.radians(_one_each(table, "clamp_deg", pose, len(names)))
+    clamp = np.where(np.isfinite(clamp), clamp, rec.gravity.base_angle if rec.gravity is not None else math.nan)
+    magnitude = rec.gravity.magnitude if rec.gravity is not None else 9.81
+    hung = np.nan_to_num(amounts["weight_N"]) + np.nan_to_num(amounts["mass_kg"]) * magnitude
     table.refuse(
         ((hung != 0.0) | (loaded & (axes == "room"))) & ~np.isfinite(clamp[pose]),
         "a weight, or a force in the room's axes, needs the clamp's angle. Give clamp_deg in the table, or "
@@ -140,22 +135,9 @@ def _held(table: Columns) -> BoolArray:
     )
     held = np.all(unknown, axis=0)
     table.refuse(held & (table.get("s") != 1.0), "only the end can be held with an unknown load: give s = 1 there.")
-    table.refuse(
-        held & (np.isfinite(table.get("weight_N")) | np.isfinite(table.get("mass_kg"))),
-        "a load that is unknown and a weight: give the weight a row of its own.",
-    )
+    weighed = np.isfinite(table.get("weight_N")) | np.isfinite(table.get("mass_kg"))
+    table.refuse(held & weighed, "a load that is unknown and a weight: give the weight a row of its own.")
     return np.asarray(held)
-
-
-def _magnitude(rec: Recording) -> float:
-    return rec.gravity.magnitude if rec.gravity is not None else 9.81
-
-
-def _clamps(table: Columns, rec: Recording, pose: np.ndarray, count: int) -> Array:
-    """(P,) rad: the table's, else recording.toml's."""
-    default = rec.gravity.base_angle if rec.gravity is not None else math.nan
-    stated = np.radians(_one_each(table, "clamp_deg", pose, count))
-    return np.where(np.isfinite(stated), stated, default)
 
 
 def _one_each(table: Columns, column: str, pose: np.ndarray, count: int) -> Array:
@@ -173,18 +155,14 @@ def _history(table: Columns, pose: np.ndarray, clamp: Array, held: BoolArray) ->
     """(P,) rad and (P,): whence the base was turned into each pose, and in which order the poses were come to."""
     turned_from, order = (_one_each(table, column, pose, len(clamp)) for column in CAME_BY)
     far = np.abs(np.nan_to_num(turned_from)) > MOST_TURNED
-    table.refuse(
-        far[pose], f"turned_from_deg is beyond {MOST_TURNED:g} degrees. Give the angle that it was turned from."
-    )
+    text = f"turned_from_deg is beyond {MOST_TURNED:g} degrees. Give the angle that it was turned from."
+    table.refuse(far[pose], text)
     turned, ordered = np.isfinite(turned_from)[pose], np.isfinite(order)[pose]
     table.refuse(turned & ordered, "both turned_from_deg and order: how the beam came into a pose is said once.")
-    table.refuse(
-        (turned | ordered) & held[pose], "how a beam came into a pose says nothing where an unknown load holds its end."
-    )
-    table.refuse(
-        turned & ~np.isfinite(clamp)[pose],
-        "turned_from_deg needs the clamp's angle in the pose, too. Give clamp_deg, or base_angle_deg in [gravity].",
-    )
+    text = "how a beam came into a pose says nothing where an unknown load holds its end."
+    table.refuse((turned | ordered) & held[pose], text)
+    text = "turned_from_deg needs the clamp's angle in the pose, too. Give clamp_deg, or base_angle_deg in [gravity]."
+    table.refuse(turned & ~np.isfinite(clamp)[pose], text)
     known, count = np.unique(order[np.isfinite(order)], return_counts=True)
     table.refuse(np.isin(order[pose], known[count > 1]), "order is the same in two poses. Number them 1, 2, 3...")
     return np.radians(turned_from), order
@@ -195,20 +173,17 @@ def _shared(
 ) -> tuple[Array, Array, KnownLoads | None]:
     """The largest force of each pose and its place, and all the rest; rows of a pose at one place are one load."""
     first, push_s = np.zeros((count, 2)), np.ones(count)
-    further: list[list[tuple[Array, float]]] = [[] for _ in range(count)]
-    turns: list[list[tuple[float, float]]] = [[] for _ in range(count)]
+    further: list[list[tuple[Array, float]]] = []
+    turns: list[list[tuple[float, float]]] = []
     for i in range(count):
         rows = np.flatnonzero(pose == i)
-        sums = [
-            (sum((force[r] for r in rows if s[r] == place), np.zeros(2)), place)
-            for place in sorted({*s[rows].tolist()})
-        ]
+        sums = [(np.sum(force[rows[s[rows] == place]], axis=0), place) for place in sorted({*s[rows].tolist()})]
         pushes = [(f, place) for f, place in sums if np.any(f != 0.0)]
         pushes.sort(key=lambda load: -float(np.linalg.norm(load[0])))
         if pushes:
             first[i], push_s[i] = pushes[0]
-        further[i] = pushes[1:]
-        turns[i] = [(float(moment[r]), float(s[r])) for r in rows if moment[r] != 0.0]
+        further.append(pushes[1:])
+        turns.append([(float(moment[r]), float(s[r])) for r in rows if moment[r] != 0.0])
     a, b = max(map(len, further)), max(map(len, turns))
     if a == 0 and b == 0:
         return first, push_s, None
@@ -221,8 +196,6 @@ def _shared(
     return first, push_s, others
 
 
-# How points of poses were read: their errors along and across the beam, gauges that were zeroed, rulers that stand.
-
 GUESSED_SD = 1e-3  # of the length: of a point where nobody says how exactly it was measured
 ANGLE_SD = math.radians(1.0)  # of an angle read off by hand
 SDS = ("sd_m", "along_sd_m", "across_sd_m")
@@ -230,12 +203,7 @@ LEVEL = 1e-9  # sine of the angle of a clamp that is level
 
 
 def readings_of(rec: Recording, loads: PoseLoads, table: Columns) -> Readings:
-    """How the points of the table were read.
-
-    Raises:
-        RecordingError: the pose of the zero is not there, or was read itself; rulers without their x; what rulers and
-            zeroed gauges cannot read.
-    """
+    """How the points of the table were read."""
     entry = rec.poses
     assert entry is not None
     if entry.read_at == "x":
@@ -296,11 +264,10 @@ def with_zero(readings: Readings, xy: Array, covariance: Array) -> tuple[Array, 
 def point_covariances(
     entry: PosesEntry, length: float, s: Array, xy: Array, angle: Array, grids: Mapping[str, Array]
 ) -> tuple[Array, bool]:
-    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether somebody says them all.
+    """(P, m, 3, 3) of points (P, m, 2) [m] and angles (P, m) [rad], and whether all sds are stated.
 
-    What is said of one point goes before what is said of all, and what is said of a direction before what is said of
-    both. `grids`: (P, m) m of each of `SDS`.
-    """
+    That of one point goes before that of all, that of a direction before that of both. `grids`: (P, m) m of each of
+    `SDS`."""
     sds = []
     for name, whole in (("along_sd_m", entry.along_sd), ("across_sd_m", entry.across_sd)):
         sd = np.where(np.isfinite(grids[name]), grids[name], grids["sd_m"])
@@ -315,7 +282,7 @@ def point_covariances(
     if entry.read_at == "x":
         along, turn = across, np.zeros_like(turn)
     cos, sin = np.cos(turn), np.sin(turn)
-    axes = np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+    axes = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), (0, 1), (-2, -1))
     out = np.zeros((*angle.shape, 3, 3))
     sizes = np.stack([along, across], axis=-1)[..., None, :] ** 2
     out[..., :2, :2] = (axes * sizes) @ np.swapaxes(axes, -1, -2)
@@ -361,9 +328,7 @@ def _refuse(rec: Recording, name: str, text: str) -> NoReturn:
     raise RecordingError(f"{path}:{line}: {name} {text}")
 
 
-NEAR = 0.02  # of the arc length: if every point is nearer to the clamp than this, the unit is wrong
 FEWEST_HELD = 3  # points of a pose whose end is held by an unknown load
-FAR = 1.05  # of the arc length: a point's distance from the clamp cannot be larger
 
 
 @dataclass(frozen=True)
@@ -381,12 +346,7 @@ class PosePoints:
 
 
 def pose_observations(rec: Recording) -> Observations:
-    """Observations from a table of poses and a table of loads.
-
-    Raises:
-        RecordingError: a table cannot be used.
-        ObservationError: no point of any loaded pose, or a point farther from the clamp than the beam reaches.
-    """
+    """Observations from a table of poses and a table of loads."""
     assert rec.poses is not None
     loads = read_loads(rec.poses.loads, rec, rec.poses.axes)
     return static(rec, loads, read_points(rec, loads), rec.poses.load_sd)
@@ -443,13 +403,10 @@ def read_points(rec: Recording, loads: PoseLoads) -> PosePoints:
     for name in SDS:
         table.refuse(table.get(name) <= 0.0, f"{name} must be above zero.")
     readings = readings_of(rec, loads, table)
-    cells = [
-        (loads.names.index(name), ids.index(int(i)))
-        for name, i in zip(table.labels["pose"], table.get("id"), strict=True)
-    ]
-    table.refuse(
-        np.array([cells.index(cell) < k for k, cell in enumerate(cells)]), "the point is there twice in its pose."
-    )
+    pairs = zip(table.labels["pose"], table.get("id"), strict=True)
+    cells = [(loads.names.index(name), ids.index(int(i))) for name, i in pairs]
+    twice = np.array([cells.index(cell) < k for k, cell in enumerate(cells)])
+    table.refuse(twice, "the point is there twice in its pose.")
     room, shape = entry.axes == "room", (len(loads.names), len(ids))
     if room and not np.isfinite(loads.clamp).all():
         raise ObservationError(
@@ -491,45 +448,39 @@ def _check_held(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
 def check_reach(rec: Recording, loads: PoseLoads, points: PosePoints) -> None:
     """An error where a point is farther from the clamp than the beam up to it is long: millimetres for metres.
 
-    A deflection alone may be as small as it likes, and what counts from a bent pose may go twice as far.
+    A deflection alone may be small. A reading that counts from a bent pose may be twice as large.
     """
     if points.readings.at == "x":
         return check_rulers(rec, loads, points.xy)
-    distance = np.linalg.norm(np.nan_to_num(points.xy), axis=-1)
-    if points.readings.bare >= 0:
-        distance = 0.5 * distance
-    relative = distance / np.array([max(tag.s, 1e-9) * rec.beam.length for tag in rec.tags.on_beam])
+    distance = np.linalg.norm(np.nan_to_num(points.xy), axis=-1) * (0.5 if points.readings.bare >= 0 else 1.0)
+    arc = np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length
+    relative = distance / np.maximum(arc, 1e-9 * rec.beam.length)
     whole = np.isfinite(points.xy).all(axis=-1)
-    if points.readings.bare < 0 and np.any(distance[whole] > 0.0) and np.max(relative) < NEAR:
+    # Of the arc length: if every point is nearer to the clamp than this, the unit is wrong.
+    if points.readings.bare < 0 and np.any(distance[whole] > 0.0) and np.max(relative) < 0.02:
         raise ObservationError(
             f"{rec.name}: every point is within {100 * np.max(relative):.2g} % of the beam's length of the clamp. Is "
             f"length_m = {rec.beam.length:g} in metres, as x_m and y_m are?",
             about="unit",
         )
     sd = np.sqrt(np.trace(points.covariance[..., :2, :2], axis1=-2, axis2=-1))
-    reach = FAR * np.array([tag.s for tag in rec.tags.on_beam]) * rec.beam.length + 3 * rec.tags.placement_sd + 3 * sd
+    # Of the arc length: a point's distance from the clamp cannot be larger.
+    reach = 1.05 * arc + 3 * rec.tags.placement_sd + 3 * sd
     if np.any(distance > reach):
         pose, i = np.argwhere(distance > reach)[0].tolist()
         raise ObservationError(
             f"{rec.name}: in pose {loads.names[pose]} point {rec.tags.on_beam[i].id} is {1000 * distance[pose, i]:.4g} "
-            f"mm from the clamp, and only {1000 * rec.tags.on_beam[i].s * rec.beam.length:.4g} mm of beam lead there. "
+            f"mm from the clamp, and only {1000 * arc[i]:.4g} mm of beam lead there. "
             "Are x_m and y_m in metres, and from the clamp? Check length_m and the points' s.",
             about="unit",
         )
 
 
-# Photos of the tags to observations, one static pose a photo. Times in the files are not used.
-
 HEIC_BRANDS = frozenset((b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx"))
 
 
 def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Observations:
-    """Observations from a folder of photos and a table of loads.
-
-    Raises:
-        RecordingError: a picture or the table cannot be used.
-        ObservationError: tags that are not seen, or that no flat plane explains.
-    """
+    """Observations from a folder of photos and a table of loads."""
     assert rec.photos is not None
     loads = read_loads(rec.photos.loads, rec, rec.photos.axes)
     detections = detect_in_photos(rec, loads.names, progress)
@@ -538,14 +489,9 @@ def photo_observations(rec: Recording, *, progress: Progress = Silent()) -> Obse
     turns = np.round(np.nan_to_num(rough - markers.angle) / (2 * np.pi))  # from photo to photo an angle may jump
     markers = replace(markers, angle=markers.angle + 2 * np.pi * turns)
     markers, clamp_sd, remarks = in_beam_frame(rec, markers, loads)
+    remarks = (*markers.remarks, *remarks)
     points = PosePoints(
-        xy=markers.xy,
-        angle=markers.angle,
-        covariance=markers.covariance,
-        sd_known=True,
-        clamp_sd=clamp_sd,
-        view=markers.view,
-        remarks=(*markers.remarks, *remarks),
+        markers.xy, markers.angle, markers.covariance, True, clamp_sd, view=markers.view, remarks=remarks
     )
     return static(rec, loads, points, rec.photos.load_sd)
 
@@ -568,7 +514,7 @@ def detect_in_photos(rec: Recording, names: tuple[str, ...], progress: Progress 
                 "recording.toml, and that the tag is in the picture, in focus and at least 20 pixels wide.",
                 about="unseen tag",
             )
-        hidden = [str(tag) for tag, shown in zip(ids[base:], is_found[base:].tolist(), strict=True) if not shown]
+        hidden = [str(ids[k]) for k in range(base, len(ids)) if not is_found[k]]
         remarks += [Remark("note", f"{name} does not show tag {', '.join(hidden)}.")] if hidden else []
         corners.append(block.corners[0])
         sizes.append(picture.shape)
@@ -600,7 +546,7 @@ def read_photo(rec: Recording, name: str) -> Picture:
             return np.asarray(ImageOps.exif_transpose(image).convert("L"))
     except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as wrong:
         if is_heic(path):
-            raise RecordingError(_heic_words(path)) from None
+            raise RecordingError(_heic_advice(path)) from None
         raise RecordingError(f"{path} cannot be read as a picture ({wrong}). Save it as JPEG or PNG.") from None
 
 
@@ -613,9 +559,8 @@ def is_heic(path: Path) -> bool:
     return first[4:8] == b"ftyp" and not brands.isdisjoint(HEIC_BRANDS)
 
 
-def _heic_words(path: Path) -> str:
-    """How to convert a picture. (The programs that read HEIC come with the systems; their licences, LGPL and GPL, are
-    not those of a library to ask for.)"""
+def _heic_advice(path: Path) -> str:
+    """How to convert a picture by programs of the system. (Libraries that read HEIC are under LGPL and GPL.)"""
     other = path.with_name(f"{path.stem}-converted.jpg" if path.suffix == ".jpg" else f"{path.stem}.jpg")
     old, new = shlex.quote(str(path)), shlex.quote(str(other))
     return (
@@ -635,17 +580,15 @@ def measured(detections: Detections, rec: Recording) -> Markers:
     for i in range(len(detections.time)):
         photo = replace(detections, time=detections.time[i : i + 1], corners=detections.corners[i : i + 1], remarks=())
         per_photo.append(with_camera_as_noise(measure_markers(photo, rec)))
+    remarks = {remark.text: remark for one in per_photo for remark in one.remarks}.values()
     return replace(
         per_photo[0],
         time=detections.time,
-        xy=np.concatenate([photo.xy for photo in per_photo]),
-        angle=np.concatenate([photo.angle for photo in per_photo]),
-        covariance=np.concatenate([photo.covariance for photo in per_photo]),
+        xy=np.concatenate([one.xy for one in per_photo]),
+        angle=np.concatenate([one.angle for one in per_photo]),
+        covariance=np.concatenate([one.covariance for one in per_photo]),
         base_angle=np.zeros(len(per_photo)),
-        remarks=(
-            *detections.remarks,
-            *{remark.text: remark for photo in per_photo for remark in photo.remarks}.values(),
-        ),
+        remarks=(*detections.remarks, *remarks),
     )
 
 

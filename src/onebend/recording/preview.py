@@ -1,8 +1,4 @@
-"""A film looked at in some twenty frames: enough to know whether its tags can be learned from, and what would stop it.
-
-What would end the reading of the whole film ends up in `Preview.fault` with the same words, so that the rest of the
-recording can still be looked at.
-"""
+"""A film looked at in some twenty frames, to know whether its tags can be learned from, and what would stop it."""
 
 from __future__ import annotations
 
@@ -26,7 +22,6 @@ from onebend.records import Array, BoolArray, Detections, Markers, Remark
 LOOKS = 20  # frames that are searched for tags
 MOST_READ = 4000  # frames that are read at most, two minutes of a usual film
 SMALLEST = 20.0  # px, side of a tag: the corners of smaller ones are coarse, and below 16 px many are missed
-AGAIN = 0.05  # of the largest displacement: nearer to the first frame than this is at rest
 
 
 @dataclass(frozen=True)
@@ -62,15 +57,12 @@ def displacement(markers: Markers) -> Array:
 def bent(markers: Markers) -> BoolArray:
     """(P,) the frames in which the beam is not as in the first, where it is taken to be at rest."""
     away = displacement(markers)
-    return np.asarray(away > AGAIN * float(away.max()))
+    # Of the largest displacement: nearer to the first frame than this is at rest.
+    return np.asarray(away > 0.05 * float(away.max()))
 
 
 def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
-    """Read the film, and look for tags in `count` frames spread evenly over it.
-
-    Raises:
-        RecordingError: the film cannot be read to its end (or to its first `MOST_READ` frames).
-    """
+    """Read the film (or its first `MOST_READ` frames), and look for tags in `count` frames spread evenly over it."""
     assert rec.video is not None
     looked, frames, whole = spread_frames(rec.video, count)
     ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]

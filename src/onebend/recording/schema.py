@@ -1,8 +1,6 @@
-"""How a table of a TOML file becomes a frozen record: keys with their units, checks, and the line of every mistake.
+"""How a table of a TOML file becomes a frozen record.
 
-A field of a record is declared once with `key(...)`: its name in the file (with the unit), what may stand there and
-what it means. Reading, unit conversion, error messages and the template all follow from that declaration.
-"""
+A field is declared once with `key(...)`; reading, units, messages with lines, and the template follow from that."""
 
 from __future__ import annotations
 
@@ -35,46 +33,39 @@ class Key:
     name: str
     check: Check
     says: str
-    example: str = ""
+    example: str
 
 
-def key(name: str, check: Check, says: str, *, example: str = "", **default: Any) -> Any:
-    """A dataclass field that is read from the file's key `name`; required unless `default=` is given."""
-    return field(metadata={"key": Key(name, check, says, example)}, **default)
+def key(line: str, check: Check, says: str, default: Any = dataclasses.MISSING) -> Any:
+    """A dataclass field that is read from the file; `line` is an example, as `length_m = 0.15`. Required where it has
+    no default."""
+    name, _, example = line.partition(" = ")
+    return field(default=default, metadata={"key": Key(name, check, says, example)})
 
 
 def keys_of(record: type) -> dict[str, tuple[Key, bool]]:
     """Field name -> (key, required) of a record declared with `key`, in the order of declaration."""
-    keys = {}
-    for entry in dataclasses.fields(record):
-        if "key" in entry.metadata:
-            keys[entry.name] = (entry.metadata["key"], entry.default is dataclasses.MISSING)
-    return keys
+    declared = (entry for entry in dataclasses.fields(record) if "key" in entry.metadata)
+    return {entry.name: (entry.metadata["key"], entry.default is dataclasses.MISSING) for entry in declared}
 
 
 def number(*, above: float = -math.inf, least: float = -math.inf, most: float = math.inf, scale: float = 1.0) -> Check:
     """A finite number, larger than `above` and in [`least`, `most`], multiplied by `scale`."""
-    wanted = ["a number"]
-    wanted += [f"above {above:g}"] if math.isfinite(above) else []
-    only_most = math.isfinite(most) and not math.isfinite(least)
-    wanted += [f"{'and' if math.isfinite(above) else 'of'} at most {most:g}"] if only_most else []
-    wanted += [f"of at least {least:g}"] if math.isfinite(least) and not math.isfinite(most) else []
-    wanted += [f"between {least:g} and {most:g}"] if math.isfinite(least) and math.isfinite(most) else []
+    wanted = f"a number above {above:g}" if math.isfinite(above) else "a number"
+    if math.isfinite(least):
+        wanted += f" between {least:g} and {most:g}" if math.isfinite(most) else f" of at least {least:g}"
+    elif math.isfinite(most):
+        wanted += f" {'and' if math.isfinite(above) else 'of'} at most {most:g}"
 
     def check(value: Any) -> float:
         if not isinstance(value, int | float) or isinstance(value, bool) or not -LARGEST <= value <= LARGEST:
-            raise ValueError(" ".join(wanted))
+            raise ValueError(wanted)
         size = float(value) if abs(value) >= SMALLEST else 0.0
         if not above < size or not least <= size <= most:
-            raise ValueError(" ".join(wanted))
+            raise ValueError(wanted)
         return size * scale
 
     return check
-
-
-def degrees() -> Check:
-    """An angle written in degrees, kept in radians."""
-    return number(scale=math.pi / 180)
 
 
 def whole(*, least: int) -> Check:
@@ -151,8 +142,7 @@ class Mistakes:
 
 
 def read_table(record: type[Record], table: Any, place: Place, mistakes: Mistakes, **others: Any) -> Record | None:
-    """The record that `table` describes, or None with the reasons in `mistakes`. `others` are fields without a key,
-    and tables that the caller reads itself."""
+    """The record that `table` describes, or None with the reasons in `mistakes`; `others`: fields without a key."""
     name = place_name(place)
     if not isinstance(table, dict):
         mistakes.add(place, f"{name} must be a table, not {quoted(table)}.")
@@ -175,6 +165,12 @@ def read_table(record: type[Record], table: Any, place: Place, mistakes: Mistake
     if len(mistakes.found) > before:
         return None
     return record(**values, **others)
+
+
+def read_rows(record: type[Record], rows: list[Any], place: Place, mistakes: Mistakes) -> tuple[Record, ...]:
+    """The records that a list of tables describes, without those that are wrong."""
+    read = [read_table(record, row, (*place, i), mistakes) for i, row in enumerate(rows)]
+    return tuple(one for one in read if one is not None)
 
 
 def report_unknown(table: dict[str, Any], known: list[str], place: Place, mistakes: Mistakes) -> None:

@@ -18,7 +18,6 @@ SEPARATE = 10.0  # periods of the cut-off: stretches farther apart are filtered 
 SIDE, FEWEST_ON_LINE = 0.25, 8  # periods, and samples at least, beside a gap that give the level and slope there
 BRIDGE = 15  # points of a bridge over a gap
 SPIKE = 0.75  # s, in which outliers are looked for
-FINE = 3.0  # steps of the last digit: larger noise is visible
 FILTER_ORDER = 2  # run forwards and backwards: four poles, no phase
 
 
@@ -48,14 +47,20 @@ def bridged(time: Array, values: Array) -> Array:
     return filled
 
 
+def from_clamp(s: Array, xy: Array, angle: Array) -> tuple[Array, Array, Array]:
+    """Places `s` (m,), points (T, m, 2) and angles (T, m) with the clamp, all zeros, before them; sorted by s."""
+    order, count = np.argsort(np.append(0.0, s), kind="stable"), len(xy)
+    xy = np.concatenate([np.zeros((count, 1, 2)), xy], axis=1)
+    angle = np.concatenate([np.zeros((count, 1)), angle], axis=1)
+    return np.append(0.0, s)[order], xy[:, order], angle[:, order]
+
+
 def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
     """Frequency below which `fraction` of the power of the velocity of `values` lies, Hz; NaN where nothing moves.
 
-    The noise of the samples is taken as white: it rises as sin^2(pi f dt) in the velocity's spectrum. Its size is the
-    median above 0.4 of the highest frequency, where motion is rare. Only frequencies count around which the power is
-    at least five times the noise, and the noise is taken off. (T, c) columns share a unit and are summed. Across long
-    gaps the velocity runs straight: a straight path would end in corners, which look like fast motion.
-    """
+    The samples' white noise rises as sin^2(pi f dt) in the velocity's spectrum; its size is the median above 0.4 of the
+    highest frequency. It is taken off, and only frequencies count where the power is five times the noise. (T, c)
+    columns share a unit and are summed. The velocity runs straight across long gaps."""
     dt = step(time)
     grid = np.arange(time[0], time[-1] + 0.5 * dt, dt)
     if len(grid) < 16:
@@ -96,12 +101,9 @@ def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
 def outliers(values: Array, *, spacing: float = 0.0, half_width: int = 7, threshold: float = 6.0) -> BoolArray:
     """(N,) True where a column deviates from its running median by more than `threshold` robust local sd (Hampel).
 
-    The local scale is the running median of the absolute deviation over ten times the window, never below half of the
-    whole signal's: a quiet stretch does not make ordinary samples outliers. A signal without noise has no outliers.
-    Nor is it below what the signal itself changes from sample to sample.
-    With samples `spacing` [s] apart the window is no longer than `SPIKE`, but five samples: the peak of a push is no
-    spike.
-    """
+    The local scale is the running median of the absolute deviation over ten times the window, but at least half of the
+    whole signal's, and what the signal changes from sample to sample. A signal without noise has no outliers. With
+    samples `spacing` [s] apart the window is at most `SPIKE`, but five samples."""
     if spacing > 0.0:
         half_width = int(np.clip(0.5 * SPIKE / spacing, 2, half_width))
     size = 2 * half_width + 1
@@ -125,20 +127,17 @@ def within_noise(column: Array) -> bool:
     steps = np.diff(np.unique(column))
     if len(column) < 10 or not len(steps):
         return False
-    return bool(np.median(np.abs(np.diff(column, n=2))) > FINE * float(np.min(steps)))
+    # Steps of the last digit: larger noise is visible.
+    return bool(np.median(np.abs(np.diff(column, n=2))) > 3.0 * float(np.min(steps)))
 
 
 def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -> Array:
     """Zero-phase Butterworth low-pass (half power twice, so -6 dB, at `cutoff` [Hz]) of (N, c) `values` at `time`.
 
-    The filter's gain is applied to the spectrum of the samples and their even reflection: at a rest the noise of the
-    very last sample must not become the level beyond it.
-
-    Irregular samples are put on an even grid by linear interpolation, filtered, and read at their own times again.
-    A gap longer than `longest_gap` [s] is bridged by a cubic with the level and slope of the samples at its two ends;
-    filtering the two sides separately would flatten their ends, so that they no longer fit each other. Stretches more
-    than `SEPARATE` periods of the cut-off apart are filtered separately; one too short to filter becomes its mean.
-    """
+    The gain is applied to the spectrum of the samples and their even reflection. Irregular samples are interpolated to
+    an even grid and back. A gap longer than `longest_gap` [s] is bridged by a cubic with the level and slope at its two
+    ends. Stretches more than `SEPARATE` periods apart are filtered separately; one too short to filter becomes its
+    mean."""
     filtered = np.array(values, dtype=float)
     if not np.isfinite(cutoff):
         return filtered
@@ -226,11 +225,7 @@ def runs(mask: BoolArray) -> IntArray:
 
 # Samples that a logger lost: missing rows, zeros in place of measured forces, and rows that repeat.
 
-EVEN = 0.1  # of the samples: with more at uneven spacings the log has no rate, and missing ones cannot be counted
-JUMP = 5.0  # noise sd: a run of zeros between smaller jumps may be a true zero force
 HELD, SLOW = 0.5, 20.0  # s, and usual run lengths: forces that repeat for longer were not measured
-OFTEN = 3  # runs of zeros that are certainly false; with so many, other runs as short count as false too
-NOTICED = 0.01  # of the samples: if more are missing, it is a warning
 
 
 def missing(time: Array) -> int:
@@ -238,7 +233,8 @@ def missing(time: Array) -> int:
     if len(time) < 3:
         return 0
     steps, spacing = np.diff(time), step(time)
-    if not spacing > 0 or np.mean(np.abs(steps - spacing) > spacing / 2) > EVEN:
+    # Of the samples: with more at uneven spacings the log has no rate, and missing ones cannot be counted.
+    if not spacing > 0 or np.mean(np.abs(steps - spacing) > spacing / 2) > 0.1:
         return 0
     return int(np.sum(np.maximum(np.rint(steps / spacing) - 1, 0)))
 
@@ -250,18 +246,16 @@ def missing_remarks(time: Array, what: str) -> tuple[Remark, ...]:
         return ()
     longest = float(np.diff(time).max())
     text = f"About {count} {what} are missing, {len(time)} are there; the longest gap is {longest:.3g} s."
-    if count <= NOTICED * len(time):
+    if count <= 0.01 * len(time):  # of the samples: if more are missing, it is a warning
         return (Remark("note", text, about="bad rows"),)
     return (Remark("warning", f"{text} Look at what drops them, and record again.", about="bad rows"),)
 
 
 def false_zeros(force: Array) -> BoolArray:
-    """(N,) rows in which `force` (N, c) is exactly zero between other values: the robot did not stream, or was near a
-    singularity.
+    """(N,) rows in which `force` (N, c) is exactly zero between other values: the robot did not stream.
 
-    A run of zeros between two jumps is false. A run without jumps may be a true zero force; it counts as false only
-    where several false runs exist and it is no longer than the longest of them.
-    """
+    A run of zeros between two jumps is false. One without jumps may be a true zero force; it counts as false only where
+    several false runs exist and it is no longer than the longest of them."""
     zero = np.asarray(np.all(force == 0.0, axis=1))
     if not zero.any() or zero.all():
         return np.zeros(len(force), dtype=bool)
@@ -273,9 +267,10 @@ def false_zeros(force: Array) -> BoolArray:
     sure = []
     for begin, end in spans:
         beside = [size[i] for i in (begin - 1, end) if 0 <= i < len(size)]
-        if noise > 0 and min(beside) > JUMP * noise:
+        # Noise sd: a run of zeros between smaller jumps may be a true zero force.
+        if noise > 0 and min(beside) > 5.0 * noise:
             sure.append((begin, end))
-    if len(sure) >= OFTEN:
+    if len(sure) >= 3:  # runs of zeros that are certainly false; with so many, other runs as short count as false too
         longest = max(end - begin for begin, end in sure)
         sure += [(begin, end) for begin, end in spans if end - begin <= longest]
     for begin, end in sure:
@@ -284,12 +279,9 @@ def false_zeros(force: Array) -> BoolArray:
 
 
 def held(time: Array, force: Array) -> BoolArray:
-    """(N,) rows that repeat the forces (N, c) of the row before exactly, and for so long that they cannot have been
-    measured: the sensor or the logger hung.
+    """(N,) rows that repeat the forces (N, c) of the row before for so long that the sensor or the logger hung.
 
-    No row counts where the log shows no noise, or where every force is repeated for long. Rows of zeros do not count,
-    as they may be true, nor do the largest and smallest forces, where the sensor is at its limit.
-    """
+    Logs without noise are not judged, nor are zeros, which may be true, and the largest and smallest forces."""
     hung = np.zeros(len(force), dtype=bool)
     if not len(force):
         return hung

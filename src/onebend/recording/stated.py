@@ -17,24 +17,18 @@ SHAPES = (("width_m", "thickness_m"), ("diameter_m", "inner_diameter_m"), ("acro
 ROUND = math.sqrt(0.75)  # thickness over diameter, of the rectangle that has a circle's A / I
 ROUND_SHAPES: tuple[tuple[str, SectionShapeName], ...] = (("diameter_m", "circle"), ("across_flats_m", "hexagon"))
 HEXAGONAL = math.sqrt(5.0 / 6.0)  # the same of a hexagon, over its width across flats
-_BETWEEN = 9  # places from one row of a section to the next, for its area
-DENSEST, LIGHTEST = 1e5, 1.0  # kg/m^3: osmium, the densest material, has 22,600; the lightest foams have 5
 OF_SQUARE = {"circle": math.pi / 4.0, "tube": math.pi / 4.0, "hexagon": math.sqrt(0.75)}  # areas over those of squares
 FARTHEST_END = 0.05  # of the beam, from the first and the last place of a section to its ends
 
 
-def stated_in(recording: Recording) -> Stated:
-    """The priors that the fit takes from the recording's description.
-
-    Raises:
-        RecordingError: what is stated of the mass or the section cannot be used.
-    """
-    sizes = _sizes(recording)
-    section = _section(recording, sizes)
-    _check_known_shape(recording, section)
-    mass, line = _mass(recording) if recording.beam.mass_along != "section" else _mass_of_section(recording, section)
-    _refuse_density(recording, section, mass)
-    beam, tags, force = recording.beam, recording.tags, recording.force
+def stated_in(description: Recording) -> Stated:
+    """The priors that the fit takes from the recording's description."""
+    sizes = _sizes(description)
+    section = _section(description, sizes)
+    _check_known_shape(description, section)
+    beam, tags, force = description.beam, description.tags, description.force
+    mass, line = _mass(description) if beam.mass_along != "section" else _mass_of_section(description, section)
+    _refuse_density(description, section, mass)
     return Stated(
         rest=beam.rest,
         mass=mass,
@@ -44,12 +38,12 @@ def stated_in(recording: Recording) -> Stated:
         mass_along=beam.mass_along,
         stiffness_along=beam.stiffness_along,
         turn_sd=tags.turn_sd,
-        place_sd=recording.place_sd,
-        direction_sd=recording.direction_sd,
-        gravity_sd=GRAVITY_SD if recording.gravity is None else recording.gravity.direction_sd,
-        clamp_sd=recording.clamp_sd,
+        place_sd=description.place_sd,
+        direction_sd=description.direction_sd,
+        gravity_sd=GRAVITY_SD if description.gravity is None else description.gravity.direction_sd,
+        clamp_sd=description.clamp_sd,
         curvature_sd=beam.curvature_sd,
-        scale_sd=recording.scale_sd,
+        scale_sd=description.scale_sd,
         gain_sd=0.0 if force is None else force.gain_sd,
         thickness=_thickness(sizes),
         tag_size=tags.size,
@@ -68,7 +62,7 @@ def _refuse_density(rec: Recording, section: StatedSection | None, mass: float) 
     inner = np.zeros(len(section.s)) if section.inner is None else section.inner
     area = OF_SQUARE.get(section.shape, 1.0) * (section.thickness * section.width - inner**2)
     density = mass / (rec.beam.length * max(float(np.mean(area)), 1e-300))
-    if not LIGHTEST < density < DENSEST:
+    if not 1.0 < density < 1e5:  # kg/m^3: osmium, the densest material, has 22,600; the lightest foams have 5
         raise RecordingError(
             f"{rec.folder}: with mass_kg, length_m and the section as written the beam is of {density:.3g} kg/m^3, as "
             "no material is. Check mass_kg (in kilograms) and the sizes (in metres)."
@@ -76,11 +70,7 @@ def _refuse_density(rec: Recording, section: StatedSection | None, mass: float) 
 
 
 def _section(rec: Recording, sizes: dict[str, Array]) -> StatedSection | None:
-    """The section where it is whole.
-
-    Raises:
-        RecordingError: an error is stated of what is not.
-    """
+    """The section where it is whole."""
     beam, s = rec.beam, sizes["s"]
     if not math.isnan(beam.moment_sd) and "I_m4" not in sizes:
         raise RecordingError(f"{rec.folder}: I_sd is of a column I_m4 in section_file. Of sizes, give section_sd_m.")
@@ -113,14 +103,10 @@ def _thickness(sizes: dict[str, Array]) -> float:
 
 
 def _sizes(rec: Recording) -> dict[str, Array]:
-    """What is known of the section: places `s` (P,), and by its key each size [m] there, or `I_m4` [m^4].
-
-    Raises:
-        RecordingError: a size that is given twice, sizes of two shapes, a table that cannot be used.
-    """
+    """What is known of the section: places `s` (P,), and by its key each size [m] there, or `I_m4` [m^4]."""
     beam = rec.beam
-    values = (beam.width, beam.thickness, beam.diameter, beam.inner_diameter, beam.across_flats)
-    written = {name: value for name, value in zip(SIZES, values, strict=True) if not math.isnan(value)}
+    values = {name: getattr(beam, name.removesuffix("_m")) for name in SIZES}
+    written = {name: value for name, value in values.items() if not math.isnan(value)}
     s, measured = np.array([0.0, 1.0]), {}
     if beam.section_file is not None:
         table = read_columns(beam.section_file, ("s",), (*SIZES, "I_m4"), kind="table of the section", strict=True)
@@ -215,11 +201,7 @@ def _refuse_places(table: Columns, instead: str, *, steps: bool = False) -> None
 
 
 def _mass(rec: Recording) -> tuple[float, MassLine | None]:
-    """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given.
-
-    Raises:
-        RecordingError: fewer than two rows, places outside the beam or that do not rise, a mass that is not positive.
-    """
+    """kg (NaN where not known), and the mass per metre where it is not even, scaled to mass_kg where that is given."""
     if (rec.beam.mass_along == "table") > (rec.beam.mass_file is not None):
         raise RecordingError(
             f'{rec.folder}: mass_along = "table" needs the table. Give mass_file in [beam], columns s and kg_per_m.'
@@ -243,11 +225,7 @@ def _mass(rec: Recording) -> tuple[float, MassLine | None]:
 
 
 def _mass_of_section(rec: Recording, section: StatedSection | None) -> tuple[float, MassLine]:
-    """kg, and the mass per metre as the section's area: between its places by their sizes, beyond them as there.
-
-    Raises:
-        RecordingError: no mass, a table of the mass beside it, a section of which the area is not known.
-    """
+    """kg, and the mass per metre as the section's area: between its places by their sizes, beyond them as there."""
     if rec.beam.mass_file is not None:
         raise RecordingError(
             f'{rec.folder}: mass_file and mass_along = "section" both say how the mass is spread. Remove one.'
@@ -259,7 +237,7 @@ def _mass_of_section(rec: Recording, section: StatedSection | None) -> tuple[flo
     if math.isnan(rec.beam.mass):
         raise RecordingError(f'{rec.folder}: mass_along = "section" needs the mass. Give mass_kg in [beam].')
     pairs = [(i, i + 1) for i in range(len(section.s) - 1) if section.s[i] < section.s[i + 1]]
-    share = np.linspace(0.0, 1.0, _BETWEEN)
+    share = np.linspace(0.0, 1.0, 9)  # places from one row of a section to the next, for its area
 
     def along(size: Array) -> Array:
         return np.concatenate([size[i] + share * (size[j] - size[i]) for i, j in pairs])

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +19,6 @@ MOST_CELLS = 20_000_000  # of a Parquet table, which may be packed very small
 MOST_BYTES = 400_000_000  # of the same, unpacked
 LONGEST_WORD = 1000  # characters of a cell of the same; each may stand in every row
 EMPTY = ("", "nan", "na", "n/a", "-")  # a cell that holds no number
-UNKNOWN = "unknown"  # a cell of a load that acts with unknown strength
-
 LARGEST = 1e30  # of a number: nothing that is measured is larger, and squares stay numbers
 Cells = list[object] | np.ndarray  # of a column; an array holds numbers only
 
@@ -58,12 +56,7 @@ def read_columns(
     """The columns `needed`, those of `known` that are there, and the text columns `labels` (needed, too).
 
     Other columns are ignored; where `strict`, only those without a number. `kind` names the table in messages. In the
-    columns `unknown` that word may stand for a number, and becomes infinity.
-
-    Raises:
-        RecordingError: unreadable, a missing column (those found are listed), text where a number belongs, no rows, or
-            numbers in a column that is not known.
-    """
+    columns `unknown` that word may stand for a number, and becomes infinity."""
     cells, first = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     missing = [name for name in (*labels, *needed) if name not in cells]
     if missing:
@@ -84,11 +77,7 @@ def read_columns(
 
 
 def read_every_column(path: Path, needed: str, *, kind: str = "table") -> Columns:
-    """All columns that hold nothing but numbers and empty cells; `needed` must be one of them.
-
-    Raises:
-        RecordingError: unreadable, no such column (those found are listed), or no rows.
-    """
+    """All columns that hold nothing but numbers and empty cells; `needed` must be one of them."""
     cells, _ = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     good = [name for name, column in cells.items() if all(_is_number(one) or _is_empty(one) for one in column)]
     return read_columns(path, (needed,), [name for name in good if name != needed], kind=kind)
@@ -137,9 +126,8 @@ def _parquet(path: Path) -> tuple[dict[str, Cells], int]:
     try:
         head, schema = pq.read_metadata(path), pq.read_schema(path)
         if head.num_rows * max(head.num_columns, 1) > MOST_CELLS or head.num_rows > MOST_ROWS:
-            raise RecordingError(
-                f"{path}: {head.num_rows} rows of {head.num_columns} columns are more than can be read."
-            )
+            size = f"{head.num_rows} rows of {head.num_columns} columns"
+            raise RecordingError(f"{path}: {size} are more than can be read.")
         nested = [field.name for field in schema if pa.types.is_nested(field.type)]
         if nested:
             raise RecordingError(
@@ -150,7 +138,7 @@ def _parquet(path: Path) -> tuple[dict[str, Cells], int]:
             raise RecordingError(
                 f"{path}: unpacked it has {size / 1e6:.3g} MB; at most {MOST_BYTES / 1e6:.3g} are read."
             )
-        words = [field.name for field in schema if not _is_short(field.type)]
+        words = [one.name for one in schema if not (pa.types.is_primitive(one.type) or pa.types.is_null(one.type))]
         table = pq.read_table(path, read_dictionary=words)  # each word once, however often it stands there
         for name in words:
             _refuse_long_words(path, name, table[name])
@@ -168,13 +156,6 @@ def _cells(column: Any) -> Cells:
     return cells
 
 
-def _is_short(kind: Any) -> bool:
-    """Whether a value of this Arrow type takes a few bytes."""
-    import pyarrow as pa
-
-    return bool(pa.types.is_primitive(kind) or pa.types.is_null(kind))
-
-
 def _refuse_long_words(path: Path, name: str, column: Any) -> None:
     """Raise where a column of words, read as a dictionary, holds texts."""
     for chunk in column.chunks:
@@ -184,27 +165,20 @@ def _refuse_long_words(path: Path, name: str, column: Any) -> None:
 
 
 def _numbers(path: Path, name: str, cells: Cells, rows: IntArray, unknown: bool) -> Array:
-    if isinstance(cells, np.ndarray):
-        if (endless := np.abs(cells) > LARGEST).any():
-            _refuse_endless(path, name, rows[int(np.argmax(endless))])
-        return cells.astype(float)
-    numbers = np.full(len(cells), np.nan)
-    for i, cell in enumerate(cells):
-        if cell is None or (isinstance(cell, str) and cell.strip().lower() in EMPTY):
-            continue
-        if unknown and isinstance(cell, str) and cell.strip().lower() == UNKNOWN:
-            numbers[i] = np.inf
+    numbers = np.full(len(cells), np.nan) if isinstance(cells, list) else cells.astype(float)
+    words = np.zeros(len(cells), dtype=bool)  # cells that say that a number is unknown
+    for i, cell in enumerate(cells if isinstance(cells, list) else ()):
+        word = cell.strip().lower() if isinstance(cell, str) else cell
+        if word is None or (isinstance(word, str) and word in EMPTY):
             continue
         try:
-            numbers[i] = float(cell)  # type: ignore[arg-type]
+            words[i] = unknown and word == "unknown"
+            numbers[i] = np.nan if words[i] else float(word)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             raise RecordingError(
                 f"{path}, row {rows[i]}: {name} is {quoted(cell)}, not a number. Correct it, or leave the cell empty."
             ) from None
-        if abs(numbers[i]) > LARGEST:
-            _refuse_endless(path, name, rows[i])
-    return numbers
-
-
-def _refuse_endless(path: Path, name: str, row: int) -> NoReturn:
-    raise RecordingError(f"{path}, row {row}: {name} is infinite, or beyond {LARGEST:g}. Leave it empty where unknown.")
+    if (endless := np.abs(numbers) > LARGEST).any():
+        where = f"{path}, row {rows[int(np.argmax(endless))]}: {name}"
+        raise RecordingError(f"{where} is infinite, or beyond {LARGEST:g}. Leave it empty where unknown.")
+    return np.where(words, np.inf, numbers)

@@ -1,11 +1,7 @@
 """AprilTags in a picture, or in the part of it where one is expected.
 
-A little blur before the search takes noise off the edges of large tags, and closes the cells of small ones: below three
-pixels a cell they are lost. So a picture is searched with blur first, and without where tags may be too small for it.
-Where a tag's size is known, it decides: small tags are searched without blur, and still smaller ones in an enlarged
-picture, since the detector looks for an edge within two pixels, where they have their next one.
-`benchmarks/detectors.py` measures all three at every size.
-"""
+Blur before the search takes noise off the edges of large tags, and closes the cells of small ones. So small tags are
+searched without blur, and still smaller ones in an enlarged picture (`benchmarks/detectors.py` measures all three)."""
 
 from __future__ import annotations
 
@@ -114,23 +110,16 @@ def _family(name: str) -> _Family:
 
 CELLS = {"tag36h11": 8, "tag25h9": 7, "tag16h5": 6}  # of the black square's side; families with a plain black rim
 RIM = 0.5  # cells of the white margin that are used
-LEAST_FRAMES = 8  # of a block, in which a tag must be seen to be taken as still
 STILL = 0.2  # px: a tag whose corners stay this near to their median stands still
 MOST_SHIFT = 0.3  # px: a larger correction is not used, as the errors of an edge fit are smaller
-MOST_MISFIT = 0.1  # RMS residual over the contrast; a larger one: the tag is partly hidden, or of another family
-STEPS = 4  # Gauss-Newton
-FIRST_BLUR = 0.8  # px
 ROOT = float(np.sqrt(2 * np.pi))
-LEAST_CELL = 2.5  # px: smaller cells blur into each other
 
 
 @dataclass(frozen=True)
 class Pattern:
     """A tag's picture as a model: brightness = dark + contrast * blurred pattern(homography(pixel)).
 
-    Pixels are in tag sizes from the tag's centre. Light that falls unevenly makes `dark` and `contrast` change
-    linearly over the tag.
-    """
+    Pixels are in tag sizes from the centre. `dark` and `contrast` change linearly over the tag, for uneven light."""
 
     homography: Array  # (8,) pixel to cells, the ninth entry is 1
     dark: Array  # (3,) level, slope along x, slope along y
@@ -148,7 +137,7 @@ def correct_still(frames: Sequence[FilmFrame], tracks: Array, cells: int | None)
         return corrected
     for i in range(tracks.shape[1]):
         visible = np.flatnonzero(np.isfinite(tracks[:, i]).all(axis=(1, 2))).tolist()
-        if len(visible) < LEAST_FRAMES:
+        if len(visible) < 8:  # of a block, in which a tag must be seen to be taken as still
             continue
         middle = np.median(tracks[visible, i], axis=0)
         if np.abs(tracks[visible, i] - middle).max() > STILL:
@@ -179,7 +168,7 @@ def part_around(corners: Array, shape: tuple[int, ...]) -> tuple[slice, slice]:
 def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
     """Corners (4, 2) px of the tag whose blurred pattern fits `picture` best, from a first guess; None if none does."""
     centre, size = corners.mean(axis=0), float(np.linalg.norm(corners[1] - corners[0]))
-    if size < LEAST_CELL * cells:
+    if size < 2.5 * cells:  # px: smaller cells blur into each other
         return None
     outline = np.array([[0.0, 0.0], [cells, 0.0], [cells, cells], [0.0, cells]])
     homography = homography_between((corners - centre) / size, outline)
@@ -190,8 +179,8 @@ def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
     used = (u > -RIM) & (u < cells + RIM) & (v > -RIM) & (v < cells + RIM)
     x, y, brightness = x[used], y[used], picture.ravel()[used]
     even = np.array([1.0, 0.0, 0.0])
-    model = Pattern(homography, dark * even, (bright - dark) * even, float(np.log(FIRST_BLUR * cells / size)))
-    for _ in range(STEPS):
+    model = Pattern(homography, dark * even, (bright - dark) * even, float(np.log(0.8 * cells / size)))  # px
+    for _ in range(4):  # Gauss-Newton
         jacobian, residual = linearise(model, printed, x, y, brightness)
         try:
             step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ residual)
@@ -205,7 +194,8 @@ def fit_pattern(picture: Array, corners: Array, cells: int) -> Array | None:
             blur=model.blur + float(np.clip(step[14], -0.5, 0.5)),
         )
     _, residual = linearise(model, printed, x, y, brightness)
-    if not float(np.sqrt((residual**2).mean())) < MOST_MISFIT * model.contrast[0]:
+    # RMS residual over the contrast; a larger one: the tag is partly hidden, or of another family.
+    if not float(np.sqrt((residual**2).mean())) < 0.1 * model.contrast[0]:
         return None
     x, y, _ = carry(homography_inverse(model.homography), outline[:, 0], outline[:, 1])
     return np.asarray(np.stack([x, y], axis=-1) * size + centre)
@@ -230,9 +220,8 @@ def read_cells(picture: Array, homography: Array, centre: Array, size: float, ce
 def linearise(model: Pattern, printed: Array, x: Array, y: Array, brightness: Array) -> tuple[Array, Array]:
     """Jacobian (15, pixels) of the model, transposed, and its residual of `brightness`.
 
-    Near an edge between cells the blurred pattern is a blend of the four cells around the nearest crossing of cell
-    borders, with the normal distribution's integral as weight; farther edges do not matter for blurs below 0.3 cells.
-    """
+    The blurred pattern is a blend of the four cells around the nearest crossing, with the normal distribution's
+    integral as weight; farther edges do not matter for blurs below 0.3 cells."""
     u, v, w = carry(model.homography, x, y)
     blur, last = float(np.exp(model.blur)), len(printed) - 3
     column, row = np.clip(np.rint(u), -1, last - 1).astype(int), np.clip(np.rint(v), -1, last - 1).astype(int)
@@ -280,13 +269,10 @@ def homography_inverse(homography: Array) -> Array:
 
 HALF_PIXEL = 0.5  # the detector puts pixel centres at halves, we at whole numbers
 SMALL, TINY = 3.5, 3.0  # px, a cell's side: below, tags are searched without blur, and in an enlarged picture
-LOST = 3.5  # px, a cell's side: where tags are larger, blur hides none
 LEAST_PART = 8  # px: smaller parts of a picture are not searched
 CHANCE = 1e-4  # that what is no tag reads as one: small tags of a whole picture are read with as many errors
-MOST_ERRORS = 2  # that the detector corrects
 RATIO = 2.0  # of the sides of what is found and what was expected: more is another thing
 NEAR = 0.25  # margin around an expected tag, in tag sizes
-LEAST_MARGIN = 8  # px
 
 
 @dataclass(frozen=True)
@@ -324,12 +310,12 @@ class Finder:
     def look(self, picture: Picture, wanted: Collection[int] = ()) -> list[Sighting]:
         """Every tag in `picture`, the most certain first.
 
-        Where an id of `wanted` is missing and nothing says that the tags are large, small ones are looked for as well.
-        Without blur there is more that looks like a tag: these count only with so few errors that chance has no part.
-        """
+        Where an id of `wanted` is missing, small tags are searched as well, unless those found are large. Without blur
+        more looks like a tag: these count only with so few errors that chance has no part."""
         seen = self.search(picture, USUAL)
         missing = not {tag.tag_id for tag in seen}.issuperset(wanted)
-        if missing and min((side_of(tag.corners) for tag in seen), default=0.0) < LOST * self._border:
+        # px, a cell's side: where tags are larger, blur hides none.
+        if missing and min((side_of(tag.corners) for tag in seen), default=0.0) < 3.5 * self._border:
             more = [tag for tag in self.search(picture, SHARP) if tag.errors <= self.most_errors]
             seen += [tag for tag in more if not any(same_place(tag, other) for other in seen)]
         return sorted((self._again(picture, tag) for tag in seen), key=lambda tag: (tag.errors, -tag.margin))
@@ -375,7 +361,9 @@ class Finder:
 
 def most_errors(codes: int, bits: int) -> int:
     """The errors that a family bears: with them, one in 1 / `CHANCE` random squares reads as one of its tags."""
-    chance = [4 * codes * sum(comb(bits, k) for k in range(errors + 1)) / 2**bits for errors in range(MOST_ERRORS + 1)]
+    chance = [
+        4 * codes * sum(comb(bits, k) for k in range(errors + 1)) / 2**bits for errors in range(3)
+    ]  # it corrects two
     return max(int(np.sum(np.array(chance) < CHANCE)) - 1, 0)
 
 
@@ -387,7 +375,7 @@ def side_of(corners: Array) -> float:
 
 def margin_of(corners: Array, share: float) -> float:
     """Margin around corners (4, 2) in which a tag is searched, px: a share of its size."""
-    return max(share * float(np.ptp(corners, axis=0).max()), LEAST_MARGIN)
+    return max(share * float(np.ptp(corners, axis=0).max()), 8)  # px
 
 
 def same_place(tag: Sighting, other: Sighting) -> bool:

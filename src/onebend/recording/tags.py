@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, available_cores, track
+from onebend.recording.camera import rotated
 from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
 from onebend.recording.signals import bridged, runs
 from onebend.recording.tag_finder import (
@@ -42,11 +43,8 @@ from onebend.recording.video import (
 )
 from onebend.records import Array, BoolArray, Detections, IntArray, Remark
 
-# Finding tags in pictures, and tracking them through a block of frames near their predicted places.
-
 LOOK_EVERY = 8  # frames: how often the whole picture is searched for a tag that was lost
 MOST_STEP = LOOK_EVERY // 2  # frames between searched ones: at two of them a tag must be seen to be predicted
-BENT = 0.5  # px by which a tag's way may bend between searched frames; an eighth of it is off halfway
 WIDE = 1.5  # margin around a tag's predicted place where `NEAR` found none, in tag sizes
 EachTag = Callable[[Callable[[Finder, int], None], int], object]  # does `work(finder, i)` for every i below a count
 
@@ -76,15 +74,13 @@ def track_block(
 ) -> BlockTracks:
     """Follow the tags `tag_id` through consecutive frames.
 
-    Each tag is searched near the place that its last two sightings predict. If a tag is missing, the whole picture is
-    searched in the first frame, every `LOOK_EVERY` frames and in the last one. A second pass, backward in time, finds
-    tags that became visible between two such searches. Where only every so manyth frame is searched, those between are
-    searched as well where tags do not move on evenly, or come or go.
+    Each tag is searched near the place that its last two sightings predict. If one is missing, the whole picture is
+    searched every `LOOK_EVERY` frames. A second pass, backward in time, finds tags that became visible in between.
+    With a `step` (a power of two) only every so manyth frame is searched where tags move on evenly.
 
     Args:
-        before: (B, m, 4, 2) px, where the tags were in the frames right before; they are followed from there.
+        before: (B, m, 4, 2) px, where the tags were in the frames right before.
         look: whether the whole first picture is searched even if no tag is missing, for strangers and doubles.
-        step: of the frames' numbers: every so manyth is searched in any case; a power of two, `MOST_STEP` at most.
         each: works on all tags, with detectors of its own; default: one tag after the other.
     """
     known = 0 if before is None else min(len(before), LOOK_EVERY)
@@ -148,7 +144,8 @@ def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> In
     for t in np.flatnonzero(phase == half).tolist():
         sides = [u for u in (t - half, t + half) if 0 <= u < len(tracks)]
         around = [u for u in (t - half - step, *sides, t + half + step) if 0 <= u < len(tracks)]
-        if searched[sides].all() and bent[around].max() > BENT:
+        # px by which a tag's way may bend between searched frames; an eighth of it is off halfway.
+        if searched[sides].all() and bent[around].max() > 0.5:
             out.append(t)
     return np.array(out, dtype=np.int64)
 
@@ -172,11 +169,8 @@ def follow(
 def predict(track: Array, time: Array, t: int, step: int) -> tuple[Array | None, float]:
     """Corners expected in frame `t` from the nearest two sightings within `LOOK_EVERY` frames on one side, moving on
     evenly in `time` (T,), and how far (px) they have moved since the nearest one. None where there is no sighting."""
-    visible = [
-        k
-        for k in range(t + step, t + step * (LOOK_EVERY + 1), step)
-        if 0 <= k < len(track) and not np.isnan(track[k]).any()
-    ]
+    beside = range(t + step, t + step * (LOOK_EVERY + 1), step)
+    visible = [k for k in beside if 0 <= k < len(track) and not np.isnan(track[k]).any()]
     if not visible:
         return None, 0.0
     first, nearest = visible[0], track[visible[0]]
@@ -199,8 +193,6 @@ def sure_doubles(sightings: Sequence[Sighting]) -> list[int]:
     certain = [tag.tag_id for tag in sightings if tag.errors == 0]
     return sorted({tag for tag in certain if certain.count(tag) > 1})
 
-
-# Corners of tags that stand still, from their whole printed pattern (`pattern.py`), picture by picture.
 
 # Pictures of a tag at one place, after which its pattern is fitted; after the last they are counted anew, and what was
 # fitted before holds until the last again.
@@ -275,15 +267,11 @@ class StillTags:
         window.fitted = window.count
 
 
-# Pictures that only repeat the one before while the beam moves on: a camera, or what recorded it, that hung.
-#
-# A film of a beam at rest may repeat pictures rightly: a packed film shows little where nothing changes. So pictures
-# that repeat are left out only where the tags stand elsewhere as soon as the pictures change again.
+# A camera that hung repeats pictures while the beam moves on. A packed film of a beam at rest may repeat them, too. So
+# they are left out only where the tags stand elsewhere as soon as the pictures change again.
 
-SHORTEST = 3  # pictures that repeat; fewer are a hiccup of less than the clock's own error
 JUMP, LEAST_PX = 3.0, 1.0  # times the steps before and after, and px, that the tags go when the pictures change again
 COARSE = 4  # px: every so manyth pixel is compared
-SAME = 0.25  # of the usual change from picture to picture, which noise makes: less is a repeat
 
 
 def noting_changes(frames: Iterable[FilmFrame], changes: list[float]) -> Iterator[FilmFrame]:
@@ -312,7 +300,8 @@ def repeated(changes: Sequence[float]) -> BoolArray:
     """(T,) pictures that are the one before, but for what packing the film makes of it."""
     change = np.array(changes)
     usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
-    return np.asarray((change == 0.0) | (change < SAME * usual))
+    # Of the usual change from picture to picture, which noise makes: less is a repeat.
+    return np.asarray((change == 0.0) | (change < 0.25 * usual))
 
 
 def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
@@ -322,7 +311,8 @@ def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
     step = np.linalg.norm(np.diff(centre, axis=0), axis=-1)  # (T - 1, m)
     hung = np.zeros(len(corners), dtype=bool)
     for begin, end in runs(repeats).tolist():
-        if end - begin < SHORTEST or end >= len(corners) or begin < 2:
+        # Pictures that repeat; fewer are a hiccup of less than the clock's own error.
+        if end - begin < 3 or end >= len(corners) or begin < 2:
             continue
         around = np.concatenate([step[max(begin - 4, 0) : begin - 1], step[end : end + 3]])
         usual = np.nan_to_num(np.nanmax(around, axis=0, initial=0.0)) if len(around) else np.zeros(step.shape[1])
@@ -344,16 +334,10 @@ def frozen_remarks(hung: BoolArray, time: Array) -> tuple[Remark, ...]:
     )
 
 
-# A video to the corners of every tag in every frame, on all cores; the result does not depend on threads.
-
 BLOCK = 16  # frames that are followed together; bounds the memory: two blocks are held at a time
-WORTH_FINDER = 4  # tags: for fewer, one more detector is not worth its memory (20 MB) and its start
-LOOK_BLOCKS = 16  # the first picture of every so manyth block is searched whole, whatever is missing
 MOST_THREADS = 8
 LEAST_RATE = 28.0  # searched frames a second at least: the clock search rests on how the tags move between them
 FREQUENT = 0.1  # of the searched pictures: an unexpected tag gets a remark if it is seen more often
-OFTEN_HIDDEN = 0.05  # of the frames: a tag that is missing more often gets a remark
-FAMILY_FRAMES = 5  # frames searched for tags of other families when none was found
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -379,7 +363,8 @@ def detect_tags(
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
     first, finders = Finder(tags.family), SimpleQueue[Finder]()
-    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // WORTH_FINDER) - 1))):
+    # Tags: for fewer, one more detector is not worth its memory (20 MB) and its start.
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // 4) - 1))):
         finders.put(finder)
 
     def each(work: Callable[[Finder, int], None], count: int) -> None:
@@ -396,7 +381,8 @@ def detect_tags(
     changes: list[float] = []
 
     def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
-        look, before = len(blocks) % LOOK_BLOCKS == 0, blocks[-1].corners if blocks else None
+        # The first picture of every so manyth block is searched whole, whatever is missing.
+        look, before = len(blocks) % 16 == 0, blocks[-1].corners if blocks else None
         step = step_of(blocks[0].time if blocks else np.array([frame.time for frame in frames]))
         blocks.append(track_block(frames, tag_id, first, before=before, look=look, step=step, each=each))
         return blocks[-1]
@@ -500,11 +486,9 @@ def refuse_unseen(
     pictures: Sequence[Picture],
     frames: int,
 ) -> None:
-    """An error where no tag, no base tag or no beam tag was found in any frame, or one of them is never seen and
-    others are that recording.toml does not name.
+    """An error where no tag, no base or no beam tag was found, or one is never seen and others are that nobody named.
 
-    `share` (m,) is the share of the `frames` that show each tag, `pictures` are some of them (empty: they are read).
-    """
+    `share` (m,) of the `frames` shows each tag; `pictures` are some of them (empty: they are read)."""
     base = len(tags.on_base)
     if not share.any():
         raise ObservationError(
@@ -513,14 +497,10 @@ def refuse_unseen(
             about="unseen tag",
         )
     every = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
-    missing = [str(tag) for tag, shown in zip(every, share, strict=True) if not shown]
+    missing = [tag for tag, shown in zip(every, share, strict=True) if not shown]
     if missing and strangers:
-        seen = sorted({*strangers, *(tag for tag, shown in zip(every, share, strict=True) if shown)})
-        raise ObservationError(
-            f"{video.file}: tag {', '.join(missing)} is in none of {frames} frames; seen: {', '.join(map(str, seen))}. "
-            "Correct the ids in recording.toml, or take out those that are not on the beam.",
-            about="unseen tag",
-        )
+        text = missing_words(missing, sorted({*strangers, *every} - {*missing}), frames)
+        raise ObservationError(f"{video.file}: {text[0].lower()}{text[1:]}", about="unseen tag")
     for what, part, entries in (("base", share[:base], tags.on_base), ("beam", share[base:], tags.on_beam)):
         if not part.any():
             ids = ", ".join(str(tag.id) for tag in entries)
@@ -537,63 +517,54 @@ def what_is_there(
     """Advice for a video without any expected tag, from the tags that it does show."""
     if strangers:
         return f"The ids seen are {', '.join(map(str, sorted(strangers)))}: correct the ids in recording.toml."
-    wanted = set(np.linspace(0, (len(pictures) or frames) - 1, FAMILY_FRAMES).astype(int).tolist())
-    if pictures:
-        pictures = [picture for i, picture in enumerate(pictures) if i in wanted]
-    else:
-        pictures = [picture for _, picture in pictures_at(video, wanted)]
-    for family in FAMILIES:
-        if family != tags.family:
-            finder = Finder(family)
-            ids_found = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
-            if ids_found:
-                ids = ", ".join(map(str, sorted(ids_found)))
-                return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
+    # Frames searched for tags of other families when none was found.
+    wanted = sorted(set(np.linspace(0, (len(pictures) or frames) - 1, 5).astype(int).tolist()))
+    pictures = [pictures[i] for i in wanted] if pictures else [picture for _, picture in pictures_at(video, wanted)]
+    for family in (one for one in FAMILIES if one != tags.family):
+        finder = Finder(family)
+        found = {tag.tag_id for picture in pictures for tag in finder.look(picture) if tag.errors == 0}
+        if found:
+            ids = ", ".join(map(str, sorted(found)))
+            return f"These look like {family} (ids {ids}): correct [tags] family in recording.toml."
     need = "printed with a white rim, in focus, not mirrored and at least 20 pixels wide"
     return f"Check that the tags are {tags.family}, {need}."
 
 
 def hidden_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
     """A remark for each tag that is missing in many frames."""
-    remarks = []
-    for tag, visible in zip(tag_id, share, strict=True):
-        if 0 < visible < 1 - OFTEN_HIDDEN:
-            text = f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames."
-            remarks.append(Remark("note", text))
-    return remarks
+    return [
+        Remark("note", f"Tag {tag} was not seen in {round((1 - visible) * frames)} of {frames} frames.")
+        for tag, visible in zip(tag_id, share, strict=True)
+        if 0 < visible < 0.95
+    ]
 
 
 def unseen_remarks(tag_id: Sequence[int], share: np.ndarray, frames: int) -> list[Remark]:
     """A warning where tags are in no frame at all."""
-    missing = [str(tag) for tag, visible in zip(tag_id, share, strict=True) if not visible]
-    if not missing:
-        return []
-    seen = ", ".join(str(tag) for tag, visible in zip(tag_id, share, strict=True) if visible)
-    text = f"Tag {', '.join(missing)} is in none of {frames} frames; seen: {seen}."
-    text += " Correct the ids in recording.toml, or take out those that are not on the beam."
-    return [Remark("warning", text, about="unseen tag")]
+    missing = [tag for tag, visible in zip(tag_id, share, strict=True) if not visible]
+    seen = [tag for tag in tag_id if tag not in missing]
+    return [Remark("warning", missing_words(missing, seen, frames), about="unseen tag")] if missing else []
+
+
+def missing_words(missing: Sequence[int], seen: Sequence[int], frames: int) -> str:
+    """A sentence on tags that no frame shows, and what to do."""
+    ids, others = ", ".join(map(str, missing)), ", ".join(map(str, seen))
+    text = f"Tag {ids} is in none of {frames} frames; seen: {others}."
+    return f"{text} Correct the ids in recording.toml, or take out those that are not on the beam."
 
 
 def stranger_remarks(strangers: Counter[int], looks: int) -> list[Remark]:
     """A remark on tags in the picture that recording.toml does not name."""
-    often = sorted(tag for tag, count in strangers.items() if count > FREQUENT * looks)
-    if not often:
-        return []
-    return [
-        Remark("note", f"The picture also shows tags that recording.toml does not name: {', '.join(map(str, often))}.")
-    ]
+    often = ", ".join(str(tag) for tag, count in sorted(strangers.items()) if count > FREQUENT * looks)
+    text = f"The picture also shows tags that recording.toml does not name: {often}."
+    return [Remark("note", text)] if often else []
 
 
-# Tracking tags picture by picture, for a camera that goes on filming.
-#
-# The same searches as `tracking.py` makes of a block of frames, with what is known by then: a tag is sought near
-# where its last two sightings predict it. Where one is lost, the whole picture is searched again, one part a frame,
-# so that no frame takes much longer than another, and near where the tag beside it, which has moved with the beam,
-# says that it is. What is kept does not grow.
+# Tracking picture by picture, for a camera that goes on filming. A lost tag is searched in one part of the picture a
+# frame, so that no frame takes much longer than another, and near where the tag beside it says that it is.
 
 TILE = 160  # px: a lost tag is sought in parts of about this size, one a frame
 SQUARE: Array = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # corners of a tag of side 1
-OVERLAP = 1.6  # sides of a tag: parts overlap by as much, so that one of them shows it whole
 
 
 @dataclass(frozen=True)
@@ -703,12 +674,12 @@ class Tracker:
         """Sightings in a part of the picture, or in all of it where no tag was seen lately; None where it was not
         searched this time. `row` (m, 4, 2) px holds what was found near where it was expected."""
         seen = np.isfinite(row).all(axis=(1, 2))
-        lately = any(np.isfinite(corners).all(axis=(1, 2)).any() for _, corners in self._rows)
-        if not (seen.any() or lately):
+        lately = np.any([np.isfinite(corners).all(axis=(1, 2)) for _, corners in self._rows] or [~seen & seen], axis=0)
+        if not (seen.any() or lately.any()):
             self._unseen += 1
             return self._finder.look(picture, self.tag_id) if self._unseen % LOOK_EVERY == 1 else None
         self._unseen, self._turn = 0, self._turn + 1
-        lost = [i for i in np.flatnonzero(~seen).tolist() if not any(_seen(corners[i]) for _, corners in self._rows)]
+        lost = [i for i in np.flatnonzero(~seen).tolist() if not lately[i]]
         i = lost[self._turn // 2 % len(lost)]
         expected = _moved_along(self._last[i], row, i)
         if self._turn % 2 and expected is not None:
@@ -720,7 +691,8 @@ class Tracker:
         last = own[i] if expected is None and known[i] else own[known][0] if expected is None else expected
         order = np.argsort(np.linalg.norm(places - last.mean(axis=0), axis=1), kind="stable")
         middle = places[order[self._turn // 2 % len(places)]]
-        found = self._finder.look_around(picture, middle + side * SQUARE, 0.5 * TILE + (OVERLAP - 1.0) * side / 2)
+        # Parts overlap by 1.6 sides of a tag, so that one of them shows it whole.
+        found = self._finder.look_around(picture, middle + side * SQUARE, 0.5 * TILE + 0.3 * side)
         return [tag for tag in found if tag.errors <= self._finder.most_errors]
 
 
@@ -728,10 +700,6 @@ def _places(shape: tuple[int, ...]) -> Array:
     """(P, 2) px, the middles of the parts of a picture of `shape`."""
     y, x = ((np.arange(count := max(1, math.ceil(size / TILE))) + 0.5) * size / count for size in shape[:2])
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-
-
-def _seen(corners: Array) -> bool:
-    return bool(np.isfinite(corners).all())
 
 
 def _moved_along(then: Array, now: Array, i: int) -> Array | None:
@@ -744,6 +712,5 @@ def _moved_along(then: Array, now: Array, i: int) -> Array | None:
     beside = int(both[np.argmin(away)])
     before, after = then[beside].mean(axis=0), now[beside].mean(axis=0)
     one, other = then[beside] - before, now[beside] - after
-    turn = math.atan2(float(np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])), float(np.sum(one * other)))
-    cos, sin = math.cos(turn), math.sin(turn)
-    return np.asarray((then[i] - before) @ np.array([[cos, sin], [-sin, cos]]) + after)
+    turn = np.arctan2(np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]), np.sum(one * other))
+    return np.asarray(rotated(then[i] - before, turn) + after)

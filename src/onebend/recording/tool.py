@@ -18,16 +18,11 @@ from onebend.recording.entries import Recording
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark, View
 
-# What lies beside the beam, in places along and across it: where something other than the background is.
-
 Pictures = NDArray[np.float32]  # (P, h, w)
 
 BEAM_PIXELS = 230.0  # no longer is the beam in the shrunk pictures: noise averages out, a tool stays some pixels wide
 STEPS = 180  # of the grid, in a beam's length
 S_RANGE = (0.2, 1.4)  # nearer to the clamp the beam hardly moves; beyond the tip a tool's other half may be
-ACROSS = 0.24  # of the length, to each side
-DIFFERS = 5.0  # sds of the background's noise: a pixel that is farther off shows something else
-QUIETEST = 0.1  # of 255: no camera's noise is less, a film without any is a drawing
 THIN = 4  # of rows and columns, for a picture's brightness
 
 
@@ -47,7 +42,7 @@ class SideGrid:
 
 def grid_of(length: float) -> SideGrid:
     """The places that are looked at beside a beam of this length [m]."""
-    half = round(ACROSS * STEPS)
+    half = round(0.24 * STEPS)  # of the length, to each side
     count = round((S_RANGE[1] - S_RANGE[0]) * STEPS) + 1
     return SideGrid(S_RANGE[0] + np.arange(count) / STEPS, np.arange(-half, half + 1) * length / STEPS, length)
 
@@ -71,10 +66,8 @@ def shrunk(picture: NDArray[np.uint8], factor: int) -> NDArray[np.float32]:
 def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     """How far every pixel of `pictures` (P, h, w) is from its background, in sds of its noise.
 
-    The background is the median over the pictures, after each is brought to the same brightness; of those `by` (P,)
-    alone where given. Noise is the median deviation of the pixel from it there, which a camera that shakes makes large
-    at edges; it is nowhere taken to be smaller than the pictures' typical one.
-    """
+    The background is the median over the pictures (those `by` (P,) where given) at equal brightness. Noise is the
+    median deviation from it, which is large at edges where a camera shakes, but at least the pictures' typical one."""
     by = np.ones(len(pictures), dtype=bool) if by is None else by
     background = middle(pictures[by])
     thin = (slice(None), slice(None, None, THIN), slice(None, None, THIN))
@@ -83,7 +76,7 @@ def deviations(pictures: Pictures, by: BoolArray | None = None) -> Pictures:
     even = pictures / brightness
     away = np.abs(even - middle(even[by]))
     noise = 1.4826 * middle(away[by])
-    floor = max(float(np.median(noise)), QUIETEST)
+    floor = max(float(np.median(noise)), 0.1)  # of 255: no camera's noise is less, a film without any is a drawing
     return np.asarray(away / np.maximum(uniform_filter(noise, 3), floor))
 
 
@@ -128,19 +121,8 @@ def beside_beam(
     return out
 
 
-# Strips that come from outside and end on the beam's flank: what a tool looks like beside the beam.
-
 CLOSES = 3  # cells: holes smaller than this are filled
-WIDER = 1.6  # times its usual width: a strip that becomes so wide has run into the beam
-MORE = 3  # cells of width more, for the same
-USUAL = 9  # rows before, of which the usual width is taken
-NEAR = 0.08  # of the length: the strip's last part, which tells where it meets the beam
 LEAST = 0.04  # of the length: a strip that is shorter is no tool
-WIDEST = 0.25  # of the length: a wider strip does not say where it touches
-STEEPEST = 1.0  # along over across: a strip that lies nearer along the beam does not say where it touches
-FLANK_SD = 0.02  # of the length: the beam's shadow may hide its flank by so much
-SOLID = 0.5  # of the places between flank and axis: with fewer covered it is not the beam that a strip runs into
-TIP = 0.98  # s: beyond, it may run past the beam
 
 
 @dataclass(frozen=True)
@@ -151,11 +133,6 @@ class Strip:
     first: IntArray  # (R,) of the grid's `s`
     last: IntArray  # (R,) likewise, the first one beyond
     flank: int  # the row in which it has run into the beam
-
-    @property
-    def width(self) -> float:
-        """Cells along the beam, by the beam."""
-        return float(np.median(self.last - self.first))
 
 
 @dataclass(frozen=True)
@@ -180,16 +157,20 @@ def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
             if far < reach or len(strip.rows) * grid.step < LEAST * grid.length:
                 continue
             found, slope = _meeting(strip, grid)
-            if found.width <= WIDEST * grid.length and slope <= STEEPEST and _on_beam(closed, found.s, strip, grid):
+            # Of the length: a wider strip does not say where it touches.
+            # A strip that lies along the beam does not say where it touches, either.
+            if found.width <= 0.25 * grid.length and slope <= 1.0 and _on_beam(closed, found.s, strip, grid):
                 out.append(found)
     return out
 
 
 def _on_beam(covered: BoolArray, s: float, strip: Strip, grid: SideGrid) -> bool:
     """Whether there is a beam between the strip's end and the axis."""
-    at, middle = int(np.argmin(np.abs(grid.s - min(s, TIP)))), len(grid.across) // 2
+    # s: beyond, it may run past the beam.
+    at, middle = int(np.argmin(np.abs(grid.s - min(s, 0.98)))), len(grid.across) // 2
     inside = covered[at, min(strip.flank, middle) : max(strip.flank, middle) + 1]
-    return bool(np.mean(inside) >= SOLID)
+    # Of the places between flank and axis: with fewer covered it is not the beam that a strip runs into.
+    return bool(np.mean(inside) >= 0.5)
 
 
 def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
@@ -207,9 +188,11 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             if not under:
                 continue
             begin, end = here[under[0]][0], here[under[-1]][1]
-            usual = median([b - a for _, a, b in strip[-USUAL:]])
-            if end - begin > WIDER * usual + MORE:
-                ended.append(_strip(strip, row))
+            usual = median([b - a for _, a, b in strip[-9:]])  # rows before, of which the usual width is taken
+            # Times its usual width: a strip that becomes so wide has run into the beam.
+            # Cells of width more, for the same.
+            if end - begin > 1.6 * usual + 3:
+                ended.append(Strip(*np.array(strip, dtype=np.int64).T, row))
             else:
                 going.append([*strip, (row, begin, end)])
         # what the edge cuts off has no middle
@@ -228,40 +211,30 @@ def runs_in_rows(mask: BoolArray) -> list[list[tuple[int, int]]]:
     return out
 
 
-def _strip(cells: list[tuple[int, int, int]], flank: int) -> Strip:
-    row, first, last = np.array(cells, dtype=np.int64).T
-    return Strip(row, first, last, flank)
-
-
 def _meeting(strip: Strip, grid: SideGrid) -> tuple[Meeting, float]:
     """Its middle line, drawn on straight to the flank, and how steep that is (along over across)."""
-    count = max(2, round(NEAR * grid.length / grid.step))
-    near = Strip(strip.rows[-count:], strip.first[-count:], strip.last[-count:], strip.flank)
-    middle = 0.5 * (grid.s[near.first] + grid.s[near.last - 1])
-    out = grid.across[near.rows] - grid.across[near.flank]
+    # Of the length: the strip's last part, which tells where it meets the beam.
+    count = max(2, round(0.08 * grid.length / grid.step))
+    first, last = strip.first[-count:], strip.last[-count:]
+    middle = 0.5 * (grid.s[first] + grid.s[last - 1])
+    out = grid.across[strip.rows[-count:]] - grid.across[strip.flank]
     slope, place = (0.0, float(middle[-1])) if len(out) < 2 else np.polyfit(out, middle, 1)
     scatter = float(np.std(middle - (place + slope * out)))
-    width = near.width * grid.step
+    width = float(np.median(last - first)) * grid.step
     steep = abs(float(slope)) * grid.length
     touch = width / grid.length / sqrt(12.0)
     meeting = Meeting(
         s=float(place),
-        sd=float(np.linalg.norm([scatter, touch, steep * FLANK_SD])),
+        # Of the length: the beam's shadow may hide its flank by so much.
+        sd=float(np.linalg.norm([scatter, touch, steep * 0.02])),
         left=strip.flank > len(grid.across) // 2,
         width=width,
     )
     return meeting, steep
 
 
-# Where along the beam the pictures show the tool that pushes.
-
 FEWEST_LOADED, FEWEST_AT_REST = 8, 3
-PAPER = 0.625 * sqrt(2.0)  # of a tag's side: half the diagonal of its paper, white margin included
-CORE = 0.02  # of the length: so near to its axis is certainly the beam
 TOGETHER = 0.05  # of s: so near to each other are meetings of one tool, which may slide a little
-LEAST_SHOWN = 0.25  # of the loaded frames: in so many something must be seen to lie against the beam
-AGREEING = 0.75  # of the loaded frames that show something so: in so many it is at one place
-AWAY = 0.15  # of the frames at rest: in so many the tool must be off the beam, or it may be fixed to it
 
 
 @dataclass(frozen=True)
@@ -296,13 +269,9 @@ def tool_place(
 ) -> ToolPlace:
     """Where the tool is that pushes a beam of `length` [m], by `pictures` (P, h, w) shrunk by `factor`.
 
-    A tool is what lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than
-    tags do, is off the beam in some of the pictures at rest, and has no like elsewhere. What is not clear is not seen:
-    no guess is made. `markers` and `loaded` have one row a picture.
-
-    Args:
-        tag_size: m, side of the tags on the beam, whose paper may stand out beside it.
-    """
+    A tool lies against the beam's flank at one place in most of the loaded pictures, reaches farther out than tags (of
+    side `tag_size` [m]) and their paper, is off the beam in some pictures at rest, and is alone. If not, it is not
+    seen. `markers` and `loaded` have one row a picture."""
     good = enough_tags(markers)
     if markers.view is None or not np.any(good):
         return not_seen("no frame shows the beam's tags")
@@ -318,8 +287,10 @@ def tool_place(
     some = far | ~pushed
     different[~pushed] = deviations(pictures[good][some], far[some])[~pushed[some]]
     beside = beside_beam(different, factor, markers.view, centre, normal, grid)
-    reach = PAPER * tag_size + LEAST * length
-    covered = np.asarray(beside > DIFFERS)
+    # Of a tag's side: half the diagonal of its paper, white margin included.
+    reach = 0.625 * sqrt(2.0) * tag_size + LEAST * length
+    # sds of the background's noise: a pixel that is farther off shows something else.
+    covered = np.asarray(beside > 5.0)
     found = place_of([meetings(one, grid, reach) for one in covered], pushed)
     if found.seen and _shows_beam(covered[~pushed], found.s, grid).sum() < FEWEST_AT_REST:
         return not_seen("the beam at rest is taken for the background")
@@ -330,7 +301,8 @@ def _shows_beam(covered: BoolArray, s: float, grid: SideGrid) -> BoolArray:
     """(P,) the pictures (P, S, D) in which the beam itself stands out near s: if it does not at rest, nor would what is
     fixed to it."""
     here = covered[:, np.abs(grid.s - min(s, 1.0 - TOGETHER)) <= TOGETHER]
-    return np.asarray(here[..., np.abs(grid.across) <= CORE * grid.length].mean(axis=(1, 2)) >= 0.5)
+    # Of the length: so near to its axis is certainly the beam.
+    return np.asarray(here[..., np.abs(grid.across) <= 0.02 * grid.length].mean(axis=(1, 2)) >= 0.5)
 
 
 def enough_tags(markers: Markers) -> BoolArray:
@@ -369,30 +341,24 @@ def place_of(found: Sequence[Sequence[Meeting]], pushed: BoolArray) -> ToolPlace
     s = float(np.median([one.s for one in _at(loaded, left, s)]))
     own, telling = _at(loaded, left, s), sum(len(one) > 0 for one in loaded)
     shown = len(own) / len(loaded)
-    if shown < LEAST_SHOWN or len(own) < FEWEST_LOADED:
+    # Of the loaded frames: in so many something must be seen to lie against the beam.
+    if shown < 0.25 or len(own) < FEWEST_LOADED:
         return not_seen(f"too few frames show what lies against the beam ({shown:.0%} of those under load)")
-    alone = len(own) - sum(_away_from(one, left, s) for one in loaded if _at([one], left, s))
-    if alone < AGREEING * telling:
+    here = [one for one in loaded if _at([one], left, s)]
+    alone = sum(all(other.left == left and abs(other.s - s) <= 2.0 * TOGETHER for other in one) for one in here)
+    if alone < 0.75 * telling:  # of the loaded frames that show something so: in so many it is at one place
         return not_seen(f"things lie against the beam at several places (at s = {s:.2g} alone in {alone} of {telling})")
     resting = [one for one, now in zip(found, pushed, strict=True) if not now]
-    if len(_at(resting, left, s)) > (1.0 - AWAY) * len(resting):
+    # In 15 % of the frames at rest the tool must be off the beam, or it may be fixed to it.
+    if len(_at(resting, left, s)) > 0.85 * len(resting):
         return not_seen(f"what lies against the beam at s = {s:.2g} is there at rest too")
     return _weighed(own, shown)
 
 
 def _at(found: Sequence[Sequence[Meeting]], left: bool, s: float) -> list[Meeting]:
     """The nearest meeting to a place in each picture that has one there."""
-    out = []
-    for one in found:
-        near = [meeting for meeting in one if meeting.left == left and abs(meeting.s - s) <= TOGETHER]
-        if near:
-            out.append(min(near, key=lambda meeting: abs(meeting.s - s)))
-    return out
-
-
-def _away_from(one: Sequence[Meeting], left: bool, s: float) -> bool:
-    """Whether a picture shows a meeting far from a place."""
-    return any(meeting.left != left or abs(meeting.s - s) > 2.0 * TOGETHER for meeting in one)
+    near = ([other for other in one if other.left == left and abs(other.s - s) <= TOGETHER] for one in found)
+    return [min(one, key=lambda other: abs(other.s - s)) for one in near if one]
 
 
 def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
@@ -411,11 +377,7 @@ def _weighed(own: Sequence[Meeting], shown: float) -> ToolPlace:
     )
 
 
-# The tool looked for in a film, and what to say where it is not where recording.toml says.
-
 LOADED, AT_REST = 24, 8  # frames of each that are looked at; half of them are enough where these are kept
-SURE = 3.0  # sds, of what is seen and what is stated together: farther apart they disagree
-ACCUSES = 0.5  # of the loaded frames: what fewer show at another place is no reason to doubt the stated one
 
 FindTool = Callable[[Markers, BoolArray, IntArray], ToolPlace]  # by tags, whether loaded, and number of each frame
 
@@ -431,11 +393,7 @@ class SmallPictures:
 
 def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: FindTool) -> Observations:
     """With what the pictures show of the tool, by `find`: a warning where it is elsewhere than `at_s` says.
-    `base_angle` (T,) [rad] is of the same frames.
-
-    Raises:
-        RecordingError: the film cannot be read.
-    """
+    `base_angle` (T,) [rad] is of the same frames."""
     if rec.push is None or not isfinite(rec.push.at):
         return seen
     markers = Markers(
@@ -457,15 +415,10 @@ def tool_in_film(
     every: int = 1,
     kept: KeptFrames | None = None,
 ) -> ToolPlace:
-    """Where the film of `rec` shows the tool. `markers`, `loaded` and `frame`, the index in the film, have a row a
+    """Where the film of `rec` shows the tool; `markers`, `loaded` and `frame`, the index in the film, have a row a
     frame.
 
-    Args:
-        every: of the frames that may be `kept`, see `kept_frames.spacing_of`: others are looked at only where these
-            are too few.
-
-    Raises:
-        RecordingError: the film cannot be read.
+    `every` is the spacing of frames that may be `kept` (`spacing_of`); others are looked at only where these are few.
     """
     if rec.video is None or markers.view is None:
         return not_seen("there is no film")
@@ -517,22 +470,15 @@ def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = Non
 
 def of_rows(markers: Markers, rows: IntArray) -> Markers:
     """The markers of some frames."""
-    return Markers(
-        time=markers.time[rows],
-        tag_id=markers.tag_id,
-        s=markers.s,
-        xy=markers.xy[rows],
-        angle=markers.angle[rows],
-        covariance=markers.covariance[rows],
-        base_angle=markers.base_angle[rows],
-        view=markers.view,
-    )
+    by_frame = {name: vars(markers)[name][rows] for name in ("time", "xy", "angle", "covariance", "base_angle")}
+    return replace(markers, **by_frame, by_camera=None, remarks=())
 
 
 def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
     """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow, in most of
     the frames under load."""
-    if rec.push is None or not _tool_elsewhere(tool, rec) or tool.shown < ACCUSES:
+    # Of the loaded frames: what fewer show at another place is no reason to doubt the stated one.
+    if rec.push is None or not _tool_elsewhere(tool, rec) or tool.shown < 0.5:
         return ()
     text = (
         f"The film shows the tool at s = {tool.words}; recording.toml says at_s = {rec.push.at:.3g}. k(s) follows the "
@@ -546,15 +492,12 @@ def _tool_elsewhere(tool: ToolPlace, rec: Recording) -> bool:
     if not tool.seen or rec.push is None or isnan(rec.push.at):
         return False
     stated_sd = np.hypot(rec.place_sd, rec.tags.placement_sd) / rec.beam.length  # the tags tell where s is
-    return bool(abs(tool.s - rec.push.at) > SURE * np.hypot(tool.sd, stated_sd))
+    # sds, of what is seen and what is stated together: farther apart they disagree.
+    return bool(abs(tool.s - rec.push.at) > 3.0 * np.hypot(tool.sd, stated_sd))
 
 
-# Small pictures of a stream, kept as it goes on, spread over rest and push: the tool is looked for in them at the
-# end.
-#
-# Which frames are of the push is known only when it is over. A beam at rest is where it was in the beginning, so of
-# the frames that show the tags there some are kept, and of all others more: each evenly over time and way together,
-# as `film.rows_to_look_at` chooses among the frames of a film.
+# Small pictures of a stream. Which frames are of the push is known only when it is over. So some frames are kept that
+# show the tags where they were first, and more of all others, evenly over time and way.
 
 MOST = 2 * (LOADED + AT_REST)  # pictures: at least half as many are left where every other one has gone
 MOST_PIXELS = 25_000_000  # of all that are kept; a pixel takes 4 bytes

@@ -11,26 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.camera import FARTHEST, MOVED, RUNNING, chord_fits, order_hint, running_median, unwrap
-from onebend.recording.entries import FrequencyEntry, Recording
+from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
+from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
 from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
 
-# Angles from the places of neighbouring markers, for trackers that give points only.
-
-MOST_TURN = 4.0  # times what the places turn by: angles beyond are no radians
-BENT = 0.2  # rad that a marker's chord must turn for its angle to be compared with it
-
 
 def chord_angles(xy: Array, s: Array) -> Array:
     """(T, m) rad: the beam's angle at the markers, from places (T, m, 2) [m] and the clamp at the origin.
 
-    The slope of a parabola in s through each marker and its two neighbours; at the tip the angle of the last chord is
-    extrapolated. Good to a few hundredths of a radian: enough for clocks and rests, not for learning. NaN where a
-    marker or a neighbour is missing.
+    The slope of a parabola in s through each marker and its two neighbours. The error is a few hundredths of a radian:
+    small enough for clocks and rests, not for learning. NaN where a marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
     places = np.concatenate([[0.0], s[order]])
@@ -57,17 +51,13 @@ def with_angles(markers: Markers) -> Markers:
         return markers
     rough = chord_angles(markers.xy, markers.s)
     known = np.isfinite(markers.angle).any(axis=0)  # a marker either has angles or has none
-    return replace(markers, angle=np.where(known, markers.angle, _continuous(rough)))
+    return replace(markers, angle=np.where(known, markers.angle, unwrap(rough, from_zero=False)))
 
 
 def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
-    """Refuse measured angles (T, m) [rad] of a recording that turn against the places (T, m, 2) [m], or are no radians.
-
-    Raises:
-        ObservationError: they do.
-    """
+    """An error where measured angles (T, m) [rad] turn against the places (T, m, 2) [m], or are no radians."""
     share = angles_per_chord(xy, s, angle)
-    if share < 0.0 or share > MOST_TURN:
+    if share < 0.0 or share > 4.0:  # times what the places turn by: angles beyond are no radians
         how = "the other way than" if share < 0.0 else f"{share:.2g} times as far as"
         raise ObservationError(
             f"{name}: angle_rad turns {how} the markers' places do. Angles are in radians and grow from x to y: "
@@ -78,12 +68,13 @@ def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
 def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
     """How far measured angles (T, m) [rad] turn for each radian that the places (T, m, 2) [m] turn: about 1; NaN where
     nothing bends, or no angle is measured."""
-    chords = _continuous(chord_angles(xy, s))
+    chords = unwrap(chord_angles(xy, s), from_zero=False)
     known = np.isfinite(chords) & np.isfinite(angle)
     if not known.any():
         return float("nan")
     measured, turned = (_from_mean(np.where(known, values, np.nan)) for values in (angle, chords))
-    if not float(np.nanmax(turned) - np.nanmin(turned)) > BENT:
+    # rad that a marker's chord must turn for its angle to be compared with it.
+    if not float(np.nanmax(turned) - np.nanmin(turned)) > 0.2:
         return float("nan")
     return float(np.nansum(measured * turned) / np.nansum(turned**2))
 
@@ -92,23 +83,6 @@ def _from_mean(values: Array) -> Array:
     """Columns (T, m) less their means; NaN where a column has no value."""
     count = np.maximum(np.sum(np.isfinite(values), axis=0), 1)
     return np.asarray(values - np.nansum(values, axis=0) / count)
-
-
-def _continuous(angle: Array) -> Array:
-    """Columns without jumps by whole turns; NaN is stepped over."""
-    continuous = angle.copy()
-    for column in continuous.T:
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
-    return continuous
-
-
-# Tracks in space to the plane of bending: the plane by least squares, and the markers' distances from it.
-
-BESIDE = 0.01  # weight of the markers' mean places against their motion: heights differ by millimetres
-STRAIGHT = 0.02  # second over first principal extent: markers that hardly leave a line say nothing of their plane
-EDGE_ON = 0.2  # cosine between `seen_from` and the plane's normal below which it does not say which side is meant
-MUCH = 0.03  # of the markers' extent: more out-of-plane motion is no planar bending
 
 
 @dataclass(frozen=True)
@@ -123,10 +97,6 @@ class Plane:
         """(..., 2) m, points (..., 3) dropped onto the plane."""
         return np.asarray((points - self.origin) @ self.axes.T)
 
-    def direction(self, vector: Array) -> Array:
-        """(2,) a direction (3,) dropped onto the plane."""
-        return np.asarray(self.axes @ vector)
-
     def away(self, points: Array) -> Array:
         """(...) m, distance of points (..., 3) from the plane."""
         return np.asarray((points - self.origin) @ self.normal)
@@ -135,13 +105,8 @@ class Plane:
 def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     """The plane in which markers at `points` (T, m, 3) [m] move, by least squares; NaN left out.
 
-    Each marker sits at a height of its own over the beam, so their motion shows the plane, and where they lie beside
-    each other counts little. `seen_from` (3,) says which side one looks from. Points along one line leave the plane
-    open: then the one that is seen most nearly face on is taken.
-
-    Raises:
-        ObservationError: too few points, or the plane is seen edge on.
-    """
+    Each marker has a height of its own over the beam. So their motion shows the plane; their mean places count little.
+    The plane of points along one line is the one that is seen most nearly face on from `seen_from` (3,)."""
     known: BoolArray = np.asarray(np.isfinite(points).all(axis=-1))
     if np.sum(known) < 3:
         raise ObservationError(f"{np.sum(known)} points in space do not make a plane. Check the table's x_m, y_m, z_m.")
@@ -150,15 +115,18 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
     origin = np.mean(middles, axis=0)
     moves = np.concatenate([track - middle for track, middle in zip(tracks, middles, strict=True)])
     moves /= np.sqrt(len(moves))
-    spread = BESIDE * (middles - origin) / np.sqrt(len(middles))
+    # Weight of the markers' mean places against their motion: heights differ by millimetres.
+    spread = 0.01 * (middles - origin) / np.sqrt(len(middles))
     extent, rows = np.linalg.svd(np.concatenate([moves, spread, np.zeros((3, 3))]), full_matrices=False)[1:]
     look = np.asarray(seen_from, dtype=float)
     look = look / max(float(np.linalg.norm(look)), np.finfo(float).tiny)
     normal = rows[2]
-    if extent[1] < STRAIGHT * extent[0]:
+    # Second over first principal extent: markers that hardly leave a line say nothing of their plane.
+    if extent[1] < 0.02 * extent[0]:
         normal = look - (look @ rows[0]) * rows[0]
         normal = normal / max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
-    if not abs(float(normal @ look)) > EDGE_ON:
+    # Cosine between `seen_from` and the plane's normal below which it does not say which side is meant.
+    if not abs(float(normal @ look)) > 0.2:
         raise ObservationError(
             f"The plane of bending (normal {np.round(normal, 2).tolist()}) is seen edge on from {list(seen_from)}, so "
             "nothing says which way round its y axis goes. Give seen_from in [markers] a direction nearer its normal."
@@ -180,16 +148,11 @@ def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
     flat = plane.lay(points)[:, measured]
     extent = float(np.nanmax(np.linalg.norm(flat - np.nanmean(flat, axis=(0, 1)), axis=-1)))
     text = f"The markers move out of the plane of bending by {1000 * rms:.2g} mm RMS, {1000 * largest:.2g} mm at most"
-    if largest > MUCH * extent:
+    if largest > 0.03 * extent:  # of the markers' extent: more out-of-plane motion is no planar bending
         text += ": this is no bending in one plane, and what leaves it is not seen. Push within one plane."
         return (Remark("warning", text, about="out of plane"),)
     return (Remark("note", f"{text}; only the motion in the plane is used."),)
 
-
-# Tracks of markers from a motion capture or any tracker to markers in the base's frame, as from a film.
-#
-# Of tracks in space the plane of bending is fitted first. Markers on the base give the clamp's pose, also where it
-# moves; without them it comes from the straight beam at rest, with every marker at its place along it.
 
 FARTHEST_M = 1e6  # m or rad: beyond this nothing is tracked
 LEAST_SD, LEAST_ANGLE_SD = 1e-6, 1e-4  # m and rad, least noise of a tracker: it has errors besides its noise
@@ -209,21 +172,11 @@ class Tracks:
 
 
 def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
-    """Every beam marker of the recording's table, relative to the base.
-
-    Raises:
-        RecordingError: the table cannot be used.
-        ObservationError: a marker is missing throughout, nothing says where the clamp is, or lengths contradict the
-            beam's.
-    """
+    """Every beam marker of the recording's table, relative to the base."""
     tracks = read_tracks(rec)
     base = len(rec.tags.on_base)
     shift, turn, moves = base_motion(tracks, base)
-    from_base = tracks.xy[:, base:] - shift[:, None]
-    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    in_base = np.stack(
-        [cos * from_base[..., 0] + sin * from_base[..., 1], cos * from_base[..., 1] - sin * from_base[..., 0]], axis=-1
-    )
+    in_base = rotated(tracks.xy[:, base:] - shift[:, None], -turn[:, None])
     covariance = np.zeros((*in_base.shape[:2], 3, 3))
     covariance[..., 0, 0] = covariance[..., 1, 1] = tracks.sd[:, base:] ** 2
     angle = unwrap(tracks.angle[:, base:] - turn[:, None] - np.array([tag.turn for tag in rec.tags.on_beam]))
@@ -241,12 +194,12 @@ def track_markers(rec: Recording, settings: ContactSettings = ContactSettings())
         remarks=(*tracks.remarks, *moves),
     )
     origin, direction = clamp_frame(rec, tracks, raw, settings)
-    cos, sin = np.cos(direction), np.sin(direction)
-    back = np.array([[cos, sin], [-sin, cos]])
-    xy = (in_base - origin) @ back.T
-    check_scale(rec, xy)
+    xy = rotated(in_base - origin, np.array(-direction))
+    if worst := lengths_apart(xy, rec, "the clamp", "marker")[0]:
+        hint = "Are x_m and y_m in metres? Check length_m and the markers' ids and s."
+        raise ObservationError(f"{rec.name}: {worst}.{order_hint(xy, rec)} {hint}", about="unit")
     check_angles(xy, raw.s, angle, rec.name)
-    return Markers(**{**vars(raw), "xy": xy, "angle": unwrap(angle - direction)})
+    return replace(raw, xy=xy, angle=unwrap(angle - direction))
 
 
 def read_tracks(rec: Recording) -> Tracks:
@@ -277,21 +230,19 @@ def read_tracks(rec: Recording) -> Tracks:
     _refuse_missing(rec, table, points[..., :2], wanted)
     if "z_m" in table.numbers:
         plane = best_plane(points, entry.seen_from)
-        xy, lay = plane.lay(points), plane.direction
-        clamp = plane.lay(np.array(entry.clamp)) if len(entry.clamp) == 3 else None
         remarks += plane_remarks(plane, points)
     else:
-        xy, lay = points[..., :2], _same
-        clamp = np.array(entry.clamp) if len(entry.clamp) == 2 else None
-    _check_dimensions(rec, 3 if "z_m" in table.numbers else 2)
+        points, plane = points[..., :2], Plane(np.zeros(2), np.eye(2), np.zeros(2))
+    _check_dimensions(rec, points.shape[-1])
+    xy = plane.lay(points)
     sd = np.where(np.isfinite(grids["sd_m"]), grids["sd_m"], entry.sd)
     return Tracks(
         time=times,
         xy=xy,
         angle=grids["angle_rad"],
         sd=np.where(np.isfinite(sd), sd, _track_sd(xy)),
-        clamp=clamp,
-        x_axis=lay(np.array(entry.x_axis)) if entry.x_axis else None,
+        clamp=plane.lay(np.array(entry.clamp)) if entry.clamp else None,
+        x_axis=plane.axes @ np.array(entry.x_axis) if entry.x_axis else None,
         remarks=tuple(remarks[0 if strangers else 1 :]) + _gaps(xy, wanted),
     )
 
@@ -305,14 +256,11 @@ def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, 
     if base == 0:
         return np.zeros((count, 2)), np.zeros(count), ()
     xy, angle = tracks.xy[:, :base], tracks.angle[:, :base]
-    middle = np.nanmedian(xy, axis=0)
-    step = np.nan_to_num(
-        np.linalg.norm(running_median(_held(xy.reshape(count, -1)), RUNNING).reshape(xy.shape) - middle, axis=-1)
-    )
+    middle, smooth = np.nanmedian(xy, axis=0), running_median(_held(xy.reshape(count, -1)), RUNNING)
+    step = np.nan_to_num(np.linalg.norm(smooth.reshape(xy.shape) - middle, axis=-1))
     if not np.any(step > MOVED * np.nanmedian(tracks.sd[:, :base], axis=0)):
         return np.broadcast_to(middle[0], (count, 2)), np.zeros(count), ()
-    first = int(np.flatnonzero(np.isfinite(xy).all(axis=(1, 2)))[0]) if np.isfinite(xy).all(axis=(1, 2)).any() else 0
-    turn = np.zeros(count)
+    first, turn = int(np.argmax(np.isfinite(xy).all(axis=(1, 2)))), np.zeros(count)
     if np.isfinite(angle[:, 0]).any():
         turn = unwrap(angle[:, 0] - angle[first, 0])
     elif base > 1:
@@ -371,34 +319,6 @@ def line_frame(name: str, along: Array, points: Array, direction: float | None) 
     return np.asarray(np.mean(points - along[:, None] * unit, axis=0)), direction
 
 
-def check_scale(rec: Recording, xy: Array) -> None:
-    """An error where markers are farther apart than the beam between them, or always much nearer: millimetres for
-    metres, or a wrong s."""
-    s = np.array([0.0, *(tag.s for tag in rec.tags.on_beam)])
-    order = np.argsort(s)
-    names = ["the clamp", *(f"marker {tag.id}" for tag in rec.tags.on_beam)]
-    points = np.concatenate([np.zeros((len(xy), 1, 2)), xy], axis=1)[:, order]
-    arcs = np.diff(s[order]) * rec.beam.length
-    slack = 3 * math.sqrt(2) * rec.tags.placement_sd
-    chords = np.linalg.norm(np.diff(points, axis=1), axis=-1)
-    for i, arc in enumerate(arcs):
-        measured = chords[np.isfinite(chords[:, i]), i]
-        if arc <= slack or not len(measured):
-            continue
-        farthest = float(np.percentile(measured, FARTHEST))
-        if not chord_fits(farthest, arc, slack):
-            raise ObservationError(
-                f"{rec.name}: {names[order[i]]} and {names[order[i + 1]]} are {1000 * farthest:.4g} mm apart at most, "
-                f"recording.toml puts {1000 * arc:.4g} mm of beam between them.{order_hint(xy, rec)} Are x_m and y_m "
-                "in metres? Check length_m and the markers' ids and s.",
-                about="unit",
-            )
-
-
-def _same(vector: Array) -> Array:
-    return vector
-
-
 def _track_sd(xy: Array) -> Array:
     """(b + m,) m: noise of a coordinate, from second differences of the tracks."""
     bends = np.abs(np.diff(xy, n=2, axis=0)) / math.sqrt(6)
@@ -429,8 +349,7 @@ def _held(values: Array) -> Array:
 def _refuse_missing(rec: Recording, table: Columns, xy: Array, wanted: list[int]) -> None:
     """An error where a marker of recording.toml is nowhere in the table."""
     present = np.asarray(np.isfinite(xy).all(axis=-1).any(axis=0)).tolist()
-    never = [marker for marker, is_present in zip(wanted, present, strict=True) if not is_present]
-    if never:
+    if never := [marker for marker, shown in zip(wanted, present, strict=True) if not shown]:
         in_table = _ids(sorted(set(table.get("id").tolist())))
         raise ObservationError(
             f"{table.path}: marker {_ids(never)} of {rec.name} has no place in any row; the table holds {in_table}. "
@@ -461,8 +380,6 @@ def _ids(markers: list[float] | list[int]) -> str:
     return ", ".join(f"{marker:g}" for marker in markers)
 
 
-# Signals of a beam that swings: places of points in a tracker's own axes, or the columns of any table over time.
-
 TIME = "time_s"
 _POINTS = ("id", "x_m", "y_m")
 
@@ -478,11 +395,7 @@ class SwingSignals:
 
 
 def signals_of_table(path: Path) -> SwingSignals:
-    """Every column of numbers beside time_s; of a table of tracks (id, x_m, y_m) the places of each point.
-
-    Raises:
-        RecordingError: the table cannot be read, or holds no numbers beside the times.
-    """
+    """Every column of numbers beside time_s; of a table of tracks (id, x_m, y_m) the places of each point."""
     table = read_every_column(path, TIME, kind="table of a swing")
     if set(_POINTS) <= set(table.numbers):
         return _of_points(path)
@@ -493,11 +406,7 @@ def signals_of_table(path: Path) -> SwingSignals:
 
 
 def signals_of_tracks(rec: Recording) -> SwingSignals:
-    """Of the markers of a recording, in the tracker's plane.
-
-    Raises:
-        RecordingError: the table cannot be used.
-    """
+    """Of the markers of a recording, in the tracker's plane."""
     tracks, ids = read_tracks(rec), [tag.id for tag in rec.tags.on_beam]
     beam = tracks.xy[:, len(rec.tags.on_base) :]
     return _places(rec.name, tracks.time, beam, ids)
@@ -522,18 +431,8 @@ def _places(name: str, time: Array, xy: Array, ids: list[int]) -> SwingSignals:
     return SwingSignals(name, time, xy.reshape(len(time), -1), labels)
 
 
-# Frequencies as recording.toml states them, and a recording that holds nothing else.
-
-_G = 9.81  # m/s^2, where [gravity] does not say another
-_CLAMP_SD = 1e-6  # m, rad: the clamp is where it is
-
-
 def measured_frequencies(rec: Recording) -> tuple[MeasuredFrequency, ...]:
-    """Undamped, with gravity in the beam's frame.
-
-    Raises:
-        RecordingError: of two modes in one posture the lower one is the faster.
-    """
+    """Undamped, with gravity in the beam's frame."""
     every = tuple(_measured(one, rec) for one in rec.frequencies)
     for one, other in permutations((one for one in every if one.mode > 0), 2):
         alike = one.tip_mass == other.tip_mass and np.allclose(one.gravity, other.gravity)
@@ -566,7 +465,7 @@ def frequency_observations(rec: Recording) -> Observations:
         marker_s=np.zeros(1),
         xy=np.zeros((1, 1, 2)),
         angle=np.zeros((1, 1)),
-        covariance=np.full((1, 1, 3, 3), _CLAMP_SD**2) * np.eye(3),
+        covariance=np.full((1, 1, 3, 3), 1e-12) * np.eye(3),  # the clamp is where it is
         force=np.zeros((1, 2)),
         force_sd=np.zeros(2),
         push_s=np.ones(1),
@@ -582,17 +481,12 @@ def frequency_observations(rec: Recording) -> Observations:
 
 def _measured(one: FrequencyEntry, rec: Recording) -> MeasuredFrequency:
     undamped = 1.0 / math.sqrt(1.0 - one.damping_ratio**2)
-    base = _base_angle(one, rec)
-    gravity = np.zeros(2)
+    base, x, y = _base_angle(one, rec), 0.0, 0.0
     if math.isfinite(base):
-        direction, size = (
-            (-math.pi / 2.0, _G) if rec.gravity is None else (rec.gravity.direction, rec.gravity.magnitude)
-        )
-        gravity = size * np.array([math.cos(direction - base), math.sin(direction - base)])
-        gravity[np.abs(gravity) < 1e-12 * size] = 0.0
-    return MeasuredFrequency(
-        undamped * one.hz, undamped * one.sd, one.mode, (float(gravity[0]), float(gravity[1])), one.tip_mass
-    )
+        room = rec.gravity or GravityEntry(direction=-math.pi / 2.0)
+        fall = room.direction - base
+        x, y = (room.magnitude * (part if abs(part) >= 1e-12 else 0.0) for part in (math.cos(fall), math.sin(fall)))
+    return MeasuredFrequency(undamped * one.hz, undamped * one.sd, one.mode, (x, y), one.tip_mass)
 
 
 def _base_angle(one: FrequencyEntry, rec: Recording) -> float:

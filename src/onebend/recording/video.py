@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onebend.errors import RecordingError
-from onebend.recording.bag_topics import bag_film, bag_frames, picture_of
+from onebend.recording.bag_topics import bag_frames, bag_topic, picture_of
 from onebend.recording.entries import VideoEntry
 from onebend.recording.signals import LATEST, missing_remarks
 from onebend.records import Array, IntArray, Remark
@@ -24,13 +24,11 @@ Picture = NDArray[np.uint8]
 Keep = Callable[[VideoEntry, int, av.VideoFrame], None]
 
 LUMA_FIRST = ("yuv4", "yuvj4", "nv12", "nv21", "nv16", "gray")  # pixel formats whose first plane is luma
-RATE_TOLERANCE = 0.01  # of the frame rate: a larger difference between stated and measured rate gets a remark
 MOST_PIXELS = 2**26  # of a picture
 # What a camera or a phone writes. Playlists and lists of files, which name others and even addresses, are not in it.
 FILMS = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,asf,mxf,ogg,yuv4mpegpipe,dv,nut,ivf,h264,hevc,mjpeg,m4v"
 ONLY_FILMS = {"format_whitelist": FILMS, "protocol_whitelist": "file"}
 STILLS = ("mjpeg", "png", "bmp", "gif", "tiff", "webp")  # codecs of covers; some cameras film in the first
-SOUND_TOLERANCE = 0.5  # s, how much longer than the film other streams of the file may last
 
 
 @dataclass(frozen=True)
@@ -104,11 +102,7 @@ def timed(video: VideoEntry) -> Iterator[tuple[int, float, Any]]:
 
 
 def frame_at(video: VideoEntry, index: int) -> Picture:
-    """Frame `index` in colour, (H, W, 3) RGB, as a person sees it.
-
-    Raises:
-        RecordingError: the video has no such frame, or cannot be read.
-    """
+    """Frame `index` in colour, (H, W, 3) RGB, as a person sees it; `RecordingError` where the video has none."""
     for _, picture in pictures_at(video, [index], colour=True):
         return picture
     of = f" of {video.topic}" if video.topic else ""
@@ -116,12 +110,7 @@ def frame_at(video: VideoEntry, index: int) -> Picture:
 
 
 def pictures_at(video: VideoEntry, indices: Collection[int], *, colour: bool = False) -> Iterator[tuple[int, Picture]]:
-    """Those of these frames that the video has, in order, with their indices; each as from `picture_in`. It is read to
-    the last of them.
-
-    Raises:
-        RecordingError: the video cannot be read.
-    """
+    """Those of these frames that the video has, in order, with their indices; each as from `picture_in`."""
     if not indices:
         return
     last, wanted = max(indices), frozenset(indices)
@@ -136,7 +125,7 @@ def pictures_at(video: VideoEntry, indices: Collection[int], *, colour: bool = F
 def frame_count(video: VideoEntry) -> int | None:
     """The number of frames that the container states; None where it states none. For progress only."""
     if video.topic:
-        return bag_film(video)[1].count
+        return bag_topic(video)[1].count
     with opened(video.file) as container:
         stream = film_stream(container)
         return None if stream is None else stream.frames or None
@@ -144,29 +133,19 @@ def frame_count(video: VideoEntry) -> int | None:
 
 def rate_remarks(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
     """Remarks where the stated frame rate is not the measured one, and where a bag lacks frames."""
-    return (*wrong_rate(video, time), *(missing_remarks(time, "images of the bag") if video.topic else ()))
-
-
-def wrong_rate(video: VideoEntry, time: Array) -> tuple[Remark, ...]:
-    """A remark where the stated frame rate is not the measured one."""
+    lost = missing_remarks(time, "images of the bag") if video.topic else ()
     if math.isnan(video.fps) or len(time) < 2:
-        return ()
+        return lost
     measured = 1 / float(np.median(np.diff(time)))
-    if abs(measured / video.fps - 1) <= RATE_TOLERANCE:
-        return ()
-    text = (
-        f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
-        "Correct fps."
-    )
-    return (Remark("warning", text, about="frame rate"),)
+    # Of the frame rate: a larger difference between stated and measured rate gets a remark.
+    if abs(measured / video.fps - 1) <= 0.01:
+        return lost
+    text = f"recording.toml says {video.fps:g} frames/s, the video's own times say {measured:.4g}: these are used. "
+    return (Remark("warning", f"{text}Correct fps.", about="frame rate"), *lost)
 
 
 def read_times(path: Path) -> Array:
-    """The column `time_s` of a CSV file, (T,) s.
-
-    Raises:
-        RecordingError: no such column, or an entry that is not a finite number.
-    """
+    """The column `time_s` of a CSV file, (T,) s."""
     rows = csv_rows(path, RecordingError)
     names = [name.strip() for name in next(rows, (1, []))[1]]
     if "time_s" not in names:
@@ -227,11 +206,11 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
         frames = container.decode(stream)
         while True:
             try:
-                frame = next(frames)
-            except StopIteration:
-                break
+                frame = next(frames, None)
             except av.error.FFmpegError as wrong:
                 raise damaged(path, count, wrong.strerror) from None
+            if frame is None:
+                break
             if frame.is_corrupt:
                 raise damaged(path, count, "the frame is damaged")
             if frame.time is not None:
@@ -246,7 +225,8 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
         if count == 0:
             raise RecordingError(f"{path} holds no frame. Copy it again from the camera.")
         stated = stated_length(container, stream)
-        slack = 1.5 * max(duration, interval) + (SOUND_TOLERANCE if len(container.streams) > 1 else 0.0)
+        # s, how much longer than the film other streams of the file may last.
+        slack = 1.5 * max(duration, interval) + (0.5 if len(container.streams) > 1 else 0.0)
         if last + duration < stated - slack and not 0 < stream.frames <= count:
             raise damaged(path, count, f"it ends at {last + duration:.2f} s and says it lasts {stated:.2f} s")
 
@@ -289,11 +269,7 @@ def luma_of(frame: av.VideoFrame) -> Picture:
 
 
 def upright(picture: Picture, rotation: int) -> Picture:
-    """The picture turned as the camera's orientation says (degrees counter-clockwise); itself where it is not turned.
-
-    Raises:
-        RecordingError: the turn is not a multiple of 90 degrees.
-    """
+    """The picture turned as the camera's orientation says (degrees counter-clockwise)."""
     if rotation % 90:
         raise RecordingError(f"The video is stored turned by {rotation} degrees. Only multiples of 90 can be read.")
     return picture if rotation % 360 == 0 else np.array(np.rot90(picture, rotation // 90), order="C")

@@ -13,8 +13,9 @@ from typer.testing import CliRunner, Result
 
 from onebend import cli
 from onebend.errors import MissingPackageError, RecordingError
+from onebend.extras import package
 from onebend.recording import calibration as boards
-from onebend.recording.calibration import Board, Calibration, calibrate, find_boards, opencv, spread
+from onebend.recording.calibration import Board, Calibration, calibrate, find_boards, spread
 from tests.recording.board_film import CHARUCO, CHESS, DIST, HEIGHT, MATRIX, WIDTH, film, poses, view
 
 TRUE = np.array([MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2], *DIST])
@@ -67,7 +68,7 @@ def test_the_table_is_what_a_recording_reads(found: Calibration) -> None:
 
 
 def test_pixels_through_the_found_camera_meet_the_true_ones(found: Calibration) -> None:
-    cv2 = opencv()
+    cv2 = package("cv2", "calibrate")
     rays = np.array([[x, y, 1.0] for x in np.linspace(-0.35, 0.35, 9) for y in np.linspace(-0.25, 0.25, 7)])
     matrix = np.array([[found.values[0], 0, found.values[2]], [0, found.values[1], found.values[3]], [0, 0, 1]])
     still = np.zeros(3)
@@ -78,7 +79,7 @@ def test_pixels_through_the_found_camera_meet_the_true_ones(found: Calibration) 
 
 
 def test_of_each_burst_the_sharp_frame_counts(tmp_path: Path) -> None:
-    cv2 = opencv()
+    cv2 = package("cv2", "calibrate")
     pictures = []
     for turn, place in poses(2, seed=5):
         one = view(CHESS, turn, place)
@@ -91,7 +92,7 @@ def test_of_each_burst_the_sharp_frame_counts(tmp_path: Path) -> None:
 def test_views_that_repeat_are_left_for_those_that_differ(chess_film: Path) -> None:
     seen = find_boards(chess_film, CHESS)
     again = boards.BoardFilm(seen.width, seen.height, (*seen.views, *seen.views[:1] * 20), 40, 40)
-    frames = [one.frame for one in spread(opencv(), again, CHESS, 8)]
+    frames = [one.frame for one in spread(package("cv2", "calibrate"), again, CHESS, 8)]
     assert len(set(frames)) == 8
 
 

@@ -1,0 +1,86 @@
+"""Files of bags are read to their end by themselves, with one limit a file; rosbags decodes types and messages."""
+
+from __future__ import annotations
+
+import ast
+import bz2
+from pathlib import Path
+
+import pytest
+from backports import zstd
+
+from onebend.recording import bag_files
+from onebend.recording.bag_files import BrokenOffError, Channel, Unpacker, message_type, scan, topics_by_index
+from tests.recording import bagged
+
+ROOT = Path(__file__).parents[3]
+DOCUMENTED = {"interfaces", "interfaces.typing", "rosbag1", "rosbag2", "serde", "typesys", "typesys.store"}
+LOG = bagged.log()
+
+
+def test_only_documented_modules_of_rosbags_are_imported() -> None:
+    modules = set()
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            modules |= {name.removeprefix("rosbags.") for name in names if name.startswith("rosbags.")}
+    assert modules <= DOCUMENTED
+
+
+@pytest.fixture
+def unpacker(tmp_path: Path) -> Unpacker:
+    (tmp_path / "file").write_bytes(b"abc")
+    return Unpacker(tmp_path / "file")
+
+
+def test_chunks_are_unpacked_and_faults_told(unpacker: Unpacker) -> None:
+    assert unpacker.unpack(b"abc", "") == unpacker.unpack(b"abc", "none") == b"abc"
+    assert unpacker.unpack(bz2.compress(b"abc"), "bz2") == b"abc"
+    assert unpacker.unpack(zstd.compress(b"abc") + zstd.compress(b"de"), "zstd", 5) == b"abcde"
+    for packed, kind, size, why in (
+        (b"abc", "zstd", 3, "cannot be unpacked"),
+        (b"abc", "zip", 3, "packed as 'zip', which is not known"),
+        (zstd.compress(bytes(9)), "zstd", 3, "more than the 3 bytes"),
+        (bz2.compress(b"abc")[:-4], "bz2", 3, "cut off"),
+    ):
+        with pytest.raises(BrokenOffError, match=why):
+            unpacker.unpack(packed, kind, size)
+
+
+def test_the_limit_is_of_one_file(unpacker: Unpacker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    unpacker.left = 5
+    unpacker.unpack(b"abc", "")
+    with pytest.raises(BrokenOffError, match="far more than a film"):
+        unpacker.unpack(zstd.compress(b"abc"), "zstd")
+    bag = bagged.write_mcap(tmp_path / "run.mcap", LOG)
+    everything = list(scan(bag))
+    assert everything == list(scan(bag))  # a second reading begins with the whole limit
+    monkeypatch.setattr(bag_files, "MOST_READ", 0)
+    monkeypatch.setattr(bag_files, "MOST_GAIN", 0)
+    with pytest.raises(BrokenOffError, match="far more than a film"):
+        list(scan(bag))
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3", "ros1"])
+def test_the_index_counts_what_a_scan_finds(kind: str, tmp_path: Path) -> None:
+    if kind == "mcap":
+        path = bagged.write_mcap(tmp_path / "run.mcap", LOG)
+    elif kind == "ros1":
+        path = bagged.write_ros1(tmp_path / "run.bag", LOG)
+    else:
+        path = next(bagged.write_db3(tmp_path / "run", LOG).glob("*.db3"))
+    indexed = topics_by_index(path)
+    assert indexed is not None
+    found = [item[0].topic for item in scan(path) if not isinstance(item, Channel)]
+    assert sum(count for _, count in indexed) == len(found)
+    assert all(count == found.count(channel.topic) for channel, count in indexed)
+    with path.open("r+b") as stream:
+        stream.truncate(path.stat().st_size - 30)
+    cut = topics_by_index(path)
+    assert cut is None or cut == indexed  # some indices are written before the end
+
+
+@pytest.mark.parametrize("name", ["std_msgs/String", "std_msgs/msg/String"])
+def test_types_have_one_name_in_both_generations(name: str) -> None:
+    assert message_type(name) == "std_msgs/msg/String"
