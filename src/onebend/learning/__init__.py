@@ -65,12 +65,11 @@ if TYPE_CHECKING:
     from onebend.learning.posterior import Nuisance as Nuisance
     from onebend.learning.prediction import Prediction as Prediction, Slopes as Slopes
     from onebend.learning.push_place import PlaceSearch as PlaceSearch
-    from onebend.learning.sensing.contacts import Smoothed as Smoothed, TwoContacts as TwoContacts
+    from onebend.learning.sensing.contacts import Smoothed as Smoothed
     from onebend.learning.sensing.forces import Misfit as Misfit
     from onebend.learning.sensing.sense import (
         LiveForce as LiveForce,
         OnlineSense as OnlineSense,
-        SecondForce as SecondForce,
         Sensed as Sensed,
         SenseSettings as SenseSettings,
         ToldMoment as ToldMoment,
@@ -115,11 +114,9 @@ else:
             "onebend.learning.posterior": "Nuisance",
             "onebend.learning.prediction": "Prediction Slopes",
             "onebend.learning.push_place": "PlaceSearch",
-            "onebend.learning.sensing.contacts": "Smoothed TwoContacts",
+            "onebend.learning.sensing.contacts": "Smoothed",
             "onebend.learning.sensing.forces": "Misfit",
-            "onebend.learning.sensing.sense": (
-                "LiveForce OnlineSense SecondForce SenseSettings Sensed ToldMoment Touch"
-            ),
+            "onebend.learning.sensing.sense": "LiveForce OnlineSense SenseSettings Sensed ToldMoment Touch",
             "onebend.learning.sensing.sensor": "SensorCheck",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.static_poses": "HeldEnds SeenPoses",

@@ -55,7 +55,7 @@ class Estimates:
     """Forces of F frames. NaN where none was found."""
 
     force: Array  # (F, n) N, the load (`bench.py`)
-    place: Array  # (F,) or (F, 2) s
+    place: Array  # (F,) s
     covariance: Array  # (F, d, d) of load and, where it was sought, place: N, N m, s
     common: Array  # (F, n, r) N, of it what one sd of each way in which the bench is off does to the load
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
@@ -103,8 +103,8 @@ def estimate(
     restarts: int = 4,
 ) -> Estimates:
     """The force in `frames` (F,), rising, from `force` (F, 2) N (default: that of `begin`) at `place` (F,), which is
-    where it acts or, with `seek_place`, where the search begins; two places, (F, 2), are said. `prior_sd` (n,): of each
-    number of the load, mean zero."""
+    where it acts or, with `seek_place`, where the search begins. `prior_sd` (n,): of
+    each number of the load, mean zero."""
     first = first_forces(bench, frames, place, prior_sd) if force is None else force
     found = _searched(bench, frames, place, prior_sd, seek_place, first)
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
@@ -147,8 +147,7 @@ class _Search:
         self.problem = problem_of(bench, frames, place)
         stiff = _STRIDE * float(np.mean(self.problem.k))
         self.longest = np.full(len(self.sd), stiff / bench.observations.length)
-        if self.load % 2:
-            self.longest[self.load - 1] = stiff
+        self.longest[2 : self.load] = stiff
         if seek_place:
             self.longest[-1] = np.inf
 
@@ -198,7 +197,7 @@ class _Search:
         root = np.swapaxes(turn, 1, 2) / np.sqrt(1.0 + size[:, None] ** 2)
         covariance = self.sd[:, None] * (root @ np.swapaxes(root, 1, 2)) * self.sd
         known = np.where(state.stands[:, None], state.unknown, np.nan)
-        place = known[:, -1] if self.seek_place else np.where(state.stands, self.place.T, np.nan).T
+        place = known[:, -1] if self.seek_place else np.where(state.stands, self.place, np.nan)
         objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
         chi2 = np.sum(state.residual**2, axis=1)
         gain = self.sd[:, None] * (root @ np.swapaxes(state.slopes @ root, 1, 2))
@@ -326,17 +325,16 @@ def read(
     prior_sd: Array,
     *,
     seek_place: bool,
-    which: int = 0,
 ) -> FrameForces:
-    """Of `frames` (F,), to first order about `load` (F, n) at `place` (F,) or (F, 2), NaN in frames that tell nothing;
-    of the first force or, with `which` 1, of the second, the frame's other unknowns being integrated out.
+    """Of `frames` (F,), to first order about `load` (F, n) at `place` (F,), NaN in frames that tell nothing; the
+    frame's other unknowns are integrated out.
 
     What a frame tells less of than the prior (`prior_sd` (n,)) is left out: it depends on how the beam is bent at rest
     and on the other component, which first order does not know, and many frames would make it sure.
     """
     known = np.flatnonzero(np.isfinite(load).all(axis=1))
     chunks = [known[i : i + CHUNK] for i in range(0, len(known), CHUNK)]
-    parts = [_linear(bench, frames[rows], load[rows], place[rows], prior_sd, seek_place, which) for rows in chunks]
+    parts = [_linear(bench, frames[rows], load[rows], place[rows], prior_sd, seek_place) for rows in chunks]
     count, ways, time = len(frames), bench.root.shape[1], bench.observations.time[frames]
     weigh, told, common = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.zeros((count, 2, ways))
     if not parts:
@@ -347,16 +345,14 @@ def read(
     across = np.swapaxes(side, 1, 2)
     left = one.residual - apply(side, apply(across, one.residual))
     widened = _memory(left, one.measured, 2 + one.other.shape[1])
-    side = np.where((prior_sd[2 * which] * size > 1.0)[..., None], across / np.sqrt(widened), 0.0)
+    side = np.where((prior_sd[0] * size > 1.0)[..., None], across / np.sqrt(widened), 0.0)
     weigh[known] = side @ one.by_force
-    told[known] = apply(side, one.residual) + apply(weigh[known], load[known, 2 * which : 2 * which + 2])
+    told[known] = apply(side, one.residual) + apply(weigh[known], load[known, :2])
     common[known] = side @ one.by_shared
     return FrameForces(time, weigh, told, common, widened)
 
 
-def _linear(
-    bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool, which: int
-) -> _Linear:
+def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
     o = bench.observations
     seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
     whiten = whitening(seen, o.covariance[frames])
@@ -374,11 +370,10 @@ def _linear(
     own, by_own = load, tags.by_load
     if seek_place:
         own, by_own = np.column_stack([load, place]), np.concatenate([by_own, o.length * tags.by_place], axis=-1)
-    this = np.isin(np.arange(len(sd)), [2 * which, 2 * which + 1])
     measured = (np.any(whiten != 0.0, axis=-1) & stands[:, None, None]).reshape(len(frames), -1)
-    other = ((own - mean) / sd)[:, ~this]
+    other = ((own - mean) / sd)[:, 2:]
     by_own, by_shared = flat(by_own), flat(tags.by_shared @ bench.root)
-    return _Linear(residual, by_own[..., this], (by_own * sd)[..., ~this], other, by_shared, measured)
+    return _Linear(residual, by_own[..., :2], (by_own * sd)[..., 2:], other, by_shared, measured)
 
 
 def _without_other(one: _Linear) -> _Linear:
@@ -446,7 +441,6 @@ class Misfit:
     chi2: float
     freedom: int  # numbers measured, less the frames' own unknowns
     frames: int
-    evidence: float  # log but for a constant (Laplace): the frames' own unknowns and all that they share integrated out
 
     @property
     def ratio(self) -> float:
@@ -481,8 +475,8 @@ def rested(bench: Bench) -> Bench:
     seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
     if not np.isfinite(seen).any():
         return bench
-    root, mean, forces = bench.root, bench.mean, len(bench.mean[bench.parts["place"]])
-    none, at = np.zeros((1, 2 * forces)), np.ones(1) if forces == 1 else np.ones((1, forces))
+    root, mean = bench.root, bench.mean
+    none, at = np.zeros((1, 2)), np.ones(1)
     whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
     for _ in range(_REST_ROUNDS):
         now = replace(bench, mean=mean)
@@ -611,10 +605,8 @@ class _Joint:
         bench = replace(self._bench(now.shared), root=self.bench.root @ root)
         squares = np.sum(now.residual**2, axis=1)
         measured = int(np.sum(np.any(self.whiten != 0.0, axis=-1)))
-        spread = float(np.sum(np.log1p(size**2)) + np.sum(np.log1p(told**2)))
-        evidence = -0.5 * (now.objective + spread)
         whole = float(np.sum(squares) + now.shared @ now.shared)
-        fit = Misfit(whole, measured - now.own.size, len(self.frames), evidence)
+        fit = Misfit(whole, measured - now.own.size, len(self.frames))
         place = now.own[:, -1] if self.seek_place else self.place
         stands = np.where(now.tags.solved.converged, squares, np.inf)
         common = -(self.sd[:, None] * (down @ root))[:, : self.load]

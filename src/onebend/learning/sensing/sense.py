@@ -26,21 +26,7 @@ from onebend.learning.sensing.bench import (
     solve,
     tags_of,
 )
-from onebend.learning.sensing.contacts import (
-    APART,
-    STRIDE,
-    Benches,
-    Smoothed,
-    TwoContacts,
-    both_touch,
-    edges_of,
-    frames_at_edges,
-    runs_of,
-    smoothed,
-    two_said,
-    two_sought,
-    within,
-)
+from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
 from onebend.learning.sensing.forces import PLACE_PRIOR, TOUCH, Misfit, Searched, first, read, rested, search, touches
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.progress import one_blas_thread
@@ -66,20 +52,17 @@ class SenseSettings:
     tags: Literal["learned", "anew"] = "learned"
     moment: bool = False  # whether the contact transmits a moment besides
     moment_prior: float | None = None  # N m, one sd of it before the shape is seen; None: the force's times L
-    contacts: Literal["1", "2", "auto"] = "1"  # auto: two where the evidence is for it
-    second_s: float | None = None  # where the second of two forces acts that are said
     smooth: bool = False  # whether the force is told as a process over the frames besides
 
 
-def check_settings(settings: SenseSettings, name: str, length: float) -> None:
-    """Of the recording `name`, of a beam of so many metres.
+def check_settings(settings: SenseSettings, length: float) -> None:
+    """Of a beam of `length` [m].
 
     Raises:
         LearningError: what is asked contradicts itself, or is not known to act.
     """
-    for at in (settings.at_s, settings.second_s):
-        if at is not None and not 0.0 < at <= 1.0:
-            raise LearningError(f"a force acts at s in (0, 1], got {at}")
+    if settings.at_s is not None and not 0.0 < settings.at_s <= 1.0:
+        raise LearningError(f"a force acts at s in (0, 1], got {settings.at_s}")
     if settings.place == "unknown" and not (settings.at_s is None and settings.at_sd is None):
         raise LearningError("the place of the contact is either said or sought: leave out where it is, or 'unknown'")
     sds = (("the place's sd", settings.at_sd), ("the force's prior sd", settings.force_prior))
@@ -92,28 +75,13 @@ def check_settings(settings: SenseSettings, name: str, length: float) -> None:
         raise LearningError("a force prior of 0 N says that there is no force: give the size of forces to be expected")
     if settings.moment_prior == 0.0:
         raise LearningError("a moment prior of 0 N m says that there is no moment: ask for none")
-    _check_contacts(settings, name)
-
-
-def _check_contacts(settings: SenseSettings, name: str) -> None:
-    if settings.moment and (settings.place == "unknown" or settings.contacts != "1"):
+    if settings.moment and settings.place == "unknown":
         raise LearningError(
-            "a moment is told of one contact whose place is said: a force elsewhere looks much like a force with a "
-            "moment. Say the place (--push-at), and ask for one contact"
+            "a moment is told of a contact whose place is said: a force elsewhere looks much like a force with a "
+            "moment. Say the place (--push-at)"
         )
-    if settings.contacts != "1" and settings.smooth:
-        raise LearningError("a smooth force is told of one contact: ask for --smooth or for --contacts, not for both")
     if settings.moment_prior is not None and not settings.moment:
         raise LearningError("a moment's prior is given, and no moment is asked for: add --moment, or leave it out")
-    if settings.second_s is not None and settings.contacts == "1":
-        raise LearningError("where a second force acts is said, and one contact is asked for: add --contacts 2")
-    if settings.second_s is not None and settings.place == "unknown":
-        raise LearningError("the places are sought (--place unknown): leave out where the second force acts")
-    if settings.contacts != "1" and settings.place == "known" and settings.second_s is None:
-        raise LearningError(
-            f"{name}: nobody says where the second force acts. Give its place (--second-at), or let both be sought "
-            "(--place unknown)"
-        )
 
 
 @dataclass(frozen=True)
@@ -156,19 +124,6 @@ class ToldMoment:
 
 
 @dataclass(frozen=True)
-class SecondForce:
-    """The second of two forces, the farther one from the clamp where both were sought, in T frames."""
-
-    force: Array  # (T, 2) N
-    covariance: Array  # (T, 2, 2) N^2
-    with_first: Array  # (T, 2, 2) N^2, covariance of the first force's components with its own
-    prior_share: Array  # (T, 2)
-    place: float  # s; NaN where it was sought and not found
-    place_sd: float  # of s
-    touched: BoolArray  # (T,) zero force lies outside its 95 % region
-
-
-@dataclass(frozen=True)
 class Sensed:
     """The force on the beam in T frames, beam's frame; NaN where a frame tells nothing."""
 
@@ -195,8 +150,6 @@ class Sensed:
     common: Array
     smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
     moment: ToldMoment | None = None  # where one was asked for
-    two: TwoContacts | None = None  # one contact against two, where that was asked for
-    second: SecondForce | None = None  # where two contacts were asked for, or found
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
     remarks: tuple[Remark, ...] = ()
 
@@ -221,10 +174,7 @@ class Sensed:
     @property
     def against_log(self) -> tuple[float, float] | None:
         """N, RMS over the touched frames of the difference to the log: in the direction in which the force is known
-        best, and in that in which least. None where there is no log, no frame that shows a force, or a second one, of
-        which the log may be."""
-        if self.second is not None:
-            return None
+        best, and in that in which least. None where there is no log, or no frame that shows a force."""
         shown = self.touched & np.isfinite(self.logged).all(axis=1)
         if not np.any(shown):
             return None
@@ -280,27 +230,12 @@ def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Re
                 f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
             )
             out.append(Remark("note", text))
-    return (*out, *load_remarks(sensed))
-
-
-def load_remarks(sensed: Sensed) -> list[Remark]:
-    """What is not observable of a moment, and how sure two contacts are."""
-    out, two, moment = [], sensed.two, sensed.moment
-    if moment is not None and np.any(sensed.touched):
-        share = float(np.nanmedian(moment.prior_share[sensed.touched]))
-        if share > FROM_PRIOR:
-            out.append(
-                f"The moment comes in good part ({100 * share:.0f} %) from the prior (sd {moment.prior_sd:.3g} N m)."
-            )
-    if two is not None and not two.found:
-        asked = "" if sensed.second is None else ", and two were asked for: the second force may be none"
-        out.append(f"The shapes show one contact (log evidence of a second {two.evidence:.3g}){asked}.")
-    if two is not None and two.others and sensed.second is not None:
-        pairs = " or ".join(f"s = {near:.2f} and {far:.2f}" for near, far in (two.places, *two.others))
-        out.append(
-            f"The shapes do not tell which places two contacts have: {pairs}. The forces are those of the first."
-        )
-    return [Remark("note", text) for text in out]
+        moment = sensed.moment
+        share = 0.0 if moment is None else float(np.nanmedian(moment.prior_share[sensed.touched]))
+        if moment is not None and share > FROM_PRIOR:
+            text = f"The moment comes in good part ({100 * share:.0f} %) from the prior (sd {moment.prior_sd:.3g} N m)."
+            out.append(Remark("note", text))
+    return tuple(out)
 
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -339,50 +274,13 @@ def sense(
         raise LearningError(f"{o.source.name}: no frame shows a tag of the beam, so no force can be told")
     place = places_of(o, frames, settings) if settings.place == "known" else None
 
-    def benches(place_sds: tuple[float, ...]) -> Bench:
-        return bench_of(beam, o, stiffness, instruments, settings, place_sds)
-
     try:
-        return _told(benches, bench, frames, place, priors, settings)
+        return _sensed(search(bench, frames, place, priors), frames, priors, settings)
     except np.linalg.LinAlgError as error:
         raise LearningError(
             f"{o.source.name}: the equations of the force cannot be solved ({error}). Check that the model is of this "
             "beam and as `onebend learn` wrote it"
         ) from error
-
-
-def _told(
-    benches: Benches, bench: Bench, frames: IntArray, place: Array | None, priors: Array, settings: SenseSettings
-) -> Sensed:
-    """By one force, or by two where they are asked for or the evidence is for them."""
-    two = None
-    if settings.contacts != "1":
-        prior = float(priors[0])
-        two, sds = _compared(benches, frames, place, prior, settings)
-        if settings.contacts == "2" or two.found:
-            bench, place = benches(sds), np.tile(two.places, (len(frames), 1))
-            priors = np.full(4, prior)
-    return _sensed(search(bench, frames, place, priors), frames, priors, settings, two)
-
-
-def _compared(
-    benches: Benches, frames: IntArray, place: Array | None, prior: float, settings: SenseSettings
-) -> tuple[TwoContacts, tuple[float, float]]:
-    """One contact against two, and what is known of the places of two before the frames [m]."""
-    o = benches((0.0,)).observations
-    if place is None:
-        two = two_sought(benches, frames, prior)
-        near, far = (o.length * min(max(STRIDE, 3.0 * sd), PLACE_PRIOR[1]) for sd in two.place_sds)
-        return two, (near, far)
-    assert settings.second_s is not None
-    place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
-    said = np.array([float(np.median(place)), settings.second_s])
-    if abs(said[1] - said[0]) < APART:
-        raise LearningError(
-            f"{o.source.name}: two contacts at s = {said[0]:.3g} and {said[1]:.3g} are nearer to each other than "
-            f"{APART:g}: no shape tells them apart. Ask for one"
-        )
-    return two_said(benches, frames, said, (place_sd, place_sd), prior), (place_sd, place_sd)
 
 
 def priors_of(beam: Beam, settings: SenseSettings) -> Array:
@@ -411,20 +309,19 @@ def bench_of(
     stiffness: UncertainStiffness | None,
     instruments: Instruments | None,
     settings: SenseSettings,
-    place_sds: tuple[float, ...] | None = None,
 ) -> Bench:
-    """The bench as the beam at rest leaves it; `place_sds`: m, of the place of each contact, None: as the settings and
-    the recording have it for one.
+    """The bench as the beam at rest leaves it.
 
     Raises:
         LearningError: as `sense`.
     """
-    check_settings(settings, o.source.name, o.length)
+    check_settings(settings, o.length)
     check_recording(beam, o)
     place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
-    sds = place_sds if place_sds is not None else (0.0 if settings.place == "unknown" else place_sd,)
+    if settings.place == "unknown":
+        place_sd = 0.0
     as_learned = settings.tags == "learned"
-    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=sds)
+    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
     return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
 
 
@@ -441,9 +338,7 @@ def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Arr
     return np.where(np.isfinite(said), said, np.nanmedian(said))
 
 
-def _sensed(
-    searched: Searched, frames: IntArray, priors: Array, settings: SenseSettings, two: TwoContacts | None
-) -> Sensed:
+def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: SenseSettings) -> Sensed:
     bench, found, other, prior = searched.bench, searched.found, searched.other_place, float(priors[0])
     n = len(priors)
     o, axes = bench.observations, bench.axes_of_loads(n)
@@ -453,7 +348,7 @@ def _sensed(
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance[:, :2, :2]))
     touched = touches(found)
     contacts, smooth = _over_time(searched, frames, touched, priors, settings)
-    place, place_sd = _places(searched, n, settings, two, known)
+    place, place_sd = _places(searched, settings, known)
     share = np.einsum("tcc->tc", covariance) / priors**2
     out = Sensed(
         name=o.source.name,
@@ -477,49 +372,26 @@ def _sensed(
         logged=logged_forces(o)[frames],
         common=(axes @ found.common)[:, :2],
         smoothed=None if smooth is None else smooth.turned(bench.axes),
-        two=two,
     )
     if n == 3:
         moment = ToldMoment(
             load[:, 2], np.sqrt(covariance[:, 2, 2]), covariance[:, :2, 2], float(priors[2]), share[:, 2]
         )
         out = replace(out, moment=moment)
-    if n == 4:
-        out = replace(out, second=_second(load, covariance, share, searched, two))
-    out = replace(out, sensor=None if n > 3 or not out.explained else _judged(out, o, frames))
+    out = replace(out, sensor=_judged(out, o, frames) if out.explained else None)
     return replace(out, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
 
 
-def _places(
-    searched: Searched, n: int, settings: SenseSettings, two: TwoContacts | None, known: BoolArray
-) -> tuple[Array, Array]:
-    """(T,) s of the first force and one sd each; NaN where it was sought and not found."""
+def _places(searched: Searched, settings: SenseSettings, known: BoolArray) -> tuple[Array, Array]:
+    """(T,) s of the force and one sd each; NaN where it was sought and not found."""
     bench, found = searched.bench, searched.found
-    sought = settings.place == "unknown"
-    if sought and n != 4:
-        place_sd = np.sqrt(found.covariance[:, -1, -1])
-        told = known & (place_sd < _PLACE_KNOWN) & np.isnan(searched.other_place)
-        return np.where(told, found.place, np.nan), np.where(known, place_sd, np.nan)
-    place_sd = np.full(len(known), bench.place_sd / bench.observations.length)
-    place = bench.placed(found.place).reshape(len(known), -1)[:, 0]
-    told = known & (not sought or (two is not None and not two.others)) & (place_sd < _PLACE_KNOWN)
-    return np.where(told, place, np.nan), np.where(known, place_sd, np.nan)
-
-
-def _second(load: Array, covariance: Array, share: Array, searched: Searched, two: TwoContacts | None) -> SecondForce:
-    bench = searched.bench
-    place_sd = float(np.linalg.norm(bench.root[bench.parts["place"]][1])) / bench.observations.length
-    told = place_sd < _PLACE_KNOWN and not (two is not None and two.others)
-    place = float(np.nanmedian(bench.placed(searched.found.place)[:, 1]))
-    return SecondForce(
-        force=load[:, 2:],
-        covariance=covariance[:, 2:, 2:],
-        with_first=covariance[:, :2, 2:],
-        prior_share=share[:, 2:],
-        place=place if told else math.nan,
-        place_sd=place_sd,
-        touched=both_touch(searched.found)[1],
-    )
+    if settings.place == "unknown":
+        place, place_sd = found.place, np.sqrt(found.covariance[:, -1, -1])
+        told = known & np.isnan(searched.other_place)
+    else:
+        place, place_sd = bench.placed(found.place), np.full(len(known), bench.place_sd / bench.observations.length)
+        told = known
+    return np.where(told & (place_sd < _PLACE_KNOWN), place, np.nan), np.where(known, place_sd, np.nan)
 
 
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
@@ -545,7 +417,7 @@ def _over_time(
         return (), smoothed(time, searched.found, [], prior, 1.0) if settings.smooth else None
     found, inside = searched.found.take(some), within(runs, len(frames))[some]
     force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
-    seek_place = settings.place == "unknown" and len(priors) < 4
+    seek_place = settings.place == "unknown"
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
     bench = searched.bench
     every = ended(bending(bench.beam, bench.observations).take(frames), runs, readings.widened)
