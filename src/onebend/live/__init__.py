@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         LiveState as LiveState,
         LiveVerdict as LiveVerdict,
     )
-    from onebend.live.model import SmootherSettings as SmootherSettings
     from onebend.live.played import (
         Arrival as Arrival,
         Disturbances as Disturbances,
@@ -64,7 +63,6 @@ else:
             "onebend.live.hyperparameters": "OnlineSettings",
             "onebend.live.learner": "OnlineLearner Update",
             "onebend.live.live": "Counts Live LiveSettings LiveState LiveVerdict",
-            "onebend.live.model": "SmootherSettings",
             "onebend.live.played": (
                 "Arrival Disturbances Followed OwnClock PlayedCamera PlayedForce follow play played_camera played_force"
             ),

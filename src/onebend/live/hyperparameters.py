@@ -25,7 +25,6 @@ from onebend.learning.normal import (
 )
 from onebend.learning.parameters import Priors, Spline
 from onebend.live.key_frames import CAUSAL_ALLOWANCES, ForceProcess
-from onebend.live.model import SmootherSettings
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
 from onebend.records import Array
 
@@ -222,10 +221,8 @@ class OnlineSettings:
     functions: int = 45  # of the spline of log k
     key_frames: int = 30
     renewed: int = 5  # key frames linearised anew with every other update; one with those between
-    priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
-    placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
-    rest_unknown: bool = True  # the beam may be curved when free
-    calibrated: bool = True  # False: all lengths have a common unknown scale
+    # `clock` None: camera and force log share one; `scale` None: the camera is calibrated
+    priors: Priors = field(default_factory=Priors)
     marker_noise: float = 1.5  # over what the tags' covariances say
     force_noise: float = 0.01  # N, sd of the log's coloured error
     force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
@@ -246,25 +243,6 @@ class OnlineSettings:
     tag_size: float | None = None  # m, side of a tag's black square; None: not known
 
     @property
-    def smoother(self) -> SmootherSettings:
-        """The part that the smoother needs."""
-        return SmootherSettings(
-            key_frames=self.key_frames,
-            renewed=self.renewed,
-            zero=self.force_zero,
-            least_zero=self.force_noise,
-            load=self.force_load,
-            roughness=self.roughness,
-            steps=self.steps,
-            memory_doubt=self.memory_doubt,
-            adapt=self.adapt,
-            bulk=self.bulk,
-            gate=self.gate,
-            patience=self.patience,
-            step=self.step,
-        )
-
-    @property
     def hyperparameters(self) -> LiveHyperparameters:
         """The values that the hyperparameters begin with."""
         return LiveHyperparameters(
@@ -283,7 +261,7 @@ class OnlineSettings:
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise LearningError(f"{name} must be positive, got {value}")
-        for name in ("force_zero", "force_load", "placement_sd"):
+        for name in ("force_zero", "force_load"):
             value = getattr(self, name)
             if value is not None and not value >= 0.0:
                 raise LearningError(f"{name} cannot be negative, got {value}")
@@ -300,12 +278,12 @@ class OnlineSettings:
 
 
 def force_process(
-    settings: SmootherSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
+    settings: OnlineSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
 ) -> ForceProcess:
     """The force log's error. `largest`: N, the largest force so far; `far_off`: the residuals are far above the tags'
     noise, so the force may also be further off than its log says."""
-    level = float(np.hypot(settings.zero, max(_LEVEL * largest, settings.least_zero)))
-    load = hyperparameters.load * (LOAD * largest if settings.load is None else settings.load)
+    level = float(np.hypot(settings.force_zero, max(_LEVEL * largest, settings.force_noise)))
+    load = hyperparameters.load * (LOAD * largest if settings.force_load is None else settings.force_load)
     if far_off:
         load *= _WRONG
     return ForceProcess(

@@ -33,7 +33,7 @@ from onebend.live.key_frames import (
     empty,
     propose_average,
 )
-from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, SmootherSettings, session_layout
+from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_layout
 from onebend.live.posterior import (
     KeyFramePosterior,
     KeyFrameSums,
@@ -252,13 +252,12 @@ class Smoother:
         session: LiveSession,
         prior: LivePrior,
         x: Array,
-        hyperparameters: LiveHyperparameters,
-        settings: SmootherSettings,
+        settings: OnlineSettings,
     ) -> None:
         tags, n = len(session.marker_s), session.layout.size
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
-        self.hyperparameters = hyperparameters
+        self.hyperparameters = hyperparameters = settings.hyperparameters
         self.keys = empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
@@ -558,9 +557,6 @@ class OnlineLearner:
             s,
             settings.priors,
             length=length,
-            placement_sd=settings.placement_sd,
-            rest_unknown=settings.rest_unknown,
-            calibrated=settings.calibrated,
             mass=mass,
             allowances=settings.allowances - self._held,
             thickness=thickness,
@@ -569,7 +565,7 @@ class OnlineLearner:
         self.settings = settings
         self._session, self._gain_sd = LiveSession(length, s, mass, layout, thickness, tag_size), gain_sd
         prior, x = _prior_and_point(layout, start)
-        self._state = Smoother(self._session, prior, x, settings.hyperparameters, settings.smoother)
+        self._state = Smoother(self._session, prior, x, settings)
         self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None
         self._frames = 0

@@ -345,15 +345,6 @@ def whole_boxes(data: bytes | bytearray) -> int:
     return good
 
 
-def mend_film(path: Path) -> int:
-    """Cut what follows the last whole fragment of a film whose writing was ended by force; the bytes cut."""
-    with path.open("r+b") as stream:
-        data = stream.read()
-        whole = whole_boxes(data)
-        stream.truncate(whole)
-    return len(data) - whole
-
-
 class FilmWriter:
     """One film, from its first frame on."""
 

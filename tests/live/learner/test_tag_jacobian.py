@@ -25,8 +25,8 @@ from onebend.live.model import (
     LinearisedTags,
     LiveSession,
     Memory,
+    beam_at,
     linearise,
-    push_grid_at,
     session_layout,
 )
 from onebend.records import Array, View
@@ -88,9 +88,6 @@ class Point:
             TAGS,
             FREE,
             length=0.15,
-            placement_sd=5e-4,
-            rest_unknown=True,
-            calibrated=False,
             mass=MASS,
             allowances=frozenset(ALLOWED),
         )
@@ -103,7 +100,6 @@ class Point:
         }
         self.values["stiffness"] += np.log(0.03)
         self.session = LiveSession(0.15, TAGS, MASS, self.session_layout)
-        self.grid = push_grid_at(self.session, PUSH_S)
         course = {a.name: a.basis for a in data.allowances if a.enters in ("force", "place", "clamp")}
         self.terms = np.zeros((8, TERMS))
         self.terms[:, SLIDE], self.terms[:, CLAMP] = course["slide"], course["clamp gives"]
@@ -128,7 +124,7 @@ class Point:
         reached = np.array([reached_part(lagging[..., j], bent, data.problem.weights) for j in range(len(TIMES))])
         memory = Memory(lagging, np.zeros((8, len(TIMES))), reached)
         inputs = FrameInputs(data.force, data.rate, data.observations.gravity, np.zeros(8), self.terms, memory)
-        return linearise(self.session, self.grid, x, inputs, shapes)
+        return linearise(self.session, beam_at(self.session, PUSH_S, x), inputs, shapes)
 
 
 def _block(where: Layout, name: str, recording: int) -> slice:
