@@ -22,7 +22,7 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.extras import package
-from onebend.live.sources import Clock, End, Frame, StampTiming, of_yuyv
+from onebend.live.sources import Clock, Device, End, Frame, StampTiming, of_yuyv
 from onebend.recording.video import Picture, luma_of
 
 try:
@@ -95,17 +95,15 @@ class LinuxKernel:
         os.close(handle)
 
 
-class V4l2Camera:
+class V4l2Camera(Device):
     """A camera such as /dev/video0."""
 
     def __init__(self, path: Path, settings: V4l2Settings = V4l2Settings(), kernel: Kernel | None = None) -> None:
-        self.name, self.timing = f"the camera {path}", TIMING
+        super().__init__(f"the camera {path}", TIMING)
         self._path, self._settings, self._kernel = path, settings, kernel or LinuxKernel()
         self._handle, self._maps = -1, list[Any]()
         self._size, self._stride, self._packed = (0, 0), 0, ""
         self._jpeg: Any = None
-        self._clock: Clock | None = None
-        self._heard = 0.0
 
     def open(self, clock: Clock) -> None:
         """Begin to stream.
@@ -118,31 +116,29 @@ class V4l2Camera:
         try:
             self._handle = self._kernel.open(self._path)
             self._choose()
-            self._begin()
+            self._stream()
         except OSError as wrong:
             self.close()
             raise RecordingError(f"{self._path}: {_why(wrong)}") from None
         except RecordingError:
             self.close()
             raise
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:
         """The next picture."""
-        assert self._clock is not None
         try:
             if not self._kernel.ready(self._handle, wait):
-                silent = self._clock.now() - self._heard > SILENT
-                return End(f"{self.name} sends no pictures any more", fault=True) if silent else None
-            buffer = BUFFER.unpack(self._call(DQBUF, BUFFER.pack(0, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
+                return self._silence(SILENT, "sends no pictures any more")
+            buffer = self._buffer(DQBUF, 0)
             arrival = self._clock.now()
             index, used, flags = buffer[0], buffer[2], buffer[3]
             data = bytes(self._maps[index][:used])
-            self._call(QBUF, BUFFER.pack(index, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0))
+            self._buffer(QBUF, index)
         except BlockingIOError:
             return None
         except OSError as wrong:
-            return End(f"{self.name} is gone ({wrong.strerror or wrong}): its cable was pulled", fault=True)
+            return self._fault(f"is gone ({wrong.strerror or wrong}): its cable was pulled")
         self._heard = arrival
         picture, colour = self._unpacked(data) if not flags & BROKEN else (None, None)
         if picture is None:
@@ -165,6 +161,9 @@ class V4l2Camera:
         carried = bytearray(data)
         self._kernel.ioctl(self._handle, request, carried)
         return bytes(carried)
+
+    def _buffer(self, request: int, index: int) -> tuple[Any, ...]:
+        return BUFFER.unpack(self._call(request, BUFFER.pack(index, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
 
     def _choose(self) -> None:
         """Size, packing, rate and exposure."""
@@ -200,24 +199,26 @@ class V4l2Camera:
             if wrong.errno not in (errno.EINVAL, errno.ENOTTY, errno.ERANGE, errno.EACCES):
                 raise
 
-    def _begin(self) -> None:
+    def _stream(self) -> None:
         """Buffers, and the stream."""
         count = BUFFERS.unpack(self._call(REQBUFS, BUFFERS.pack(COUNT, CAPTURE, MAPPED, 0, 0)))[0]
         for i in range(count):
-            there = BUFFER.unpack(self._call(QUERYBUF, BUFFER.pack(i, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
+            there = self._buffer(QUERYBUF, i)
             if there[3] & STAMP_KIND != MONOTONIC:
                 self.timing = replace(TIMING, host=False)
             self._maps.append(self._kernel.map(self._handle, there[10], there[9] & 0xFFFFFFFF))
-            self._call(QBUF, BUFFER.pack(i, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0))
+            self._buffer(QBUF, i)
         self._call(STREAMON, struct.pack("<i", CAPTURE))
 
     def _unpacked(self, data: bytes) -> tuple[Picture | None, Any]:
         """Luma (H, W), and the frame with its colours where there are some; None of data that are no picture."""
         width, height = self._size
         if self._packed == "MJPG":
-            for frame in self._decoded(data):
-                return luma_of(frame), frame
-            return None, None
+            try:
+                frame = next(iter(self._jpeg.decode(av.Packet(data))), None)
+            except av.error.FFmpegError:  # a picture that was cut on its way
+                frame = None
+            return (None, None) if frame is None else (luma_of(frame), frame)
         rows = self._stride or width * (2 if self._packed == "YUYV" else 1)
         if len(data) < rows * height:
             return None, None
@@ -225,12 +226,6 @@ class V4l2Camera:
         if self._packed != "YUYV":
             return plane[:, :width].copy(), None
         return of_yuyv(plane[:, : 2 * width].reshape(height, width, 2))
-
-    def _decoded(self, data: bytes) -> Iterator[Any]:
-        try:
-            yield from self._jpeg.decode(av.Packet(data))
-        except av.error.FFmpegError:
-            return  # a picture that was cut on its way
 
 
 def _why(wrong: OSError) -> str:
@@ -247,20 +242,18 @@ def _why(wrong: OSError) -> str:
 
 # What FFmpeg opens as a film that goes on: cameras of other systems, streams on a network.
 
-INPUT_TIMING = StampTiming(delay=0.03, delay_error=0.1)
 PATIENCE = (10.0, 5.0)  # s: to open, and from frame to frame
 
 
-class AvCamera:
+class AvCamera(Device):
     """A place that FFmpeg knows, with the format that reads it (avfoundation, dshow, v4l2; none: by its address)."""
 
     def __init__(self, place: str, kind: str = "", options: dict[str, str] | None = None) -> None:
-        self.name, self.timing = f"the camera {place}", INPUT_TIMING
+        super().__init__(f"the camera {place}", StampTiming(delay=0.03, delay_error=0.1))
         self.files = _file_at(place)
         self._place, self._kind, self._options = place, kind, dict(options or {})
         self._container: Any = None
         self._frames: Iterator[Any] = iter(())
-        self._clock: Clock | None = None
 
     def open(self, clock: Clock) -> None:
         """Begin to stream.
@@ -282,15 +275,14 @@ class AvCamera:
             self.close()
             why = getattr(wrong, "strerror", None) or wrong
             raise RecordingError(f"{self._place} cannot be opened as a camera ({why}). Check its name.") from None
-        self._clock = clock
+        self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:  # noqa: ARG002 (FFmpeg waits by `PATIENCE`)
         """The next picture."""
-        assert self._clock is not None
         try:
             frame = next(self._frames, None)
         except (av.error.FFmpegError, OSError) as wrong:
-            return End(f"{self.name} is gone ({getattr(wrong, 'strerror', None) or wrong})", fault=True)
+            return self._fault(f"is gone ({getattr(wrong, 'strerror', None) or wrong})")
         if frame is None:
             return End(f"{self.name} ended")
         stamp = float("nan") if frame.time is None else float(frame.time)
@@ -321,7 +313,6 @@ def _file_at(place: str) -> tuple[Path, ...]:
 Stream = Literal["color", "infrared"]
 STREAMS: tuple[Stream, ...] = ("color", "infrared")
 EXPOSURE_UNITS = {"color": 1e-4, "infrared": 1e-6}  # s, of the option `exposure`
-REALSENSE_TIMING = StampTiming(delay=0.01, delay_error=0.03)
 
 
 @dataclass(frozen=True)
@@ -335,16 +326,13 @@ class RealSenseSettings:
     exposure: float = math.nan  # s; NaN: the camera chooses
 
 
-class RealSenseCamera:
+class RealSenseCamera(Device):
     """The camera with this serial number; without one, the first that is found."""
 
     def __init__(self, serial: str = "", settings: RealSenseSettings = RealSenseSettings()) -> None:
-        self.name = f"the RealSense camera {serial}".rstrip()
-        self.timing = REALSENSE_TIMING
+        super().__init__(f"the RealSense camera {serial}".rstrip(), StampTiming(delay=0.01, delay_error=0.03))
         self._serial, self._settings = serial, settings
         self._pipeline: Any = None
-        self._clock: Clock | None = None
-        self._heard = 0.0
 
     def open(self, clock: Clock) -> None:
         """Begin to stream.
@@ -374,17 +362,15 @@ class RealSenseCamera:
         except RuntimeError as wrong:
             self.close()
             raise RecordingError(f"{self.name} does not take its settings ({wrong}). Plug it in again.") from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:
         """The next picture."""
-        assert self._clock is not None
         try:
             came, frames = self._pipeline.try_wait_for_frames(max(1, round(1000.0 * wait)))
             now = self._clock.now()
             if not came:
-                silent = now - self._heard > SILENT
-                return End(f"{self.name} sends no pictures any more", fault=True) if silent else None
+                return self._silence(SILENT, "sends no pictures any more")
             infrared = self._settings.stream == "infrared"
             frame = frames.get_infrared_frame(1) if infrared else frames.get_color_frame()
             if not frame:
@@ -392,7 +378,7 @@ class RealSenseCamera:
             data = np.asanyarray(frame.get_data())
             stamp, number = 1e-3 * float(frame.get_timestamp()), int(frame.get_frame_number())
         except RuntimeError as wrong:
-            return End(f"{self.name} is gone ({wrong}): its cable was pulled", fault=True)
+            return self._fault(f"is gone ({wrong}): its cable was pulled")
         self._heard = now
         if infrared:
             return Frame(data.copy(), stamp, now, number)

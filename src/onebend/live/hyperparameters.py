@@ -10,19 +10,11 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
 
 from onebend.errors import LearningError
+from onebend.learning import normal
 from onebend.learning.allowances import AllowanceName
 from onebend.learning.force_error import LOAD
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
-from onebend.learning.normal import (
-    RHO,
-    SPREAD as PRIOR_SPREAD,
-    STEP_DIRECTIONS,
-    TAU,
-    WIDE_SHARE,
-    InformationForm,
-    drawn_sizes,
-    part_variances,
-)
+from onebend.learning.normal import RHO, SPREAD as PRIOR_SPREAD, STEP_DIRECTIONS, TAU, WIDE_SHARE, InformationForm
 from onebend.learning.parameters import Priors, Spline
 from onebend.live.key_frames import CAUSAL_ALLOWANCES, ForceProcess
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
@@ -321,7 +313,7 @@ class StiffnessChains:
         self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
         self._own = np.ones((_CHAINS, len(spline.share)))
         self._expected = np.log([TAU, RHO])
-        first = part_variances(spline, self._logs, self._own)[0]
+        first = normal.part_variances(spline, self._logs, self._own)[0]
         self._logs_drawn = np.tile(np.log(first), (_KEPT_STEPS, 1))  # (B KEPT, n) of the parts' variances
         self._next_draw = 0
 
@@ -339,7 +331,7 @@ class StiffnessChains:
         b = _CHAINS
         self._logs, self._own = self._moved(self._data(stiffness_form), self._logs, self._own, self._rng)
         self._logs_drawn[self._next_draw : self._next_draw + b] = np.log(
-            part_variances(self._spline, self._logs, self._own)[0]
+            normal.part_variances(self._spline, self._logs, self._own)[0]
         )
         self._next_draw = (self._next_draw + b) % len(self._logs_drawn)
 
@@ -354,7 +346,7 @@ class StiffnessChains:
         for i in range(_LEFT_OUT + _READ):
             logs, own = self._moved(data, logs, own, rng)
             if i >= _LEFT_OUT:
-                drawn.append(part_variances(self._spline, logs, own)[0])
+                drawn.append(normal.part_variances(self._spline, logs, own)[0])
         return self._averaged(data, np.concatenate(drawn))
 
     def _averaged(self, data: _PartRows, drawn: Array) -> tuple[Array, Array, Array]:
@@ -377,12 +369,12 @@ class StiffnessChains:
         stride = np.where(rng.random((b, 1)) < WIDE_SHARE, 1.5, 0.5) * PRIOR_SPREAD
         tried = logs + STEP_DIRECTIONS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
         both = np.concatenate([logs, tried])
-        variance, capped = part_variances(self._spline, both, np.concatenate([own, own]))
+        variance, capped = normal.part_variances(self._spline, both, np.concatenate([own, own]))
         factors, value = self._density(both, capped, variance, data)
         taken = np.log(rng.random(b)) < value[b:] - value[:b]
         chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
         local = self._local(variance[chosen], [factors[i] for i in chosen.tolist()], data, rng)
-        return both[chosen], drawn_sizes(self._spline, both[chosen], local, rng)
+        return both[chosen], normal.drawn_sizes(self._spline, both[chosen], local, rng)
 
     def _data(self, stiffness_form: InformationForm) -> _PartRows:
         """The information form as rows on log k less its level, one for each direction with information."""

@@ -22,17 +22,9 @@ from onebend.learning.allowances import OF_ONE, AllowanceName
 from onebend.learning.optimizer import MISS
 from onebend.learning.parameters import Layout, Spline
 from onebend.learning.posterior import Nuisance
+from onebend.live import key_frames
 from onebend.live.hyperparameters import HyperparameterSearch, OnlineSettings, StiffnessChains, force_process
-from onebend.live.key_frames import (
-    CourseSoFar,
-    ForceProcess,
-    KeyFrames,
-    LoadStages,
-    accept_average,
-    closest_pairs,
-    empty,
-    propose_average,
-)
+from onebend.live.key_frames import CourseSoFar, ForceProcess, KeyFrames, LoadStages
 from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_layout
 from onebend.live.posterior import (
     KeyFramePosterior,
@@ -258,7 +250,7 @@ class Smoother:
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
         self.hyperparameters = hyperparameters = settings.hyperparameters
-        self.keys = empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
+        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
         self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
@@ -296,10 +288,10 @@ class Smoother:
         i = self._write(frame, rate)
         over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
         own = keys.own[: keys.used] + self._stages.own(keys.centre)
-        pairs = closest_pairs(keys, i, self._largest, own, over)
+        pairs = key_frames.closest_pairs(keys, i, self._largest, own, over)
         fresh = [i]
         for slot, pair in enumerate(pairs, keys.used):
-            propose_average(keys, pair, slot)
+            key_frames.propose_average(keys, pair, slot)
             fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
         if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
             fresh.append(0)  # it is marginalised next, with the linearisation that it has then
@@ -315,7 +307,7 @@ class Smoother:
         missed = set(fresh) - solved
         for pair, slot in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
             if missed.isdisjoint((pair, pair + 1, slot)):
-                accept_average(keys, pair, slot, self.point)
+                key_frames.accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
             marker = max(self.hyperparameters.marker, self._misfit)
             marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)

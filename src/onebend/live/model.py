@@ -16,6 +16,7 @@ from onebend.beam.problem import Problem
 from onebend.beam.sensitivity import Perturbation, adjoint_times, minus_gradient, moved_by_strain
 from onebend.beam.statics import Equilibrium, nodal_forces, tangent
 from onebend.beam.stiffness import RectangularSection
+from onebend.learning import prediction
 from onebend.learning.allowances import (
     LARGEST,
     TIMES,
@@ -28,19 +29,7 @@ from onebend.learning.allowances import (
 )
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.parameters import Block, Layout, Priors, Spline, log_axes
-from onebend.learning.prediction import (
-    BentBeam,
-    ResponseColumns,
-    TagRide,
-    free_columns,
-    joined_functions,
-    load_changes,
-    material_changes,
-    push_blocks,
-    put_blocks,
-    put_tags,
-    response_columns,
-)
+from onebend.learning.prediction import BentBeam, ResponseColumns, TagRide
 from onebend.live.key_frames import CLAMP, OF_COURSE, SLIDE, CourseBases, KeyFrames, causal_allowances, course_scale
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray
 
@@ -80,7 +69,7 @@ class LiveSession:
     @cached_property
     def columns(self) -> dict[str, slice]:
         """Columns of all parameters that are not frozen."""
-        return free_columns(self.layout)
+        return prediction.free_columns(self.layout)
 
     @property
     def weighs(self) -> bool:
@@ -317,7 +306,7 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     loaded = _loaded_beam(session, push_grid, beam, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
     q, converged, factors = _shapes(push_grid, loaded, start)
     bent = _bent(push_grid, loaded, by_shares, q, converged)
-    loads, tags = response_columns(load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
+    loads, tags = prediction.response_columns(prediction.load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
     right = minus_gradient(bent.solved, loads.changes)
     both = np.concatenate([tags.by_shape, right[..., loads.slices["push"]].swapaxes(1, 2)], axis=1)
     for rows, factor in zip(both, factors, strict=True):
@@ -328,9 +317,9 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     columns = _with_material(loads, material, beam)
     tags.add_direct(response, columns)
     blocks, j = columns.split(tags.ride.carry(response)), np.zeros((len(q), m, 3, layout.size))
-    further = push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
-    put_blocks(j, session.columns, blocks | further)
-    put_tags(j, session.columns, tags.motion)
+    further = prediction.push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
+    prediction.put_blocks(j, session.columns, blocks | further)
+    prediction.put_tags(j, session.columns, tags.motion)
     pose, a = tags.pose + bases.moved({name: layout.get(x, name) for name in bases.poses}), blocks["push"] @ beam.axes
     by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ beam.axes, inputs.memory.lags(q - straight)
     return LinearisedTags(converged, q, by_force, lags, pose, j, a)
@@ -495,11 +484,11 @@ def _beam_of(session: LiveSession, push_s: float, parameters: bytes) -> PointBea
     bent = BentBeam(
         at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=lengthens, thickens=thickens
     )
-    changes = material_changes(bent)
-    columns = response_columns(changes).slices
+    changes = prediction.material_changes(bent)
+    columns = prediction.response_columns(changes).slices
     last = session.layout.spline.count
     columns |= {"stiffness": slice(0, last), "patches": slice(last, p)}
-    elastic, compliant = joined_functions(changes, size)
+    elastic, compliant = prediction.joined_functions(changes, size)
     stiff, axes = push_grid.weights * problem.k, log_axes(layout, x, -1)
     return PointBeam(x, push_grid, problem, stiff, axes, columns, elastic, compliant)
 

@@ -19,16 +19,8 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
 from onebend.learning.normal import InformationForm
 from onebend.learning.parameters import Layout
-from onebend.live.key_frames import (
-    AT_REST,
-    ForceProcess,
-    KeyFrames,
-    TimeSpans,
-    covariance,
-    fast_variance,
-    slow_variance,
-    with_one_more,
-)
+from onebend.live import key_frames
+from onebend.live.key_frames import AT_REST, ForceProcess, KeyFrames, TimeSpans, covariance
 from onebend.records import Array
 
 # Key frames that were marginalised: their information on the parameters x and on one slow force error e.
@@ -78,7 +70,10 @@ def marginalise_oldest(
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
     here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
     own = float(keys.own[0]) - marginalised.own + here - there
-    slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
+    slow, fast = (
+        key_frames.slow_variance(process, end - marginalised.time, own),
+        key_frames.fast_variance(process, end - begin, frames),
+    )
     marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
     keys.drop(0)
 
@@ -238,7 +233,7 @@ class KeyFramePosterior:
 
     def predicted_error(self, time: float, own: float) -> tuple[Array, Array, float]:
         """Force error of a frame to come: mean (2,), weights (slots,) on the known errors, and conditional variance."""
-        with_others, alone = with_one_more(self.process, self.spans, time, own)
+        with_others, alone = key_frames.with_one_more(self.process, self.spans, time, own)
         rows = self.inverse @ with_others
         return rows @ self.e, rows, alone - float(rows @ with_others)
 

@@ -20,18 +20,8 @@ import numpy as np
 
 from onebend.errors import RecordingError, ResultsError
 from onebend.files.single_file import GrowingFile, write_file
-from onebend.live.sources import (
-    CameraSource,
-    Clock,
-    End,
-    ForceSource,
-    Frame,
-    Played,
-    PlayedClock,
-    Samples,
-    StampedClock,
-    StampTiming,
-)
+from onebend.live import sources
+from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, Samples, StampedClock, StampTiming
 from onebend.progress import available_cores
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
@@ -592,8 +582,8 @@ class Pump:
         """Both are open already."""
         self._sources: list[Source] = [camera, *([] if force is None else [force])]
         self._clock = clock
-        at_will = isinstance(clock, PlayedClock)  # else what is played comes as from a camera, by threads
-        self._played = at_will and all(isinstance(source, Played) for source in self._sources)
+        at_will = isinstance(clock, sources.PlayedClock)  # else what is played comes as from a camera, by threads
+        self._played = at_will and all(isinstance(source, sources.Played) for source in self._sources)
         self._ended: set[int] = set()
         self._pictures: queue.Queue[None] = queue.Queue(_MOST_PICTURES)
         self._items: queue.SimpleQueue[tuple[Source, Item]] = queue.SimpleQueue()

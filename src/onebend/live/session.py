@@ -19,21 +19,8 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.design import plan
 from onebend.learning.instruments import instruments_of
-from onebend.live.guidance import (
-    GOOD,
-    NO_FORCE,
-    CaptureOutcome,
-    CaptureSettings,
-    CaptureState,
-    Stages,
-    Stop,
-    TagView,
-    not_begun,
-    outcome_remarks,
-    setup_advice,
-    stage_advice,
-    tag_views,
-)
+from onebend.live import guidance
+from onebend.live.guidance import GOOD, NO_FORCE, CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
 from onebend.live.live import Live, seen_by
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.review import Seen, observed_in
@@ -129,8 +116,8 @@ class Follower:
             seen = self._tracker.step(frame.picture, frame.arrival)
         except ObservationError as wrong:
             return (), [str(wrong)]
-        views = tag_views(self._rec.tags, seen.corners)
-        return views, setup_advice(frame.picture, views, seen.strangers)
+        views = guidance.tag_views(self._rec.tags, seen.corners)
+        return views, guidance.setup_advice(frame.picture, views, seen.strangers)
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
@@ -369,7 +356,9 @@ class _Session:
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
         elif (corners := self._follower.frame(frame.picture, time)) is not None:
             self._stages.update(time, corners)
-            self._state = replace(self._state, picture=frame.picture, tags=tag_views(self._places.rec.tags, corners))
+            self._state = replace(
+                self._state, picture=frame.picture, tags=guidance.tag_views(self._places.rec.tags, corners)
+            )
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
             self._end(f"it lasted {self._settings.longest:.0f} s, and longer was not asked for")
@@ -416,7 +405,7 @@ class _Session:
             state = replace(
                 state,
                 stage="done" if rested and enough else stages.stage,
-                advice=tuple(stage_advice(stages, settings, state.half_width, next_push)),
+                advice=tuple(guidance.stage_advice(stages, settings, state.half_width, next_push)),
                 next_push=next_push,
                 displacement=stages.displacement,
                 largest=stages.largest,
@@ -447,7 +436,7 @@ class _Session:
 
     def _outcome(self) -> CaptureOutcome:
         places, state, why = self._places, self._state, self._why or "its sources ended"
-        remarks = [] if self._film is None else outcome_remarks(state, self._settings, self._stages)
+        remarks = [] if self._film is None else guidance.outcome_remarks(state, self._settings, self._stages)
         if self._follower.why and self._settings.follow:
             remarks.append(f"k(s) was not learned meanwhile: {self._follower.why}")
         if self._force_end and self._force is not None:
@@ -456,7 +445,7 @@ class _Session:
             folder=places.rec.folder,
             film=None if self._film is None else places.film,
             log=None if self._film is None else places.log,
-            why=why if self._film is not None or self._fault else not_begun(why, state.advice, self._settings),
+            why=why if self._film is not None or self._fault else guidance.not_begun(why, state.advice, self._settings),
             fault=self._fault,
             state=state,
             remarks=tuple(remarks),

@@ -241,6 +241,25 @@ class End:
     fault: bool = False  # a cable, a full buffer: rather than the end of what is played
 
 
+class Device:
+    """A camera or a sensor on a cable: its name, the recorder's clock, and when it was heard last."""
+
+    def __init__(self, name: str, timing: StampTiming) -> None:
+        self.name, self.timing = name, timing
+        self._clock: Clock = HostClock()
+        self._heard = 0.0
+
+    def _begin(self, clock: Clock) -> None:
+        self._clock, self._heard = clock, clock.now()
+
+    def _fault(self, why: str) -> End:
+        return End(f"{self.name} {why}", fault=True)
+
+    def _silence(self, longest: float, why: str) -> End | None:
+        """The end, where nothing was heard for longer than that [s]."""
+        return self._fault(why) if self._clock.now() - self._heard > longest else None
+
+
 class CameraSource(Protocol):
     """A camera."""
 

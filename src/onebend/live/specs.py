@@ -9,21 +9,9 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from onebend.errors import RecordingError
+from onebend.live import force_sensors
 from onebend.live.cameras import PACKED, STREAMS, AvCamera, RealSenseCamera, RealSenseSettings, V4l2Camera, V4l2Settings
-from onebend.live.force_sensors import (
-    KNOWN,
-    PORT,
-    WEB_PORT,
-    AtiForce,
-    AtiScale,
-    FrankaForce,
-    GrowingBag,
-    GrowingLog,
-    LslForce,
-    SerialForce,
-    UrForce,
-    cells_of,
-)
+from onebend.live.force_sensors import KNOWN, PORT, WEB_PORT, AtiForce, AtiScale, FrankaForce, GrowingBag, GrowingLog
 from onebend.live.played import Disturbances, OwnClock, played_camera, played_force
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.text_files import QUOTED
@@ -155,8 +143,8 @@ def _names(options: Options, key: str) -> list[str]:
 def _serial(place: str, options: Options) -> ForceSource:
     if "columns" not in options:
         raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
-    cells = cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
-    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
+    cells = force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
+    return force_sensors.SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
 
 
 def _csv(place: str, options: Options) -> ForceSource:
@@ -166,7 +154,9 @@ def _csv(place: str, options: Options) -> ForceSource:
 def _lsl(place: str, options: Options) -> ForceSource:
     if "columns" not in options:
         raise RecordingError(f"lsl:{place}: say what its channels are, as columns=fx_N/fy_N/_. {KNOWN}.")
-    return LslForce(place, cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}"))
+    return force_sensors.LslForce(
+        place, force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}")
+    )
 
 
 def _size(options: Options, default: str) -> tuple[int, int]:
@@ -249,7 +239,9 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         "ur:HOST",
         "a Universal Robot's wrench (pip install 'onebend[ur]')",
         ("rate",),
-        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0, most=MOST_RATE)),
+        lambda place, options: force_sensors.UrForce(
+            place, rate=number(options, "rate", 500.0, least=1.0, most=MOST_RATE)
+        ),
     ),
     "franka": SourceKind(
         "franka:HOST",

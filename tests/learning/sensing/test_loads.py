@@ -14,7 +14,7 @@ from rich.console import Console
 from onebend.beam.loads import push, twist
 from onebend.cli.screens import show_sensed
 from onebend.errors import LearningError
-from onebend.learning.sensing.bench import Bench, problem_of, shared_prior, solve, tags_of
+from onebend.learning.sensing.model import Bench, problem_of, shared_prior, solve, tags_of
 from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
 from onebend.report.control_figures import sensing

@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from onebend.beam.loads import push
 from onebend.learning.frames import whitening
-from onebend.learning.sensing.bench import Bench, problem_of, solve, tags_of
 from onebend.learning.sensing.forces import PLACE_PRIOR, Estimates, estimate, first, together
+from onebend.learning.sensing.model import Bench, problem_of, solve, tags_of
 from onebend.learning.sensing.sense import SenseSettings, bench_of, priors_of, sense
 from onebend.records import Array, IntArray
 from tests.learning.sensing.drawn import BAND, BEAM, contacts, drawn

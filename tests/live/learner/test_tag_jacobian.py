@@ -27,6 +27,7 @@ from onebend.live.model import (
     Memory,
     beam_at,
     linearise,
+    push_grid_at,
     session_layout,
 )
 from onebend.records import Array, View
@@ -139,7 +140,9 @@ def point() -> Iterator[Point]:
 
 
 def test_the_grids_are_the_same(point: Point) -> None:
-    np.testing.assert_allclose(point.fit_data.problem.grid.nodes, point.grid.grid.nodes, atol=1e-14)
+    np.testing.assert_allclose(
+        point.fit_data.problem.grid.nodes, push_grid_at(point.session, PUSH_S).grid.nodes, atol=1e-14
+    )
 
 
 def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:

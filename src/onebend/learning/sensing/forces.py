@@ -1,6 +1,6 @@
 """The force of each frame: maximum a posteriori by Gauss-Newton, many frames at once.
 
-Whitened by the tags' noise and by what the frames share (`bench.py`), the residuals r of a frame and their derivatives
+Whitened by the tags' noise and by what the frames share (`model.py`), the residuals r of a frame and their derivatives
 J with its own unknowns u, in units of their prior's sd, give steps `(1 + d) (J^T J + I) du = J^T r - u`; d, of each
 frame, grows where a step did not lower `|r|^2 + |u|^2` and falls where it did. The covariance is `(J^T J + I)^-1`.
 What the frames share counts as it does at the force where a search begins; a second one begins where the first ended.
@@ -16,19 +16,7 @@ from scipy.stats import chi2
 from onebend.beam.grid import apply
 from onebend.beam.statics import Equilibrium
 from onebend.learning.frames import moved_by, whitening
-from onebend.learning.sensing.bench import (
-    AT_REST,
-    INNERMOST,
-    Bench,
-    Tags,
-    first_forces,
-    poses_of,
-    problem_apart,
-    problem_of,
-    rest_problem,
-    solve,
-    tags_of,
-)
+from onebend.learning.sensing import model
 from onebend.records import Array, BoolArray, IntArray
 
 CHUNK = 250  # frames solved together
@@ -54,7 +42,7 @@ def with_place(prior_sd: Array, seek_place: bool) -> tuple[Array, Array]:
 class Estimates:
     """Forces of F frames. NaN where none was found."""
 
-    force: Array  # (F, n) N, the load (`bench.py`)
+    force: Array  # (F, n) N, the load (`model.py`)
     place: Array  # (F,) s
     covariance: Array  # (F, d, d) of load and, where it was sought, place: N, N m, s
     common: Array  # (F, n, r) N, of it what one sd of each way in which the bench is off does to the load
@@ -93,7 +81,7 @@ class _SearchState:
 
 
 def estimate(
-    bench: Bench,
+    bench: model.Bench,
     frames: IntArray,
     place: Array,
     prior_sd: Array,
@@ -105,7 +93,7 @@ def estimate(
     """The force in `frames` (F,), rising, from `force` (F, 2) N (default: that of `begin`) at `place` (F,), which is
     where it acts or, with `seek_place`, where the search begins. `prior_sd` (n,): of
     each number of the load, mean zero."""
-    first = first_forces(bench, frames, place, prior_sd) if force is None else force
+    first = model.first_forces(bench, frames, place, prior_sd) if force is None else force
     found = _searched(bench, frames, place, prior_sd, seek_place, first)
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
@@ -125,7 +113,7 @@ def estimate(
 
 
 def _searched(
-    bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
+    bench: model.Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
 ) -> Estimates:
     parts = [
         _Search(bench, frames[i : i + CHUNK], place[i : i + CHUNK], prior_sd, seek_place).run(force[i : i + CHUNK])
@@ -137,14 +125,14 @@ def _searched(
 class _Search:
     """Gauss-Newton for one chunk of frames."""
 
-    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
+    def __init__(self, bench: model.Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
         o = bench.observations
         self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
         self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
         self.whiten = whitening(self.seen, o.covariance[frames])
         self.sd, self.mean = with_place(prior_sd, seek_place)
         self.load = len(prior_sd)
-        self.problem = problem_of(bench, frames, place)
+        self.problem = model.problem_of(bench, frames, place)
         stiff = _STRIDE * float(np.mean(self.problem.k))
         self.longest = np.full(len(self.sd), stiff / bench.observations.length)
         self.longest[2 : self.load] = stiff
@@ -176,7 +164,7 @@ class _Search:
             step, size = self._step(state, rows, damping[rows])
             trial = self._inside(state.unknown[rows] + step)
             there = self._solved(rows, trial, state.q[rows])
-            away = self._residual(rows, state.root[rows], poses_of(self.bench, self.frames[rows], there)[0])
+            away = self._residual(rows, state.root[rows], model.poses_of(self.bench, self.frames[rows], there)[0])
             lower = self._objective(away, trial) < self._objective(state.residual[rows], state.unknown[rows])
             better = np.flatnonzero(there.converged & lower)
             if better.size:
@@ -207,15 +195,15 @@ class _Search:
     def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
         """The beam in frames `rows` of the chunk."""
         if self.seek_place:
-            place, problem = unknown[:, -1], problem_apart(self.bench, self.frames[rows], unknown[:, -1])
+            place, problem = unknown[:, -1], model.problem_apart(self.bench, self.frames[rows], unknown[:, -1])
         else:
             place, problem = self.place[rows], self.problem.take(rows)
-        return solve(self.bench, problem, unknown[:, : self.load], place, start)
+        return model.solve(self.bench, problem, unknown[:, : self.load], place, start)
 
     def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
         """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
         place = unknown[:, -1] if self.seek_place else self.place[rows]
-        tags = tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
+        tags = model.tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
         stands, own = solved.converged[:, None, None], tags.by_load
         if self.seek_place:
             own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
@@ -254,7 +242,7 @@ class _Search:
 
     def _inside(self, unknown: Array) -> Array:
         if self.seek_place:
-            unknown = np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], INNERMOST, 1.0)])
+            unknown = np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], model.INNERMOST, 1.0)])
         return unknown
 
 
@@ -318,7 +306,7 @@ class _Linear:
 
 
 def read(
-    bench: Bench,
+    bench: model.Bench,
     frames: IntArray,
     load: Array,
     place: Array,
@@ -352,13 +340,15 @@ def read(
     return FrameForces(time, weigh, told, common, widened)
 
 
-def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
+def _linear(
+    bench: model.Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool
+) -> _Linear:
     o = bench.observations
     seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
     whiten = whitening(seen, o.covariance[frames])
-    problem = (problem_apart if seek_place else problem_of)(bench, frames, place)
-    solved = solve(bench, problem, load, place, None)
-    tags = tags_of(bench, frames, solved, load, place)
+    problem = (model.problem_apart if seek_place else model.problem_of)(bench, frames, place)
+    solved = model.solve(bench, problem, load, place, None)
+    tags = model.tags_of(bench, frames, solved, load, place)
     stands = solved.converged
 
     def flat(of_tags: Array) -> Array:
@@ -459,7 +449,7 @@ class _At:
 
     shared: Array  # (r,) u
     own: Array  # (F, d) N, N, s
-    tags: Tags
+    tags: model.Tags
     residual: Array  # (F, 3 m) over the tags' noise
     objectives: Array  # (F,) squares of each frame
 
@@ -469,7 +459,7 @@ class _At:
         return float(np.sum(self.objectives) + self.shared @ self.shared)
 
 
-def rested(bench: Bench) -> Bench:
+def rested(bench: model.Bench) -> model.Bench:
     """With what the tags at rest say (Gauss-Newton, the beam without a force)."""
     o, m = bench.observations, len(bench.observations.marker_s)
     seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
@@ -480,7 +470,7 @@ def rested(bench: Bench) -> Bench:
     whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
     for _ in range(_REST_ROUNDS):
         now = replace(bench, mean=mean)
-        tags = tags_of(now, AT_REST, solve(now, rest_problem(now), none, at, None), none, at)
+        tags = model.tags_of(now, model.AT_REST, model.solve(now, model.rest_problem(now), none, at, None), none, at)
         rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
         away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - bench.mean)
         inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
@@ -489,8 +479,8 @@ def rested(bench: Bench) -> Bench:
 
 
 def together(
-    bench: Bench, frames: IntArray, begin: Estimates, prior_sd: Array, *, seek_place: bool
-) -> tuple[Bench, Estimates, Misfit]:
+    bench: model.Bench, frames: IntArray, begin: Estimates, prior_sd: Array, *, seek_place: bool
+) -> tuple[model.Bench, Estimates, Misfit]:
     """The bench as the `frames` (F,), rising, show it besides; what is known of them then; how well it fits."""
     return _Joint(bench, frames, prior_sd, seek_place).run(begin)
 
@@ -498,7 +488,7 @@ def together(
 class _Joint:
     """Gauss-Newton, damped."""
 
-    def __init__(self, bench: Bench, frames: IntArray, prior_sd: Array, seek_place: bool) -> None:
+    def __init__(self, bench: model.Bench, frames: IntArray, prior_sd: Array, seek_place: bool) -> None:
         o = bench.observations
         self.bench, self.frames, self.seek_place = bench, frames, seek_place
         self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
@@ -506,7 +496,7 @@ class _Joint:
         self.sd, self.mean = with_place(prior_sd, seek_place)
         self.load = len(prior_sd)
 
-    def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
+    def run(self, begin: Estimates) -> tuple[model.Bench, Estimates, Misfit]:
         self.place = begin.place
         own = np.column_stack([begin.force, begin.place]) if self.seek_place else begin.force
         now = self._at(np.zeros(self.bench.root.shape[1]), own)
@@ -542,27 +532,27 @@ class _Joint:
             now = trial if better.all() else self._there(bench, shared, own, now.tags.solved.q)
         return now
 
-    def _there(self, bench: Bench, shared: Array, own: Array, near: Array | None) -> _At:
+    def _there(self, bench: model.Bench, shared: Array, own: Array, near: Array | None) -> _At:
         place = own[:, -1] if self.seek_place else self.place
-        problem = (problem_apart if self.seek_place else problem_of)(bench, self.frames, place)
+        problem = (model.problem_apart if self.seek_place else model.problem_of)(bench, self.frames, place)
         near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = solve(bench, problem, own[:, : self.load], place, near)
-        tags = tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
+        solved = model.solve(bench, problem, own[:, : self.load], place, near)
+        tags = model.tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
         residual = self._flat(np.nan_to_num(self.seen - tags.pose)[..., None])[..., 0]
         objectives = np.sum(residual**2, axis=1) + np.sum(((own - self.mean) / self.sd) ** 2, axis=1)
         return _At(shared, own, tags, residual, np.where(solved.converged, objectives, np.inf))
 
     def _inside(self, own: Array) -> Array:
-        return np.column_stack([own[:, :-1], np.clip(own[:, -1], INNERMOST, 1.0)]) if self.seek_place else own
+        return np.column_stack([own[:, :-1], np.clip(own[:, -1], model.INNERMOST, 1.0)]) if self.seek_place else own
 
-    def _bench(self, shared: Array) -> Bench:
+    def _bench(self, shared: Array) -> model.Bench:
         return replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
 
     def _flat(self, of_tags: Array) -> Array:
         """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
         return np.asarray((self.whiten @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
 
-    def _own_slopes(self, tags: Tags) -> Array:
+    def _own_slopes(self, tags: model.Tags) -> Array:
         """(F, 3 m, d) with the frames' own unknowns, over their priors' sd."""
         own = tags.by_load
         if self.seek_place:
@@ -572,7 +562,7 @@ class _Joint:
     def _slopes(self, now: _At) -> tuple[Array, Array]:
         """The same, and (F, 3 m, r) with what is shared."""
         place = now.own[:, -1] if self.seek_place else self.place
-        tags = tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
+        tags = model.tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
         return self._own_slopes(tags), self._flat(tags.by_shared @ self.bench.root)
 
     def _step(self, now: _At, damping: float) -> tuple[Array, Array]:
@@ -589,7 +579,7 @@ class _Joint:
         by = np.linalg.solve(whole, pull)
         return now.shared + by, now.own + self.sd * (down[..., -1] - down[..., :-1] @ by)
 
-    def _outcome(self, now: _At) -> tuple[Bench, Estimates, Misfit]:
+    def _outcome(self, now: _At) -> tuple[model.Bench, Estimates, Misfit]:
         own, shared = self._slopes(now)
         side, size, turn = np.linalg.svd(own, full_matrices=False)
         inner = np.swapaxes(turn, 1, 2) @ (turn / (1.0 + size[..., None] ** 2))
@@ -630,13 +620,13 @@ _APART = 0.1  # of the beam: closer places are one
 class Searched:
     """Forces of F frames, and the bench as the frames together show it."""
 
-    bench: Bench
+    bench: model.Bench
     found: Estimates
     other_place: Array  # (F,) s that explains a frame about as well; NaN where there is none
     misfit: Misfit | None  # None: no frame shows a force
 
 
-def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> Searched:
+def search(bench: model.Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> Searched:
     """Of `frames` (F,), rising; `place` (F,) where the force acts, None: it is sought."""
     some = _together(bench, frames)
     begin, other = first(bench, frames[some], None if place is None else place[some], prior_sd)
@@ -671,21 +661,21 @@ def touches(found: Estimates) -> BoolArray:
     return out
 
 
-def _together(bench: Bench, frames: IntArray) -> IntArray:
+def _together(bench: model.Bench, frames: IntArray) -> IntArray:
     """Which of the frames tell the bench: evenly spread among those in which the tags moved."""
     moved = np.nan_to_num(moved_by(bench.observations)[frames])
     rows = np.flatnonzero(moved >= MOVED * np.max(moved))
     return np.asarray(rows[np.linspace(0, len(rows) - 1, min(_TOGETHER, len(rows))).astype(int)])
 
 
-def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> tuple[Estimates, Array]:
+def first(bench: model.Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> tuple[Estimates, Array]:
     """Each frame by itself, and another place that does about as well."""
     if place is not None:
         return estimate(bench, frames, place, prior_sd, seek_place=False), np.full(len(frames), np.nan)
     return _at_unknown_place(bench, frames, prior_sd)
 
 
-def _at_unknown_place(bench: Bench, frames: IntArray, prior_sd: Array) -> tuple[Estimates, Array]:
+def _at_unknown_place(bench: model.Bench, frames: IntArray, prior_sd: Array) -> tuple[Estimates, Array]:
     """From the place of a scan that explains a frame best; and (F,) another that does about as well, NaN: none."""
     scan = [estimate(bench, frames, np.full(len(frames), s), prior_sd, seek_place=False, restarts=0) for s in _SCAN]
     objective = np.stack([one.objective for one in scan])  # (places, F)

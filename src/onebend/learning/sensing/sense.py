@@ -16,16 +16,7 @@ from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
 from onebend.learning.frames import whitening
 from onebend.learning.instruments import Instruments
-from onebend.learning.sensing.bench import (
-    INNERMOST,
-    Bench,
-    Tags,
-    check_recording,
-    problem_of,
-    shared_prior,
-    solve,
-    tags_of,
-)
+from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
 from onebend.learning.sensing.forces import PLACE_PRIOR, TOUCH, Misfit, Searched, first, read, rested, search, touches
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
@@ -309,20 +300,20 @@ def bench_of(
     stiffness: UncertainStiffness | None,
     instruments: Instruments | None,
     settings: SenseSettings,
-) -> Bench:
+) -> model.Bench:
     """The bench as the beam at rest leaves it.
 
     Raises:
         LearningError: as `sense`.
     """
     check_settings(settings, o.length)
-    check_recording(beam, o)
+    model.check_recording(beam, o)
     place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
     if settings.place == "unknown":
         place_sd = 0.0
     as_learned = settings.tags == "learned"
-    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
-    return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
+    prior = model.shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
+    return rested(model.Bench(beam, stiffness, prior, o, prior.mean, prior.root))
 
 
 def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
@@ -463,7 +454,7 @@ class _Shape:
 
     unknown: Array  # (d,) N, N, s
     edge: float  # s, of the grid
-    tags: Tags
+    tags: model.Tags
     noise: Array  # (m, 3, r) what the frames share, as it counts here
 
 
@@ -534,7 +525,7 @@ class OnlineSense:
             step = turn.T @ ((told * (left.T @ residual) - turn @ z) / (1.0 + told**2))
             unknown = shape.unknown + self._sd * step
             if self._place is None:
-                unknown[2] = np.clip(unknown[2], INNERMOST, 1.0)
+                unknown[2] = np.clip(unknown[2], model.INNERMOST, 1.0)
             moved = np.linalg.norm(np.hypot(1.0, told) * (turn @ step))
             if number and moved < _CLOSE:
                 break
@@ -565,18 +556,18 @@ class OnlineSense:
         if self._place is None and abs(unknown[2] - edge) > _SLID:
             edge = float(unknown[2])
         bench, at = self._at(unknown, edge)
-        problem = problem_of(bench, _ONE, at)
+        problem = model.problem_of(bench, _ONE, at)
         q = near.tags.solved.q
         start = q if q.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = solve(bench, problem, unknown[None, :2], at, start)
+        solved = model.solve(bench, problem, unknown[None, :2], at, start)
         if start is not None and not solved.converged[0]:
-            solved = solve(bench, problem, unknown[None, :2], at, None)
+            solved = model.solve(bench, problem, unknown[None, :2], at, None)
         if not solved.converged[0]:
             return None
-        tags = tags_of(bench, _ONE, solved, unknown[None, :2], at)
+        tags = model.tags_of(bench, _ONE, solved, unknown[None, :2], at)
         return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
 
-    def _at(self, unknown: Array, edge: float) -> tuple[Bench, Array]:
+    def _at(self, unknown: Array, edge: float) -> tuple[model.Bench, Array]:
         """The bench with the place that is sought as far from the grid's edge as it is, and that edge."""
         if self._place is not None:
             return self._bench, np.array([self._place])
@@ -605,6 +596,6 @@ class OnlineSense:
         unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(self._sd)]
         edge = self._place if self._place is not None else float(found.place[0])
         here, at = self._at(unknown, edge)
-        solved = solve(here, problem_of(here, _ONE, at), unknown[None, :2], at, None)
-        tags = tags_of(here, _ONE, solved, unknown[None, :2], at)
+        solved = model.solve(here, model.problem_of(here, _ONE, at), unknown[None, :2], at, None)
+        tags = model.tags_of(here, _ONE, solved, unknown[None, :2], at)
         return _Shape(unknown, edge, tags, tags.by_shared[0] @ here.root)
