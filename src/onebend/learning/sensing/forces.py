@@ -17,6 +17,7 @@ from onebend.beam.grid import apply
 from onebend.beam.statics import Equilibrium
 from onebend.learning.frames import moved_by, whitening
 from onebend.learning.sensing import model
+from onebend.learning.sensing.model import AT_REST, INNERMOST, Bench, Tags
 from onebend.records import Array, BoolArray, IntArray
 
 CHUNK = 250  # frames solved together
@@ -80,8 +81,49 @@ class _SearchState:
                 values[rows] = getattr(other, name)
 
 
+class _FrameModel:
+    """Some frames and their unknowns: the load of each and, where it is sought, its place."""
+
+    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
+        o = bench.observations
+        self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
+        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
+        self.whiten = whitening(self.seen, o.covariance[frames])
+        self.sd, self.mean = with_place(prior_sd, seek_place)
+        self.load = len(prior_sd)
+
+    def flat(self, of_tags: Array, rows: IntArray | slice = slice(None)) -> Array:
+        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
+        return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
+
+    def away(self, pose: Array, rows: IntArray | slice = slice(None)) -> Array:
+        """(F, 3 m) of the tags from poses (F, m, 3), over their noise."""
+        return self.flat(np.nan_to_num(self.seen[rows] - pose)[..., None], rows)[..., 0]
+
+    def own_slopes(self, tags: Tags, rows: IntArray | slice = slice(None)) -> Array:
+        """(F, 3 m, d) of the tags with the frames' own unknowns over their priors' sds, over the tags' noise."""
+        own = tags.by_load
+        if self.seek_place:
+            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
+        return self.flat(own * self.sd, rows)
+
+    def inside(self, unknown: Array) -> Array:
+        """The unknowns (F, d), with places on the beam."""
+        if not self.seek_place:
+            return unknown
+        return np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], INNERMOST, 1.0)])
+
+    def placed(self, unknown: Array, rows: IntArray | slice = slice(None)) -> Array:
+        """(F,) places of the loads."""
+        return unknown[:, -1] if self.seek_place else self.place[rows]
+
+    def costs(self, residual: Array, unknown: Array) -> Array:
+        """(F,) squared residuals (F, R), and the prior's part."""
+        return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))
+
+
 def estimate(
-    bench: model.Bench,
+    bench: Bench,
     frames: IntArray,
     place: Array,
     prior_sd: Array,
@@ -113,7 +155,7 @@ def estimate(
 
 
 def _searched(
-    bench: model.Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
+    bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool, force: Array
 ) -> Estimates:
     parts = [
         _Search(bench, frames[i : i + CHUNK], place[i : i + CHUNK], prior_sd, seek_place).run(force[i : i + CHUNK])
@@ -122,16 +164,11 @@ def _searched(
     return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
 
 
-class _Search:
+class _Search(_FrameModel):
     """Gauss-Newton for one chunk of frames."""
 
-    def __init__(self, bench: model.Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
-        o = bench.observations
-        self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
-        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-        self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd, self.mean = with_place(prior_sd, seek_place)
-        self.load = len(prior_sd)
+    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
+        super().__init__(bench, frames, place, prior_sd, seek_place)
         self.problem = model.problem_of(bench, frames, place)
         stiff = _STRIDE * float(np.mean(self.problem.k))
         self.longest = np.full(len(self.sd), stiff / bench.observations.length)
@@ -162,10 +199,11 @@ class _Search:
             if not rows.size:
                 break
             step, size = self._step(state, rows, damping[rows])
-            trial = self._inside(state.unknown[rows] + step)
+            trial = self.inside(state.unknown[rows] + step)
             there = self._solved(rows, trial, state.q[rows])
-            away = self._residual(rows, state.root[rows], model.poses_of(self.bench, self.frames[rows], there)[0])
-            lower = self._objective(away, trial) < self._objective(state.residual[rows], state.unknown[rows])
+            pose = model.poses_of(self.bench, self.frames[rows], there)[0]
+            away = apply(state.root[rows], self.away(pose, rows))
+            lower = self.costs(away, trial) < self.costs(state.residual[rows], state.unknown[rows])
             better = np.flatnonzero(there.converged & lower)
             if better.size:
                 there = there.take(better)
@@ -186,7 +224,7 @@ class _Search:
         covariance = self.sd[:, None] * (root @ np.swapaxes(root, 1, 2)) * self.sd
         known = np.where(state.stands[:, None], state.unknown, np.nan)
         place = known[:, -1] if self.seek_place else np.where(state.stands, self.place, np.nan)
-        objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
+        objective = np.where(state.stands, self.costs(state.residual, state.unknown), np.inf)
         chi2 = np.sum(state.residual**2, axis=1)
         gain = self.sd[:, None] * (root @ np.swapaxes(state.slopes @ root, 1, 2))
         common = -(gain @ state.shared)[:, : self.load]
@@ -194,36 +232,25 @@ class _Search:
 
     def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
         """The beam in frames `rows` of the chunk."""
-        if self.seek_place:
-            place, problem = unknown[:, -1], model.problem_apart(self.bench, self.frames[rows], unknown[:, -1])
-        else:
-            place, problem = self.place[rows], self.problem.take(rows)
+        place, problem = self.placed(unknown, rows), self.problem
+        problem = model.problem_apart(self.bench, self.frames[rows], place) if self.seek_place else problem.take(rows)
         return model.solve(self.bench, problem, unknown[:, : self.load], place, start)
 
     def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
         """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
-        place = unknown[:, -1] if self.seek_place else self.place[rows]
+        place = self.placed(unknown, rows)
         tags = model.tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
-        stands, own = solved.converged[:, None, None], tags.by_load
-        if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
+        stands = solved.converged[:, None, None]
         shared = np.zeros((len(rows), 3 * self.seen.shape[1], 0))
         if root is None:
-            shared = np.nan_to_num(np.where(stands, self._flat(rows, tags.by_shared @ self.bench.root), 0.0))
+            shared = np.nan_to_num(np.where(stands, self.flat(tags.by_shared @ self.bench.root, rows), 0.0))
             size, ways = np.linalg.eigh(shared @ np.swapaxes(shared, 1, 2))
             root = (ways / np.sqrt(1.0 + np.maximum(size, 0.0))[:, None]) @ np.swapaxes(ways, 1, 2)
-        slopes = root @ np.where(stands, self._flat(rows, own * self.sd), 0.0)
-        residual = self._residual(rows, root, tags.pose)
+        slopes = root @ np.where(stands, self.own_slopes(tags, rows), 0.0)
+        residual = apply(root, self.away(tags.pose, rows))
         return _SearchState(
             unknown.copy(), solved.q, solved.converged, tags.pose, root, residual, slopes, root @ shared
         )
-
-    def _residual(self, rows: IntArray, root: Array, pose: Array) -> Array:
-        return apply(root, self._flat(rows, np.nan_to_num(self.seen[rows] - pose)[..., None])[..., 0])
-
-    def _flat(self, rows: IntArray, of_tags: Array) -> Array:
-        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
-        return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
 
     def _step(self, state: _SearchState, rows: IntArray, damping: Array) -> tuple[Array, Array]:
         """The step (F, d) of some frames, and its size in posterior sds."""
@@ -236,14 +263,6 @@ class _Search:
         step = step * self.sd
         longest = np.maximum(np.max(np.abs(step / self.longest), axis=1), 1.0)
         return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
-
-    def _objective(self, residual: Array, unknown: Array) -> Array:
-        return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))
-
-    def _inside(self, unknown: Array) -> Array:
-        if self.seek_place:
-            unknown = np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], model.INNERMOST, 1.0)])
-        return unknown
 
 
 # What each frame by itself says of its force, all that the frames share being known.
@@ -306,7 +325,7 @@ class _Linear:
 
 
 def read(
-    bench: model.Bench,
+    bench: Bench,
     frames: IntArray,
     load: Array,
     place: Array,
@@ -340,30 +359,25 @@ def read(
     return FrameForces(time, weigh, told, common, widened)
 
 
-def _linear(
-    bench: model.Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool
-) -> _Linear:
-    o = bench.observations
-    seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-    whiten = whitening(seen, o.covariance[frames])
-    problem = (model.problem_apart if seek_place else model.problem_of)(bench, frames, place)
-    solved = model.solve(bench, problem, load, place, None)
+def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
+    frame = _FrameModel(bench, frames, place, prior_sd, seek_place)
+    solved = model.solve(
+        bench, (model.problem_apart if seek_place else model.problem_of)(bench, frames, place), load, place, None
+    )
     tags = model.tags_of(bench, frames, solved, load, place)
-    stands = solved.converged
-
-    def flat(of_tags: Array) -> Array:
-        out = (whiten @ np.where(stands[:, None, None, None], of_tags, 0.0)).reshape(len(frames), -1, of_tags.shape[-1])
-        return np.asarray(out)
-
-    residual = flat(np.nan_to_num(seen - tags.pose)[..., None])[..., 0]
-    sd, mean = with_place(prior_sd, seek_place)
-    own, by_own = load, tags.by_load
-    if seek_place:
-        own, by_own = np.column_stack([load, place]), np.concatenate([by_own, o.length * tags.by_place], axis=-1)
-    measured = (np.any(whiten != 0.0, axis=-1) & stands[:, None, None]).reshape(len(frames), -1)
-    other = ((own - mean) / sd)[:, 2:]
-    by_own, by_shared = flat(by_own), flat(tags.by_shared @ bench.root)
-    return _Linear(residual, by_own[..., :2], (by_own * sd)[..., 2:], other, by_shared, measured)
+    stands = solved.converged[:, None, None]
+    own = np.column_stack([load, place]) if seek_place else load
+    by_own, by_shared = (
+        np.where(stands, each, 0.0) for each in (frame.own_slopes(tags), frame.flat(tags.by_shared @ bench.root))
+    )
+    return _Linear(
+        residual=np.where(stands[..., 0], frame.away(tags.pose), 0.0),
+        by_force=by_own[..., :2] / frame.sd[:2],
+        by_other=by_own[..., 2:],
+        other=((own - frame.mean) / frame.sd)[:, 2:],
+        by_shared=by_shared,
+        measured=(np.any(frame.whiten != 0.0, axis=-1) & stands).reshape(len(frames), -1),
+    )
 
 
 def _without_other(one: _Linear) -> _Linear:
@@ -449,7 +463,7 @@ class _At:
 
     shared: Array  # (r,) u
     own: Array  # (F, d) N, N, s
-    tags: model.Tags
+    tags: Tags
     residual: Array  # (F, 3 m) over the tags' noise
     objectives: Array  # (F,) squares of each frame
 
@@ -459,7 +473,7 @@ class _At:
         return float(np.sum(self.objectives) + self.shared @ self.shared)
 
 
-def rested(bench: model.Bench) -> model.Bench:
+def rested(bench: Bench) -> Bench:
     """With what the tags at rest say (Gauss-Newton, the beam without a force)."""
     o, m = bench.observations, len(bench.observations.marker_s)
     seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
@@ -470,7 +484,7 @@ def rested(bench: model.Bench) -> model.Bench:
     whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
     for _ in range(_REST_ROUNDS):
         now = replace(bench, mean=mean)
-        tags = model.tags_of(now, model.AT_REST, model.solve(now, model.rest_problem(now), none, at, None), none, at)
+        tags = model.tags_of(now, AT_REST, model.solve(now, model.rest_problem(now), none, at, None), none, at)
         rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
         away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - bench.mean)
         inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
@@ -479,25 +493,16 @@ def rested(bench: model.Bench) -> model.Bench:
 
 
 def together(
-    bench: model.Bench, frames: IntArray, begin: Estimates, prior_sd: Array, *, seek_place: bool
-) -> tuple[model.Bench, Estimates, Misfit]:
+    bench: Bench, frames: IntArray, begin: Estimates, prior_sd: Array, *, seek_place: bool
+) -> tuple[Bench, Estimates, Misfit]:
     """The bench as the `frames` (F,), rising, show it besides; what is known of them then; how well it fits."""
-    return _Joint(bench, frames, prior_sd, seek_place).run(begin)
+    return _Joint(bench, frames, begin.place, prior_sd, seek_place).run(begin)
 
 
-class _Joint:
+class _Joint(_FrameModel):
     """Gauss-Newton, damped."""
 
-    def __init__(self, bench: model.Bench, frames: IntArray, prior_sd: Array, seek_place: bool) -> None:
-        o = bench.observations
-        self.bench, self.frames, self.seek_place = bench, frames, seek_place
-        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-        self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd, self.mean = with_place(prior_sd, seek_place)
-        self.load = len(prior_sd)
-
-    def run(self, begin: Estimates) -> tuple[model.Bench, Estimates, Misfit]:
-        self.place = begin.place
+    def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
         own = np.column_stack([begin.force, begin.place]) if self.seek_place else begin.force
         now = self._at(np.zeros(self.bench.root.shape[1]), own)
         damping = 1e-4
@@ -516,15 +521,15 @@ class _Joint:
     def _at(self, shared: Array, own: Array, near: Array | None = None) -> _At:
         """With the frames' own unknowns brought to where they fit best, by a few steps each."""
         bench = self._bench(shared)
-        now = self._there(bench, shared, self._inside(own), near)
+        now = self._there(bench, shared, self.inside(own), near)
         for _ in range(_OWN_STEPS):
-            slopes, z = self._own_slopes(now.tags), (now.own - self.mean) / self.sd
+            slopes, z = self.own_slopes(now.tags), (now.own - self.mean) / self.sd
             inner = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))
             right = np.einsum("frd,fr->fd", slopes, now.residual) - z
             step = np.linalg.solve(inner, right[..., None])[..., 0]
             if not np.isfinite(now.objectives).all() or np.max(np.abs(step * right)) < _SETTLED:
                 break
-            trial = self._there(bench, shared, self._inside(now.own + self.sd * step), now.tags.solved.q)
+            trial = self._there(bench, shared, self.inside(now.own + self.sd * step), now.tags.solved.q)
             better = trial.objectives < now.objectives
             if not better.any():
                 break
@@ -532,38 +537,24 @@ class _Joint:
             now = trial if better.all() else self._there(bench, shared, own, now.tags.solved.q)
         return now
 
-    def _there(self, bench: model.Bench, shared: Array, own: Array, near: Array | None) -> _At:
-        place = own[:, -1] if self.seek_place else self.place
+    def _there(self, bench: Bench, shared: Array, own: Array, near: Array | None) -> _At:
+        place = self.placed(own)
         problem = (model.problem_apart if self.seek_place else model.problem_of)(bench, self.frames, place)
         near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
         solved = model.solve(bench, problem, own[:, : self.load], place, near)
         tags = model.tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
-        residual = self._flat(np.nan_to_num(self.seen - tags.pose)[..., None])[..., 0]
-        objectives = np.sum(residual**2, axis=1) + np.sum(((own - self.mean) / self.sd) ** 2, axis=1)
+        residual = self.away(tags.pose)
+        objectives = self.costs(residual, own)
         return _At(shared, own, tags, residual, np.where(solved.converged, objectives, np.inf))
 
-    def _inside(self, own: Array) -> Array:
-        return np.column_stack([own[:, :-1], np.clip(own[:, -1], model.INNERMOST, 1.0)]) if self.seek_place else own
-
-    def _bench(self, shared: Array) -> model.Bench:
+    def _bench(self, shared: Array) -> Bench:
         return replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
-
-    def _flat(self, of_tags: Array) -> Array:
-        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
-        return np.asarray((self.whiten @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
-
-    def _own_slopes(self, tags: model.Tags) -> Array:
-        """(F, 3 m, d) with the frames' own unknowns, over their priors' sd."""
-        own = tags.by_load
-        if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
-        return self._flat(own * self.sd)
 
     def _slopes(self, now: _At) -> tuple[Array, Array]:
         """The same, and (F, 3 m, r) with what is shared."""
-        place = now.own[:, -1] if self.seek_place else self.place
+        place = self.placed(now.own)
         tags = model.tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
-        return self._own_slopes(tags), self._flat(tags.by_shared @ self.bench.root)
+        return self.own_slopes(tags), self.flat(tags.by_shared @ self.bench.root)
 
     def _step(self, now: _At, damping: float) -> tuple[Array, Array]:
         own, shared = self._slopes(now)
@@ -579,7 +570,7 @@ class _Joint:
         by = np.linalg.solve(whole, pull)
         return now.shared + by, now.own + self.sd * (down[..., -1] - down[..., :-1] @ by)
 
-    def _outcome(self, now: _At) -> tuple[model.Bench, Estimates, Misfit]:
+    def _outcome(self, now: _At) -> tuple[Bench, Estimates, Misfit]:
         own, shared = self._slopes(now)
         side, size, turn = np.linalg.svd(own, full_matrices=False)
         inner = np.swapaxes(turn, 1, 2) @ (turn / (1.0 + size[..., None] ** 2))
@@ -597,7 +588,7 @@ class _Joint:
         measured = int(np.sum(np.any(self.whiten != 0.0, axis=-1)))
         whole = float(np.sum(squares) + now.shared @ now.shared)
         fit = Misfit(whole, measured - now.own.size, len(self.frames))
-        place = now.own[:, -1] if self.seek_place else self.place
+        place = self.placed(now.own)
         stands = np.where(now.tags.solved.converged, squares, np.inf)
         common = -(self.sd[:, None] * (down @ root))[:, : self.load]
         found = Estimates(now.own[:, : self.load], place, covariance, common, stands, squares, now.tags.pose)
@@ -620,13 +611,13 @@ _APART = 0.1  # of the beam: closer places are one
 class Searched:
     """Forces of F frames, and the bench as the frames together show it."""
 
-    bench: model.Bench
+    bench: Bench
     found: Estimates
     other_place: Array  # (F,) s that explains a frame about as well; NaN where there is none
     misfit: Misfit | None  # None: no frame shows a force
 
 
-def search(bench: model.Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> Searched:
+def search(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> Searched:
     """Of `frames` (F,), rising; `place` (F,) where the force acts, None: it is sought."""
     some = _together(bench, frames)
     begin, other = first(bench, frames[some], None if place is None else place[some], prior_sd)
@@ -661,21 +652,21 @@ def touches(found: Estimates) -> BoolArray:
     return out
 
 
-def _together(bench: model.Bench, frames: IntArray) -> IntArray:
+def _together(bench: Bench, frames: IntArray) -> IntArray:
     """Which of the frames tell the bench: evenly spread among those in which the tags moved."""
     moved = np.nan_to_num(moved_by(bench.observations)[frames])
     rows = np.flatnonzero(moved >= MOVED * np.max(moved))
     return np.asarray(rows[np.linspace(0, len(rows) - 1, min(_TOGETHER, len(rows))).astype(int)])
 
 
-def first(bench: model.Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> tuple[Estimates, Array]:
+def first(bench: Bench, frames: IntArray, place: Array | None, prior_sd: Array) -> tuple[Estimates, Array]:
     """Each frame by itself, and another place that does about as well."""
     if place is not None:
         return estimate(bench, frames, place, prior_sd, seek_place=False), np.full(len(frames), np.nan)
     return _at_unknown_place(bench, frames, prior_sd)
 
 
-def _at_unknown_place(bench: model.Bench, frames: IntArray, prior_sd: Array) -> tuple[Estimates, Array]:
+def _at_unknown_place(bench: Bench, frames: IntArray, prior_sd: Array) -> tuple[Estimates, Array]:
     """From the place of a scan that explains a frame best; and (F,) another that does about as well, NaN: none."""
     scan = [estimate(bench, frames, np.full(len(frames), s), prior_sd, seek_place=False, restarts=0) for s in _SCAN]
     objective = np.stack([one.objective for one in scan])  # (places, F)

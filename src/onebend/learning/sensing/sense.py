@@ -19,6 +19,7 @@ from onebend.learning.instruments import Instruments
 from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
 from onebend.learning.sensing.forces import PLACE_PRIOR, TOUCH, Misfit, Searched, first, read, rested, search, touches
+from onebend.learning.sensing.model import INNERMOST, Bench, Tags
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
@@ -300,7 +301,7 @@ def bench_of(
     stiffness: UncertainStiffness | None,
     instruments: Instruments | None,
     settings: SenseSettings,
-) -> model.Bench:
+) -> Bench:
     """The bench as the beam at rest leaves it.
 
     Raises:
@@ -313,7 +314,7 @@ def bench_of(
         place_sd = 0.0
     as_learned = settings.tags == "learned"
     prior = model.shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
-    return rested(model.Bench(beam, stiffness, prior, o, prior.mean, prior.root))
+    return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
 
 
 def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Array:
@@ -454,7 +455,7 @@ class _Shape:
 
     unknown: Array  # (d,) N, N, s
     edge: float  # s, of the grid
-    tags: model.Tags
+    tags: Tags
     noise: Array  # (m, 3, r) what the frames share, as it counts here
 
 
@@ -525,7 +526,7 @@ class OnlineSense:
             step = turn.T @ ((told * (left.T @ residual) - turn @ z) / (1.0 + told**2))
             unknown = shape.unknown + self._sd * step
             if self._place is None:
-                unknown[2] = np.clip(unknown[2], model.INNERMOST, 1.0)
+                unknown[2] = np.clip(unknown[2], INNERMOST, 1.0)
             moved = np.linalg.norm(np.hypot(1.0, told) * (turn @ step))
             if number and moved < _CLOSE:
                 break
@@ -567,7 +568,7 @@ class OnlineSense:
         tags = model.tags_of(bench, _ONE, solved, unknown[None, :2], at)
         return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
 
-    def _at(self, unknown: Array, edge: float) -> tuple[model.Bench, Array]:
+    def _at(self, unknown: Array, edge: float) -> tuple[Bench, Array]:
         """The bench with the place that is sought as far from the grid's edge as it is, and that edge."""
         if self._place is not None:
             return self._bench, np.array([self._place])
