@@ -83,5 +83,5 @@ COMMANDS = {
         "record",
         "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
         "out/my-push --play examples/linear-beam/train",
-    ),
+    )
 }

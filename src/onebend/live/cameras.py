@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import av
 import numpy as np
@@ -51,33 +51,24 @@ SILENT = 5.0  # s without a picture
 TIMING = StampTiming(host=True, delay=0.0, delay_error=0.03)
 
 
+Stream = Literal["color", "infrared"]
+STREAMS: tuple[Stream, ...] = ("color", "infrared")
+
+
 @dataclass(frozen=True)
-class V4l2Settings:
-    """What is asked of a camera; it gives what is nearest."""
+class CameraSettings:
+    """What is asked of a camera. A V4L2 camera gives what is nearest; a RealSense refuses what it cannot give."""
 
     width: int = 1280  # px
     height: int = 720
     fps: float = 30.0
-    packed: str = "MJPG"
     exposure: float = math.nan  # s; NaN: the camera chooses
+    packed: str = "MJPG"  # of V4L2
+    stream: Stream = "color"  # of a RealSense
 
 
-class Kernel(Protocol):
-    """The calls of the system that are used."""
-
-    def open(self, path: Path) -> int: ...
-
-    def ioctl(self, handle: int, request: int, data: bytearray) -> None: ...
-
-    def map(self, handle: int, length: int, offset: int) -> Any: ...
-
-    def ready(self, handle: int, wait: float) -> bool: ...
-
-    def close(self, handle: int) -> None: ...
-
-
-class LinuxKernel:
-    """This machine's."""
+class Kernel:
+    """The calls of Linux that are used."""
 
     def open(self, path: Path) -> int:
         return os.open(path, os.O_RDWR | os.O_NONBLOCK)
@@ -98,9 +89,9 @@ class LinuxKernel:
 class V4l2Camera(Device):
     """A camera such as /dev/video0."""
 
-    def __init__(self, path: Path, settings: V4l2Settings = V4l2Settings(), kernel: Kernel | None = None) -> None:
+    def __init__(self, path: Path, settings: CameraSettings = CameraSettings(), kernel: Kernel | None = None) -> None:
         super().__init__(f"the camera {path}", TIMING)
-        self._path, self._settings, self._kernel = path, settings, kernel or LinuxKernel()
+        self._path, self._settings, self._kernel = path, settings, kernel or Kernel()
         self._handle, self._maps = -1, list[Any]()
         self._size, self._stride, self._packed = (0, 0), 0, ""
         self._jpeg: Any = None
@@ -126,7 +117,6 @@ class V4l2Camera(Device):
         self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:
-        """The next picture."""
         try:
             if not self._kernel.ready(self._handle, wait):
                 return self._silence(SILENT, "sends no pictures any more")
@@ -146,7 +136,6 @@ class V4l2Camera(Device):
         return Frame(picture, buffer[5] + 1e-6 * buffer[6], arrival, buffer[7], colour)
 
     def close(self) -> None:
-        """Stop it."""
         if self._handle < 0:
             return
         with suppress(OSError):  # it is gone
@@ -166,7 +155,6 @@ class V4l2Camera(Device):
         return BUFFER.unpack(self._call(request, BUFFER.pack(index, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
 
     def _choose(self) -> None:
-        """Size, packing, rate and exposure."""
         able = CAPABILITY.unpack(self._call(QUERYCAP, bytes(CAPABILITY.size)))
         can = able[5] if able[4] & OWN_CAPABILITIES else able[4]
         if not (can & CAN_CAPTURE and can & CAN_STREAM):
@@ -200,7 +188,6 @@ class V4l2Camera(Device):
                 raise
 
     def _stream(self) -> None:
-        """Buffers, and the stream."""
         count = BUFFERS.unpack(self._call(REQBUFS, BUFFERS.pack(COUNT, CAPTURE, MAPPED, 0, 0)))[0]
         for i in range(count):
             there = self._buffer(QUERYBUF, i)
@@ -229,7 +216,6 @@ class V4l2Camera(Device):
 
 
 def _why(wrong: OSError) -> str:
-    """What to do, by what the system says."""
     known = {
         errno.ENOENT: "there is no such camera. Plug it in, or look for it: ls /dev/video*",
         errno.EACCES: "this camera may not be read. Join its group: sudo usermod -aG video $USER",
@@ -278,7 +264,6 @@ class AvCamera(Device):
         self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:  # noqa: ARG002 (FFmpeg waits by `PATIENCE`)
-        """The next picture."""
         try:
             frame = next(self._frames, None)
         except (av.error.FFmpegError, OSError) as wrong:
@@ -289,14 +274,12 @@ class AvCamera(Device):
         return Frame(luma_of(frame), stamp, self._clock.now(), -1, frame)
 
     def close(self) -> None:
-        """Leave it."""
         if self._container is not None:
             self._container.close()
             self._container = None
 
 
 def _file_at(place: str) -> tuple[Path, ...]:
-    """The file that is played, where the place is no camera."""
     path = Path(place.removeprefix("file:"))
     try:
         return (path,) if path.is_file() else ()
@@ -310,26 +293,13 @@ def _file_at(place: str) -> tuple[Path, ...]:
 # The calls are those of librealsense 2 (its API reference: pipeline, config, sensor, frame). Stamps are the camera's
 # own clock: the software's translation to this machine's time, which is renewed as it goes, is switched off.
 
-Stream = Literal["color", "infrared"]
-STREAMS: tuple[Stream, ...] = ("color", "infrared")
 EXPOSURE_UNITS = {"color": 1e-4, "infrared": 1e-6}  # s, of the option `exposure`
-
-
-@dataclass(frozen=True)
-class RealSenseSettings:
-    """What is asked of the camera; what it cannot give it refuses."""
-
-    stream: Stream = "color"
-    width: int = 1280  # px
-    height: int = 720
-    fps: int = 30
-    exposure: float = math.nan  # s; NaN: the camera chooses
 
 
 class RealSenseCamera(Device):
     """The camera with this serial number; without one, the first that is found."""
 
-    def __init__(self, serial: str = "", settings: RealSenseSettings = RealSenseSettings()) -> None:
+    def __init__(self, serial: str = "", settings: CameraSettings = CameraSettings()) -> None:
         super().__init__(f"the RealSense camera {serial}".rstrip(), StampTiming(delay=0.01, delay_error=0.03))
         self._serial, self._settings = serial, settings
         self._pipeline: Any = None
@@ -346,14 +316,14 @@ class RealSenseCamera(Device):
             config.enable_device(self._serial)
         size = (asked.width, asked.height)
         if asked.stream == "infrared":
-            config.enable_stream(made.stream.infrared, 1, *size, made.format.y8, asked.fps)
+            config.enable_stream(made.stream.infrared, 1, *size, made.format.y8, round(asked.fps))
         else:
-            config.enable_stream(made.stream.color, *size, made.format.yuyv, asked.fps)
+            config.enable_stream(made.stream.color, *size, made.format.yuyv, round(asked.fps))
         try:
             profile = pipeline.start(config)
         except RuntimeError as wrong:
             raise RecordingError(
-                f"{self.name} gives no {asked.stream} pictures of {asked.width}x{asked.height} at {asked.fps} a second "
+                f"{self.name} gives no {asked.stream} pictures of {asked.width}x{asked.height} at {asked.fps:.0f} Hz "
                 f"({wrong}). Is it plugged in, and does no other program have it? realsense-viewer shows its streams."
             ) from None
         self._pipeline = pipeline
@@ -365,7 +335,6 @@ class RealSenseCamera(Device):
         self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:
-        """The next picture."""
         try:
             came, frames = self._pipeline.try_wait_for_frames(max(1, round(1000.0 * wait)))
             now = self._clock.now()
@@ -386,7 +355,6 @@ class RealSenseCamera(Device):
         return Frame(luma, stamp, now, number, colour)
 
     def close(self) -> None:
-        """Stop it."""
         if self._pipeline is not None:
             with suppress(RuntimeError):  # it is gone
                 self._pipeline.stop()

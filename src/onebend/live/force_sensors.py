@@ -183,7 +183,6 @@ class AtiForce(Device):
         self._ask(STREAM)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The records that came."""
         assert self._socket is not None
         records: list[tuple[int, ...]] = []
         try:
@@ -204,7 +203,6 @@ class AtiForce(Device):
         return self._silence(LOST, "sends nothing: its cable, its power or its address")
 
     def close(self) -> None:
-        """Ask it to stop."""
         if self._socket is not None:
             self._ask(STOP)
             self._socket.close()
@@ -235,7 +233,6 @@ class AtiForce(Device):
         return Samples(stamp, counts / per, self._heard, lost)
 
     def _unwrapped(self, number: int) -> int:
-        """A number of 32 bits as one that goes on."""
         if self._number < 0:
             return number
         return self._number + (number - self._number + WRAPS // 2) % WRAPS - WRAPS // 2
@@ -350,7 +347,6 @@ class SerialForce(_Lines):
         self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The lines that came."""
         try:
             ready, _, _ = select.select([self._handle], [], [], wait)
             data = os.read(self._handle, 65536) if ready else b""
@@ -371,14 +367,12 @@ class SerialForce(_Lines):
         return silent or samples
 
     def close(self) -> None:
-        """Leave the port."""
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1
 
 
 def _plain(handle: int, speed: int) -> None:
-    """Bytes as they come, 8 bits, no parity, one stop bit."""
     iflag, oflag, cflag, lflag, _, _, cc = termios.tcgetattr(handle)
     iflag &= ~(
         termios.IGNBRK | termios.BRKINT | termios.PARMRK | termios.ISTRIP | termios.INLCR | termios.IGNCR
@@ -419,7 +413,6 @@ class GrowingLog(_Lines):
         self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The rows that were added."""
         try:
             data = self._stream.read(1 << 20)
             if not data:
@@ -438,7 +431,6 @@ class GrowingLog(_Lines):
         return self._silence(LONG_AGO, "does not grow any more") or samples
 
     def close(self) -> None:
-        """Leave the file."""
         if self._stream is not None:
             self._stream.close()
             self._stream = None
@@ -472,7 +464,6 @@ class _Robot(Device):
         self._robot: Any = None
 
     def read(self, wait: float) -> Samples | End | None:
-        """The rows of the next moments."""
         until = self._clock.now() + min(max(wait, 0.0), TOGETHER)
         rows: list[tuple[float, list[float]]] = []
         while True:
@@ -515,7 +506,6 @@ class UrForce(_Robot):
         self._begin(clock)
 
     def close(self) -> None:
-        """Disconnect."""
         if self._robot is not None:
             self._robot.disconnect()
             self._robot = None
@@ -548,7 +538,6 @@ class FrankaForce(_Robot):
         self._begin(clock)
 
     def close(self) -> None:
-        """Disconnect."""
         self._robot = None
 
     def _state(self) -> tuple[float, list[float]]:
@@ -588,7 +577,6 @@ class LslForce(Device):
         self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """What came."""
         try:
             rows, stamps = self._inlet.pull_chunk(timeout=min(wait, TOGETHER))
         except Exception as wrong:  # a LostError, of the package
@@ -601,7 +589,6 @@ class LslForce(Device):
         return Samples(np.array(stamps, dtype=float), force, self._heard)
 
     def close(self) -> None:
-        """Listen no more."""
         if self._inlet is not None:
             self._inlet.close_stream()
             self._inlet = None
@@ -642,7 +629,6 @@ class GrowingBag(Device):
         self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The messages that are new."""
         begun = self._clock.now()
         if begun < self._due:
             self._clock.wait_until(min(self._due, begun + wait))

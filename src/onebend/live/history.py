@@ -81,7 +81,6 @@ class FrameHistory:
         return tracks, repeated(changes)
 
     def _halved(self) -> list[TrackedFrame]:
-        """The first frame, of those after it every other one, and those that are spared."""
         out, change = [self._frames[0]], 0.0
         for i, frame in enumerate(self._frames[1:], start=1):
             change = max(change, frame.change)
@@ -101,7 +100,6 @@ class FrameHistory:
 
 
 def _changed(frame: TrackedFrame, change: float) -> TrackedFrame:
-    """The frame, as different from that before as the larger of both changes says."""
     return frame if change <= frame.change else replace(frame, change=change)
 
 
@@ -172,7 +170,6 @@ class ForceHistory:
             self._halve()
 
     def _insert(self, rows: Array) -> None:
-        """Rows that are not newer than the newest one."""
         self._room_for(len(rows))
         begin = int(np.searchsorted(self.rows[:, 0], rows[:, 0].min()))
         tail = np.concatenate([self.rows[begin:], rows])

@@ -65,7 +65,6 @@ class HyperparameterSearch:
 
     @property
     def climbs(self) -> bool:
-        """Whether the next trial is a climb."""
         return self._trials % _CLIMB_EVERY == 0
 
     @property
@@ -74,7 +73,6 @@ class HyperparameterSearch:
         return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
 
     def proposal(self, now: LiveHyperparameters) -> LiveHyperparameters:
-        """The next trial."""
         logs = np.log([getattr(now, name) for name in self._chosen])
         if self.climbs:
             i = self._climbs % len(self._chosen)
@@ -86,7 +84,6 @@ class HyperparameterSearch:
         return replace(now, **dict(zip(self._chosen, values.tolist(), strict=True)))
 
     def cost(self, hyperparameters: LiveHyperparameters) -> float:
-        """-2 log prior."""
         z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
         return float(z @ z)
 
@@ -147,7 +144,6 @@ class HyperparameterSearch:
             self._begin()
 
     def failed(self) -> None:
-        """After a trial that has no posterior."""
         if self.climbs:
             self.climbed(False)
         elif self._look < 2 * len(self._pairs):
@@ -171,7 +167,6 @@ class HyperparameterSearch:
         return mean + root @ away, np.asarray(0.5 * (out + out.T))
 
     def _begin(self) -> None:
-        """A new round of looks."""
         count = len(self._open)
         self._pairs = [(i, j) for i in range(count) for j in range(i + 1)]
         self._curved = np.zeros(len(self._pairs))
@@ -179,7 +174,6 @@ class HyperparameterSearch:
         self._look = 0
 
     def _away(self) -> Array:
-        """Offset of the next look from the optimum, in sd of the priors."""
         out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
         if self._look < pairs:
             i, j = self._pairs[self._look // 2]
@@ -248,18 +242,14 @@ class OnlineSettings:
 
     def check(self) -> None:
         """Raises `LearningError` for settings without meaning."""
-        sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
-        for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
-            value = getattr(self, name)
-            if value is not None and not value > 0.0:
+        positive = {"marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt"}
+        positive |= {"roughness", "steps", "bulk", "gate", "step"}
+        for name, value in vars(self).items():
+            if name in positive and value is not None and not value > 0.0:
                 raise LearningError(f"{name} must be positive, got {value}")
-        for name in ("force_zero", "force_load"):
-            value = getattr(self, name)
-            if value is not None and not value >= 0.0:
+            if name in ("force_zero", "force_load") and value is not None and not value >= 0.0:
                 raise LearningError(f"{name} cannot be negative, got {value}")
-        for name in ("thickness", "tag_size"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
+            if name in ("thickness", "tag_size") and value is not None and not (np.isfinite(value) and value > 0.0):
                 raise LearningError(f"{name} must be a length in m, got {value}")
         if not self.allowances <= CAUSAL_ALLOWANCES:
             other = ", ".join(sorted(self.allowances - CAUSAL_ALLOWANCES))
@@ -327,7 +317,6 @@ class StiffnessChains:
         return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
 
     def step(self, stiffness_form: InformationForm) -> None:
-        """One step of every chain."""
         b = _CHAINS
         self._logs, self._own = self._moved(self._data(stiffness_form), self._logs, self._own, self._rng)
         self._logs_drawn[self._next_draw : self._next_draw + b] = np.log(

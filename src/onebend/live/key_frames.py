@@ -312,7 +312,6 @@ class LoadStages:
         return not self._rising
 
     def _go_on(self, time: float, over: bool) -> None:
-        """The present change lasts until now."""
         amount, change = self._changes[-1]
         self._changes[-1] = amount, LoadChange(change.begin, time, change.release)
         self._open = None if over else self._open

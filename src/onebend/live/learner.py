@@ -239,13 +239,7 @@ _MISSED_EVERY = 8  # of so many updates without a solution one looks for a misse
 class Smoother:
     """All state of a live learner; its size is fixed when it is made."""
 
-    def __init__(
-        self,
-        session: LiveSession,
-        prior: LivePrior,
-        x: Array,
-        settings: OnlineSettings,
-    ) -> None:
+    def __init__(self, session: LiveSession, prior: LivePrior, x: Array, settings: OnlineSettings) -> None:
         tags, n = len(session.marker_s), session.layout.size
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
@@ -492,7 +486,6 @@ class Smoother:
         return self._prior.nuisance_sd
 
     def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
-        """The force log's error under these hyperparameters."""
         far_off = self._misfit > FAR_OFF * hyperparameters.marker
         return force_process(self._settings, hyperparameters, self._largest, far_off)
 
@@ -703,7 +696,6 @@ class OnlineLearner:
 
 
 def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness) -> tuple[LivePrior, Array]:
-    """The prior, and the parameters to begin with."""
     x, mean, p = np.zeros(layout.size), np.zeros(layout.size), layout.spline.count
     if isinstance(start, UncertainStiffness):
         if len(start.mean) < p:

@@ -160,7 +160,6 @@ class Following:
         self._catch_up(self._coming)
 
     def _released(self) -> list[Frame]:
-        """The frames that no review has seen and that do not wait."""
         waiting = {time for time, _ in self._waiting}
         return [frame for frame in self._since if frame[0] not in waiting]
 
@@ -492,7 +491,6 @@ class Live:
             self.recording = replace(self.recording, video=video)
 
     def _own(self, clock: ClockOffset) -> ClockOffset:
-        """The offset between the clocks as they were given."""
         return replace(clock, offset=clock.offset - self._begin, stated=clock.stated - self._begin)
 
     def _seen(self) -> Seen:

@@ -178,25 +178,25 @@ def session_layout(
     and force log share one clock. Allowances that are not wanted are frozen.
     """
 
-    def sd(stated: float | None, usual: float) -> float:
+    def stated_or(stated: float | None, usual: float) -> float:
         return usual if stated is None else stated
 
-    placement, mounted = sd(priors.placement, _PLACEMENT_SD), sd(priors.mounting, TURN_SD)
+    placement, mounted = stated_or(priors.placement, _PLACEMENT_SD), stated_or(priors.mounting, TURN_SD)
     numbers = range(1, len(marker_s) + 1)
     every = causal_allowances(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
     wanted: list[tuple[str, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", "rad", sd(priors.curvature, CURVATURE_SD), ("q0 mean", "q0 slope", "q0 bow")),
+        ("curvature", "rad", stated_or(priors.curvature, CURVATURE_SD), ("q0 mean", "q0 slope", "q0 bow")),
         ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
         ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
         ("turn", "rad", mounted, tuple(f"tag {i} turn" for i in numbers)),
-        ("clamp", "rad", sd(priors.clamp, CLAMP_SD), ("clamp angle",)),
-        ("origin", "m", sd(priors.origin, _PLACEMENT_SD), ("origin x", "origin y")),
+        ("clamp", "rad", stated_or(priors.clamp, CLAMP_SD), ("clamp angle",)),
+        ("origin", "m", stated_or(priors.origin, _PLACEMENT_SD), ("origin x", "origin y")),
         ("scale", "1", priors.scale or 0.0, ("camera scale",)),
         ("clock", "s", priors.clock or 0.0, ("clock offset",)),
-        ("place", "m", sd(priors.place, PLACE_SD), ("push place",)),
-        ("direction", "rad", sd(priors.direction, DIRECTION_SD), ("force axes",)),
+        ("place", "m", stated_or(priors.place, PLACE_SD), ("push place",)),
+        ("direction", "rad", stated_or(priors.direction, DIRECTION_SD), ("force axes",)),
         *((a.name, a.unit, a.prior_sd * (a.name in allowances), a.labels) for a in every),
     ]
     blocks, start = [], 0
@@ -277,7 +277,6 @@ class LinearisedTags:
     a: Array  # (B, m, 3, 2) with the logged force, per N
 
     def take(self, chosen: BoolArray) -> LinearisedTags:
-        """Some of the frames."""
         return LinearisedTags(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
@@ -333,7 +332,6 @@ def _material(solved: Equilibrium, beam: PointBeam) -> Perturbation:
 
 
 def _with_material(loads: ResponseColumns, material: Perturbation, beam: PointBeam) -> ResponseColumns:
-    """The columns of the loads, and behind them those of the material."""
     first = len(loads.changes.clamp)
     behind = {name: slice(first + c.start, first + c.stop) for name, c in beam.columns.items()}
     return ResponseColumns(loads.changes + material, loads.slices | behind)

@@ -341,7 +341,6 @@ def _add_marginalised(
 
 
 def _inverse(c: Array) -> tuple[Array, float]:
-    """Of a covariance, and its log determinant."""
     factor, info = dpotrf(c, lower=1)
     if info:
         raise np.linalg.LinAlgError("a prior's covariance is not positive definite")
@@ -350,7 +349,6 @@ def _inverse(c: Array) -> tuple[Array, float]:
 
 
 def _symmetric(lower: Array) -> Array:
-    """From the lower triangle, zero above it."""
     out = lower + lower.T
     out.ravel()[:: len(out) + 1] *= 0.5
     return np.asarray(out)

@@ -317,7 +317,6 @@ class WholeFragments:
         del self._waiting[:whole]
 
     def close(self) -> None:
-        """Nothing more is written."""
         self._file.close()
 
 
@@ -619,7 +618,6 @@ class Pump:
                 yield source, got
 
     def close(self) -> None:
-        """Read no more, and wait for what still reads."""
         self._stop.set()
         for thread in self._threads:
             thread.join(timeout=_PATIENCE)
@@ -636,7 +634,6 @@ class Pump:
         return source, item if item is not None else End(f"{source.name} ended")
 
     def _read(self, source: Source) -> None:
-        """One source, in a thread of its own."""
         while not self._stop.is_set():
             item = source.read(_WAIT)
             if item is None:

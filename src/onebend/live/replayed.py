@@ -81,12 +81,10 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
 
 
 def _known(stated: float, wanted: float | None) -> float | None:
-    """What the recording states, where it does."""
     return stated if np.isfinite(stated) else wanted
 
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
-    """What the fit takes as known before the data."""
     at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
     sd = {
         name: float(at.index[name, 0].prior_sd[0])
@@ -159,7 +157,6 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
 
 
 def _playable(observations: Observations) -> list[int]:
-    """Frames under load, and frames at rest well away from contact."""
     o = observations
     known = np.all(np.isfinite(o.force), axis=1)
     touched = o.time[o.loaded]

@@ -58,7 +58,6 @@ class Seen:
 
     @property
     def until(self) -> float:
-        """s, the frames' clock."""
         return float(self.tracks.time[-1])
 
 
@@ -244,7 +243,6 @@ class Reviewer:
 
     @property
     def busy(self) -> bool:
-        """Whether a review is being made."""
         return self._made is not None
 
     @property
@@ -253,7 +251,6 @@ class Reviewer:
         return self._spent
 
     def begin(self, seen: Seen) -> None:
-        """Begin a review."""
         begun = time.thread_time()
         self._made = review(seen, *self._settings)
         self._spent += time.thread_time() - begun

@@ -85,7 +85,6 @@ class NextPush:
             self._coming = self._pool.submit(next_push_words, seen, observing)
 
     def close(self) -> None:
-        """End the process."""
         if self._pool is None:
             return
         processes = list(getattr(self._pool, "_processes", {}).values())
@@ -153,7 +152,6 @@ class Follower:
         return {"live": state, "stiffness": state.stiffness, "half_width": half_width_share(state.stiffness)}
 
     def plan(self) -> None:
-        """Begin to find what the next push should be."""
         if self._live is not None:
             self._next.ask(seen_by(self._live), self._settings.live.observing)
 
@@ -163,7 +161,6 @@ class Follower:
         return self._next.words
 
     def close(self) -> None:
-        """End what learns beside this process."""
         self._next.close()
         if self._live is not None:
             self._live.close()
@@ -249,7 +246,6 @@ class _Session:
         self._planned = False  # the next push is asked for, in this rest
 
     def run(self, stop: Stop, begin: Stop) -> CaptureOutcome:
-        """Until something ends it."""
         try:
             for item in self._pump:
                 if item is not None:
@@ -294,7 +290,6 @@ class _Session:
             self._felt(item)
 
     def _set_up(self, frame: Frame) -> None:
-        """One picture before the film begins."""
         settings = self._settings
         while self._early and self._early[0].arrival < frame.arrival - settings.setup - 0.5:
             self._early.popleft()
@@ -308,17 +303,13 @@ class _Session:
         if advice or math.isnan(self._good_since):
             self._good_since = frame.arrival
         if self._force is not None and not any(isinstance(one, Samples) for one in self._early):
-            advice = [
-                *advice,
-                NO_FORCE,
-            ]
+            advice = [*advice, NO_FORCE]
         self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice or [GOOD]))
         good = self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup
         if good:
             self._begin()
 
     def _begin(self) -> None:
-        """The film begins with the pictures of the last moments."""
         first = next(one for one in self._early if isinstance(one, Frame))
         height, width = first.picture.shape
         for path in self._places.earlier:
@@ -336,7 +327,6 @@ class _Session:
                 self._felt(item)
 
     def _too_late(self) -> bool:
-        """Whether there is no time to search this picture for tags."""
         now = self._clock.now()
         if self._pump.waiting > self._settings.most_waiting and now - self._followed < LEAST_OFTEN:
             return True
@@ -374,7 +364,6 @@ class _Session:
             self._newest = float(time[good[-1]]), force[good[-1]]
 
     def _now_and_then(self) -> None:
-        """What need not be done for each frame."""
         now, settings = self._clock.now(), self._settings
         if self._film is not None and now >= self._next_flush:
             self._next_flush = now + settings.flush_every
@@ -389,7 +378,6 @@ class _Session:
             self._watch(self._state)
 
     def _renew(self) -> None:
-        """The state, of what is known now."""
         now, state, stages, settings = self._clock.now(), self._state, self._stages, self._settings
         if self._film is not None:
             if now >= self._next_stiffness or self._why:
@@ -423,7 +411,6 @@ class _Session:
         self._state = state
 
     def _close(self) -> None:
-        """Put all there is on disk."""
         self._follower.close()
         if self._film is None:
             return

@@ -186,7 +186,6 @@ class StampedClock:
         return self._line
 
     def renew(self) -> None:
-        """Make the line of all that came."""
         self._due = 0
 
     def own(self, stamp: ArrayLike, arrival: ArrayLike) -> Array:

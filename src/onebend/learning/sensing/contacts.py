@@ -56,14 +56,6 @@ class _Frame(NamedTuple):
     step: Array  # (G, n, n) to the frame from the one before
 
 
-@dataclass(frozen=True)
-class _Filtered:
-    """And of all T frames."""
-
-    frames: list[_Frame]
-    evidence: Array  # (G,) log but for a constant, all that the frames share being known
-
-
 def smoothed(time: Array, found: Estimates, runs: list[tuple[int, int]], prior_sd: float, widened: float) -> Smoothed:
     """Of frames at `time` (F,) [s], from what each shows by itself; `runs`: first and last of each contact, outside
     which the force is that of each frame; `widened`: how much wider the variance of the frames' own noise counts."""
@@ -74,22 +66,21 @@ def smoothed(time: Array, found: Estimates, runs: list[tuple[int, int]], prior_s
     memory = _memory(readings, prior_sd)
     for (a, b), one in zip(runs, readings, strict=True):
         known = np.isfinite(found.force[a : b + 1]).all(axis=1)
-        mean, spread = _backward(_filtered(one, prior_sd, np.array([memory])))
+        mean, spread = _backward(_filtered(one, prior_sd, np.array([memory]))[0])
         force[a : b + 1][known], covariance[a : b + 1][known] = mean[known], spread[known]
     return Smoothed(force, covariance, memory, widened)
 
 
 def _memory(readings: list[FrameForces], prior_sd: float) -> float:
-    """s, the correlation time of greatest evidence."""
     every = [one.time for one in readings]
     shortest = float(np.median(np.concatenate([np.diff(time) for time in every])))
     times = np.geomspace(_SHORTEST * shortest, _LONGEST * max(float(t[-1] - t[0]) for t in every), _TIMES)
-    evidence = np.sum([_filtered(one, prior_sd, times).evidence for one in readings], axis=0)
+    evidence = np.sum([_filtered(one, prior_sd, times)[1] for one in readings], axis=0)
     return float(times[np.argmax(evidence)])
 
 
-def _filtered(readings: FrameForces, prior_sd: float, times: Array) -> _Filtered:
-    """For processes of correlation times `times` (G,) [s]."""
+def _filtered(readings: FrameForces, prior_sd: float, times: Array) -> tuple[list[_Frame], Array]:
+    """Frames and log evidence (G,), but for a constant, of processes of correlation times `times` (G,) [s]."""
     rate, powers, still = np.sqrt(2.0 * _ORDER - 1.0) / times, *_matern(_ORDER)
     still = np.tile(prior_sd**2 * still, (len(times), 1, 1))
     columns = np.concatenate([readings.told[..., None], -readings.common], axis=-1)
@@ -114,7 +105,7 @@ def _filtered(readings: FrameForces, prior_sd: float, times: Array) -> _Filtered
         left = np.eye(2 * _ORDER) - gain @ h  # of Joseph: it stays symmetric and positive
         spread = left @ spread @ np.swapaxes(left, 1, 2) + gain @ np.swapaxes(gain, 1, 2)
         last = time
-    return _Filtered(kept, evidence)
+    return kept, evidence
 
 
 def _matern(order: int) -> tuple[Array, Array]:
@@ -136,13 +127,13 @@ def _step(turns: Array, powers: Array) -> Array:
     return np.asarray(np.exp(-turns)[:, None, None] * np.einsum("kg,kij->gij", np.stack(series), powers))
 
 
-def _backward(filtered: _Filtered) -> tuple[Array, Array]:
+def _backward(frames: list[_Frame]) -> tuple[Array, Array]:
     """(T, 2) N and (T, 2, 2) N^2, of the first process."""
-    count, size = len(filtered.frames), 2 * _ORDER
+    count, size = len(frames), 2 * _ORDER
     force, covariance = np.zeros((count, 2)), np.zeros((count, 2, 2))
-    pull, told = np.zeros_like(filtered.frames[0].mean[0]), np.zeros((size, size))
+    pull, told = np.zeros_like(frames[0].mean[0]), np.zeros((size, size))
     for t in range(count - 1, -1, -1):
-        one = filtered.frames[t]
+        one = frames[t]
         h, spread, step = one.weigh, one.spread[0], one.step[0]
         left = np.eye(size) - one.gain[0] @ h
         pull = left.T @ pull + h.T @ one.surprise[0]

@@ -52,11 +52,9 @@ class Estimates:
     pose: Array  # (F, m, 3) the tags that belong to it
 
     def take(self, rows: IntArray | BoolArray) -> Estimates:
-        """Of some frames."""
         return Estimates(*(values[rows] for values in vars(self).values()))
 
     def then(self, other: Estimates) -> Estimates:
-        """Followed by those of other frames."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Estimates(*(np.concatenate(pair) for pair in pairs))
 
@@ -81,7 +79,7 @@ class _SearchState:
                 values[rows] = getattr(other, name)
 
 
-class _FrameModel:
+class FrameModel:
     """Some frames and their unknowns: the load of each and, where it is sought, its place."""
 
     def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
@@ -164,7 +162,7 @@ def _searched(
     return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
 
 
-class _Search(_FrameModel):
+class _Search(FrameModel):
     """Gauss-Newton for one chunk of frames."""
 
     def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
@@ -214,7 +212,6 @@ class _Search(_FrameModel):
             rows = rows[~done]
 
     def _at(self, rows: IntArray, state: _SearchState) -> Equilibrium:
-        """The beam as it stands in the state."""
         found = self._solved(rows, state.unknown, state.q)
         return replace(found, converged=found.converged & state.stands)
 
@@ -288,7 +285,6 @@ class FrameForces:
     widened: float  # of the variance of the frames' own noise, for its memory
 
     def take(self, rows: IntArray | slice) -> FrameForces:
-        """Of some frames."""
         return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows], self.widened)
 
 
@@ -325,13 +321,7 @@ class _Linear:
 
 
 def read(
-    bench: Bench,
-    frames: IntArray,
-    load: Array,
-    place: Array,
-    prior_sd: Array,
-    *,
-    seek_place: bool,
+    bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, *, seek_place: bool
 ) -> FrameForces:
     """Of `frames` (F,), to first order about `load` (F, n) at `place` (F,), NaN in frames that tell nothing; the
     frame's other unknowns are integrated out.
@@ -360,7 +350,7 @@ def read(
 
 
 def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
-    frame = _FrameModel(bench, frames, place, prior_sd, seek_place)
+    frame = FrameModel(bench, frames, place, prior_sd, seek_place)
     solved = model.solve(
         bench, (model.problem_apart if seek_place else model.problem_of)(bench, frames, place), load, place, None
     )
@@ -469,7 +459,6 @@ class _At:
 
     @property
     def objective(self) -> float:
-        """All squares."""
         return float(np.sum(self.objectives) + self.shared @ self.shared)
 
 
@@ -499,7 +488,7 @@ def together(
     return _Joint(bench, frames, begin.place, prior_sd, seek_place).run(begin)
 
 
-class _Joint(_FrameModel):
+class _Joint(FrameModel):
     """Gauss-Newton, damped."""
 
     def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
@@ -519,7 +508,6 @@ class _Joint(_FrameModel):
         return self._outcome(now)
 
     def _at(self, shared: Array, own: Array, near: Array | None = None) -> _At:
-        """With the frames' own unknowns brought to where they fit best, by a few steps each."""
         bench = self._bench(shared)
         now = self._there(bench, shared, self.inside(own), near)
         for _ in range(_OWN_STEPS):

@@ -176,7 +176,6 @@ class Bench:
 
     @property
     def parts(self) -> dict[str, slice]:
-        """Where each part stands."""
         return self.prior.parts
 
     def value(self, part: str) -> float:
@@ -358,7 +357,6 @@ def tags_of(
 
 
 def _of_own(bench: Bench, problem: Problem, load: Array, place: Array) -> Perturbation:
-    """By the n numbers of the load, and by its place."""
     count, n = load.shape
     shape = (count, problem.to_nodes.shape[-1])
     force, moment = np.zeros((*shape, 2, n + 1)), np.zeros((*shape, n + 1))

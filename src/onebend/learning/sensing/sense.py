@@ -14,12 +14,11 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
-from onebend.learning.frames import whitening
 from onebend.learning.instruments import Instruments
 from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
-from onebend.learning.sensing.forces import PLACE_PRIOR, TOUCH, Misfit, Searched, first, read, rested, search, touches
-from onebend.learning.sensing.model import INNERMOST, Bench, Tags
+from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
+from onebend.learning.sensing.model import Bench, Tags
 from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
@@ -483,30 +482,24 @@ class OnlineSense:
         self._bench = bench_of(beam, o, stiffness, instruments, settings)
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
-        self._sd = np.array([prior_of(beam, settings)] * 2 + [PLACE_PRIOR[1]])
-        self._mean = np.array([0.0, 0.0, PLACE_PRIOR[0]])
-        if self._place is not None:
-            self._sd, self._mean = self._sd[:2], self._mean[:2]
+        self._force_sd = np.full(2, prior_of(beam, settings))
         self._shape: _Shape | None = None
 
     @one_blas_thread
     def add(self, time: float, xy: Array, angle: Array, covariance: Array) -> LiveForce:
         """The force in a frame at `time` [s]: tags at `xy` (m, 2) [m], `angle` (m,) [rad], with their covariance
         (m, 3, 3); NaN where a tag was not seen."""
-        seen = np.concatenate([xy, angle[:, None]], axis=1)
         if np.sum(np.isfinite(xy)) < 2:
-            none = np.full((2, 2), np.nan)
-            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan)
-        whiten = whitening(seen, covariance)
-        count = int(np.sum(np.isfinite(seen)))
-        shape = self._shape if self._shape is not None else self._anew(time, seen, covariance)
-        found = self._follow(shape, seen, whiten)
-        if found is None or found[3] > _LOST * count:
-            again = self._follow(self._anew(time, seen, covariance), seen, whiten)
+            return _no_force(time, np.nan)
+        frame = self._frame(time, xy, angle, covariance)
+        most = _LOST * int(np.sum(np.isfinite(frame.seen)))
+        found = self._follow(self._shape if self._shape is not None else self._anew(frame), frame)
+        if found is None or found[3] > most:
+            again = self._follow(self._anew(frame), frame)
             found = again if found is None or (again is not None and again[3] < found[3]) else found
-        if found is None or not found[3] <= _LOST * count:
-            self._shape, none = None, np.full((2, 2), np.nan)
-            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan if found is None else found[3])
+        if found is None or not found[3] <= most:
+            self._shape = None
+            return _no_force(time, np.nan if found is None else found[3])
         self._shape, unknown, spread, chi2 = found
         axes = self._bench.axes
         force, part = axes @ unknown[:2], axes @ spread[:2, :2] @ axes.T
@@ -517,16 +510,14 @@ class OnlineSense:
         touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
         return LiveForce(time, force, part, place, place_sd, touched, chi2)
 
-    def _follow(self, shape: _Shape, seen: Array, whiten: Array) -> tuple[_Shape, Array, Array, float] | None:
+    def _follow(self, shape: _Shape, frame: FrameModel) -> tuple[_Shape, Array, Array, float] | None:
         """Shape, unknowns (d,), their covariance and the squared residuals; None where the beam does not stand."""
         for number in range(_STEPS):
-            slopes, residual = self._whitened(shape, seen, whiten)
+            slopes, residual = self._whitened(shape, frame)
             left, told, turn = np.linalg.svd(slopes, full_matrices=False)
-            z = (shape.unknown - self._mean) / self._sd
+            z = (shape.unknown - frame.mean) / frame.sd
             step = turn.T @ ((told * (left.T @ residual) - turn @ z) / (1.0 + told**2))
-            unknown = shape.unknown + self._sd * step
-            if self._place is None:
-                unknown[2] = np.clip(unknown[2], INNERMOST, 1.0)
+            unknown = frame.inside(shape.unknown[None] + frame.sd * step)[0]
             moved = np.linalg.norm(np.hypot(1.0, told) * (turn @ step))
             if number and moved < _CLOSE:
                 break
@@ -534,22 +525,17 @@ class OnlineSense:
             if now is None:
                 return None
             shape = now
-        slopes, residual = self._whitened(shape, seen, whiten)
+        slopes, residual = self._whitened(shape, frame)
         _, told, turn = np.linalg.svd(slopes, full_matrices=False)
-        root = self._sd[:, None] * turn.T / np.hypot(1.0, told)
-        left_over = residual - slopes @ ((unknown - shape.unknown) / self._sd)
+        root = frame.sd[:, None] * turn.T / np.hypot(1.0, told)
+        left_over = residual - slopes @ ((unknown - shape.unknown) / frame.sd)
         return shape, unknown, root @ root.T, float(left_over @ left_over)
 
-    def _whitened(self, shape: _Shape, seen: Array, whiten: Array) -> tuple[Array, Array]:
+    def _whitened(self, shape: _Shape, frame: FrameModel) -> tuple[Array, Array]:
         """(3 m, d) slopes over the priors' sds, and (3 m,) residuals, in units of all noise."""
-        tags, count = shape.tags, seen.size
-        shared = (whiten @ shape.noise).reshape(count, -1)
-        own = tags.by_load[0]
-        if self._place is None:
-            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0]], axis=-1)
-        both = np.concatenate([own * self._sd, np.nan_to_num(seen - tags.pose[0])[..., None]], axis=-1)
-        root = np.linalg.cholesky(np.eye(count) + shared @ shared.T)
-        out = np.linalg.solve(root, (whiten @ both).reshape(count, -1))
+        shared, tags = frame.flat(shape.noise[None])[0], shape.tags
+        both = np.column_stack([frame.own_slopes(tags)[0], frame.away(tags.pose)[0]])
+        out = np.linalg.solve(np.linalg.cholesky(np.eye(len(both)) + shared @ shared.T), both)
         return out[:, :-1], out[:, -1]
 
     def _solved(self, unknown: Array, near: _Shape) -> _Shape | None:
@@ -576,27 +562,37 @@ class OnlineSense:
         mean[self._bench.parts["place"]] = (unknown[2] - edge) * self._bench.observations.length
         return replace(self._bench, mean=mean), np.array([edge])
 
-    def _anew(self, time: float, seen: Array, covariance: Array) -> _Shape:
-        """As a recording's frame is sought that has none before it."""
+    def _frame(self, time: float, xy: Array, angle: Array, covariance: Array) -> FrameModel:
         o = self._bench.observations
         alone = replace(
             o,
             time=np.array([time]),
             frame=_ONE,
-            xy=seen[None, :, :2],
-            angle=seen[None, :, 2],
+            xy=xy[None],
+            angle=angle[None],
             covariance=covariance[None],
             force=np.zeros((1, 2)),
             push_s=np.full(1, np.nan),
             loaded=np.ones(1, dtype=bool),
             gravity=o.gravity[:1],
         )
-        bench = replace(self._bench, observations=alone)
-        place = None if self._place is None else np.array([self._place])
-        found, _ = first(bench, _ONE, place, self._sd[:2])
-        unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(self._sd)]
+        bench, place = (
+            replace(self._bench, observations=alone),
+            np.full(1, np.nan if self._place is None else self._place),
+        )
+        return FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
+
+    def _anew(self, frame: FrameModel) -> _Shape:
+        """The frame as one of a recording, with none before it."""
+        found, _ = first(frame.bench, _ONE, None if frame.seek_place else frame.place, self._force_sd)
+        unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(frame.sd)]
         edge = self._place if self._place is not None else float(found.place[0])
         here, at = self._at(unknown, edge)
         solved = model.solve(here, model.problem_of(here, _ONE, at), unknown[None, :2], at, None)
         tags = model.tags_of(here, _ONE, solved, unknown[None, :2], at)
         return _Shape(unknown, edge, tags, tags.by_shared[0] @ here.root)
+
+
+def _no_force(time: float, chi2: float) -> LiveForce:
+    none = np.full((2, 2), np.nan)
+    return LiveForce(time, none[0], none, np.nan, np.nan, False, chi2)

@@ -71,7 +71,6 @@ class ToldForces:
     prior_sd: float  # N, of each component before the shape was seen, mean zero
 
     def take(self, rows: IntArray) -> ToldForces:
-        """Of some frames."""
         return replace(
             self,
             time=self.time[rows],
