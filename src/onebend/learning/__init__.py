@@ -68,11 +68,11 @@ if TYPE_CHECKING:
     from onebend.learning.sensing.contacts import Smoothed as Smoothed
     from onebend.learning.sensing.forces import Misfit as Misfit
     from onebend.learning.sensing.sense import (
+        ContactMoment as ContactMoment,
         LiveForce as LiveForce,
         OnlineSense as OnlineSense,
         Sensed as Sensed,
         SenseSettings as SenseSettings,
-        ToldMoment as ToldMoment,
         Touch as Touch,
     )
     from onebend.learning.sensing.sensor import SensorCheck as SensorCheck
@@ -116,7 +116,7 @@ else:
             "onebend.learning.push_place": "PlaceSearch",
             "onebend.learning.sensing.contacts": "Smoothed",
             "onebend.learning.sensing.forces": "Misfit",
-            "onebend.learning.sensing.sense": "LiveForce OnlineSense SenseSettings Sensed ToldMoment Touch",
+            "onebend.learning.sensing.sense": "ContactMoment LiveForce OnlineSense SenseSettings Sensed Touch",
             "onebend.learning.sensing.sensor": "SensorCheck",
             "onebend.learning.start": "start_of with_mass",
             "onebend.learning.static_poses": "HeldEnds SeenPoses",

@@ -287,11 +287,8 @@ def _file_at(place: str) -> tuple[Path, ...]:
         return ()
 
 
-# RealSense cameras through `pyrealsense2`: their colour, or their left infrared picture, which a global shutter
-# takes.
-#
-# The calls are those of librealsense 2 (its API reference: pipeline, config, sensor, frame). Stamps are the camera's
-# own clock: the software's translation to this machine's time, which is renewed as it goes, is switched off.
+# RealSense cameras through `pyrealsense2`. Stamps are the camera's own clock: the software's translation to this
+# machine's time is switched off. The infrared picture is taken with a global shutter.
 
 EXPOSURE_UNITS = {"color": 1e-4, "infrared": 1e-6}  # s, of the option `exposure`
 

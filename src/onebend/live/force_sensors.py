@@ -117,12 +117,8 @@ def cells_of(names: Sequence[str], zero: Sequence[str] = (), *, where: str) -> C
     )
 
 
-# ATI's Net F/T and Axia sensors: records over UDP, as the maker's manual of the Net F/T (9620-05-NET FT, section 9)
-# describes its Raw Data Transfer (RDT).
-#
-# A request is 8 bytes, big-endian: 0x1234, a command (0 stop, 2 stream at once), a count (0: without end). A record
-# is 36 bytes: a sequence number, the number of the internal sample, a status, and six counts. Counts per newton,
-# units and the rate stand in the page netftapi2.xml of the box.
+# ATI's Net F/T and Axia sensors: Raw Data Transfer over UDP (manual 9620-05-NET FT, section 9). Requests are 8 bytes
+# and records 36 bytes, big-endian; `read_scale` reads counts per newton, units and rate from the box.
 
 PORT, WEB_PORT = 49152, 80
 REQUEST, RECORD = struct.Struct("!HHI"), struct.Struct("!IIIiiiiii")
@@ -594,10 +590,8 @@ class LslForce(Device):
             self._inlet = None
 
 
-# A ROS bag that a robot is writing: its force topic, read again and again up to where it ends.
-#
-# Each look reads the whole bag, as one that broke off, and takes what is new; so looks are farther apart the longer
-# it grows. A recorder writes in chunks: what it holds back is not seen before it lets go of it.
+# A ROS bag that a robot is writing. Each look reads the whole bag and takes what is new, so looks are farther apart the
+# longer it grows. Messages that the recorder still holds back are not seen.
 
 EVERY, SHARE = 0.5, 4.0  # s between two looks, and times what the last one took
 SILENT_TOPIC = 30.0  # s without a message

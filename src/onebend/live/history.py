@@ -1,7 +1,6 @@
-"""What is kept of a stream: the tags of its frames and the rows of its force log, in order of time, of bounded size.
+"""The tags and the force log of a stream so far, in order of time, of bounded size.
 
-Where a store is full, it goes on at half the rate: of the frames every other one is kept, and two rows of the log
-become their mean. So a long push is kept from its first rest to its end.
+A full store goes on at half the rate: every other frame is dropped, and two rows of the log become their mean.
 """
 
 from __future__ import annotations

@@ -20,12 +20,9 @@ from onebend.live.key_frames import CAUSAL_ALLOWANCES, ForceProcess
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
 from onebend.records import Array
 
-# Hyperparameters of the force error in the live learner: a search for the most probable, and an average around them.
-#
-# The search makes one trial at a time, with the data so far. Every second trial is a climb: one hyperparameter is
-# made larger or smaller, and the change is kept if it is more probable. The others are looks. Pairs of looks near the
-# optimum give the curvature of the log probability; pairs far out along its principal axes are the nodes over which
-# log k is averaged (a cubature of degree three, as in the fit). A round of looks is followed by the next.
+# A search for the most probable hyperparameters of the force error, one trial with every fourth frame. Climbs change
+# one of them and keep what is better. Looks come in pairs: near the optimum for the curvature, far out as cubature
+# nodes.
 
 _CHOSEN = ("coloured", "memory", "walk", "load", "white")  # log k is averaged over all but the last
 _CENTRE = 0.25  # share of the node in the middle
@@ -273,11 +270,8 @@ def force_process(
     )
 
 
-# Hyperparameters of log k's prior in the live learner: drawn from the same density as in `stiffness_prior.py`.
-#
-# A few Markov chains run for as long as frames come. The posterior changes little from frame to frame, so a few steps
-# of the chains follow it. The last draws are kept. Given the hyperparameters log k is normal, so its mean and
-# covariance are averages over draws.
+# Hyperparameters of log k's prior: a few Markov chains run while frames come, and their last draws are kept. Given the
+# hyperparameters log k is normal, so its mean and covariance are averages over draws.
 
 _CHAINS = 2
 _KEPT_STEPS = 20  # the last steps, whose draws are kept

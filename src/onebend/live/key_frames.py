@@ -1,9 +1,8 @@
 """Key frames: a bounded set of frames that stands for all frames so far.
 
 A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps its
-measurement, so that it can be linearised anew. Two neighbours in time under nearly the same force are averaged: the
-mean of their residuals, added to the prediction under their mean force, counts as a measurement under that force.
-Where no two are alike, the oldest is marginalised (`marginalised.py`).
+measurement, so that it can be linearised anew. Neighbours in time under nearly the same force are averaged; where no
+two are alike, the oldest is marginalised (`posterior.py`).
 """
 
 from __future__ import annotations
@@ -21,11 +20,8 @@ from onebend.learning.force_error import ANEW, RELEASED
 from onebend.recording.force import BEFORE, CLEAR, EARLY, TURN, LoadChange
 from onebend.records import Array, BoolArray, IntArray
 
-# The allowances of a learner that sees frame after frame, and the course of the push as far as it has been seen.
-#
-# They are those of a whole recording but for what needs frames to come or a camera's place. Displacements here are
-# over the beam's length: nobody knows the largest one before the end. So the parameters that go with it keep their
-# units, and their prior follows the largest so far (`course_scale`).
+# Allowances of a learner that sees frame after frame: those that need no later frame and no place of the camera.
+# Displacements are over the beam's length; the priors follow the largest one so far (`course_scale`).
 
 # Of the others, inertia needs frames to come, gravity's direction the weight, and three need the camera's place.
 CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {
@@ -131,12 +127,8 @@ class CourseBases:
         return sum((basis @ values[name] for name, basis in self.poses.items()), start=0.0)
 
 
-# The error of a force log as a process in time: a level, a random walk, an Ornstein-Uhlenbeck part, white noise, and
-# a part that comes with the load (`recording/force.py`). That part has a time of its own, which advances
-# only while the load changes; `LoadStages` finds it from frames as they come.
-#
-# Frames that are averaged into one key frame share one number per axis: the mean of the error over their times. Key
-# frames follow each other in time and do not overlap, so the covariances of these means have short closed forms.
+# The error of a force log as a process in time. The part that comes with the load has a time of its own, which advances
+# only while the load changes. A key frame has the mean error over its time span; spans do not overlap.
 
 _LEAST = 1e-12  # of each variance: what rounding leaves of two that are the same
 

@@ -1,10 +1,8 @@
 """k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
 
-A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
-linearised anew at the present estimate, and the posterior is solved for over all of them (`key_frame_posterior.py`).
-So a poor start is forgotten, which in an extended Kalman filter it would not be. The hyperparameters of noise and force
-error are searched for, one trial in two updates; those of log k's prior are drawn. Memory and time per update do not
-grow.
+A bounded set of key frames stands for all frames so far (`key_frames.py`). Each update linearises a few of them anew
+and solves for the posterior over all of them (`posterior.py`), so a poor start is forgotten. Memory and time per update
+do not grow.
 """
 
 from __future__ import annotations
@@ -43,9 +41,6 @@ from onebend.live.posterior import (
 )
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray
-
-# The frame that comes from a live camera and force sensor: checked, written behind the key frames, and its tags
-# compared with what was expected of them.
 
 
 @dataclass(frozen=True)
@@ -158,8 +153,6 @@ def surprise(
     return innovation, np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
 
 
-# Reasons not to rely on the live learner's k(s) at the moment; usually there are none.
-
 FAR_OFF = 5.0  # times the tags' noise: a larger misfit is not of the tags alone
 FAILED = "the last solution failed: k(s) is what was known before"
 TOO_SOFT = "the estimate has no equilibrium under a force that the beam withstood"
@@ -227,8 +220,6 @@ def _motion(xy: Array, visible: BoolArray) -> Array:
     across = np.max(xy, axis=0, initial=-np.inf, where=part) - np.min(xy, axis=0, initial=np.inf, where=part)
     return np.asarray(np.sqrt(across[:, 0] ** 2 + across[:, 1] ** 2))
 
-
-# The state of the live learner: key frames, their posterior, and the search for the hyperparameters.
 
 _MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
 _NOISE_EVERY = 8  # of so many trials one counts the effective parameters instead

@@ -2,10 +2,8 @@
 
     -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e + (marginalised) + logs
 
-C is the force error's covariance over the key frames' times. The unknowns are few (some 70, and 2 for each key frame),
-so one Cholesky factorisation solves for all of them. The matrix is summed anew from squares each time, so it stays
-positive definite. Log k is eliminated last: this gives its information form with all else integrated out, before the
-prior of log k is added.
+C is the force error's covariance over the key frames' times. One Cholesky factorisation solves for all unknowns. Log k
+is eliminated last: this gives its information form with all else integrated out, before its prior is added.
 """
 
 from __future__ import annotations
@@ -23,12 +21,8 @@ from onebend.live import key_frames
 from onebend.live.key_frames import AT_REST, ForceProcess, KeyFrames, TimeSpans, covariance
 from onebend.records import Array
 
-# Key frames that were marginalised: their information on the parameters x and on one slow force error e.
-#
-# It is kept as a square root: rows of unit noise, not the information matrix. Each change of the force error
-# subtracts information; subtracted from a matrix, rounding errors would grow until it is no longer positive definite.
-# Triangular rows stay valid: the square-root information filter (Bierman, Factorization Methods for Discrete
-# Sequential Estimation, 1977).
+# Marginalised key frames are kept as square-root information (Bierman, Factorization Methods for Discrete Sequential
+# Estimation, 1977): subtracting from an information matrix would lose its positive definiteness to rounding.
 
 
 @dataclass
@@ -363,10 +357,8 @@ def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
     out[x + 1, x] += ee[:, 1, 0]
 
 
-# Noise of the tags in the live learner, from the residuals of the key frames.
-#
-# As in the fit, what an error of each frame's force can explain is taken out first. A key frame that averages several
-# frames shows the error of averages, so errors that last from frame to frame count with their correlation time.
+# Noise of the tags, from the residuals of the key frames less what an error of each frame's force explains. Averages of
+# frames show the error of averages, so errors that last count with their correlation time.
 
 _BULK = 5.0  # sd: larger residuals are cut off there
 _LEAST = 0.02  # over the tags' covariances: the smallest size

@@ -1,8 +1,7 @@
-"""What the frames and the log so far say when they are read as a whole: camera, rest, clock, tare, k(s).
+"""Reviews of a stream: all frames and rows so far, read as `learn` reads a recording.
 
-A review reads all that is kept as `learn` reads a recording, with the same functions, and plays it to a new live
-learner. Frame by frame only that learner goes on, with the camera, clock and tare of the last review. So what was
-wrong with them in the beginning is not carried along.
+Each review finds camera, rest, clock and tare anew and plays the stream to a new live learner, so early errors are not
+carried along.
 """
 
 from __future__ import annotations

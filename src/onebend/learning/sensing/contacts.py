@@ -14,15 +14,9 @@ from onebend.learning.endings import RUN, ContactFrames, Edge
 from onebend.learning.sensing.forces import Estimates, FrameForces, estimated
 from onebend.records import Array, BoolArray, IntArray
 
-# The force as a process over the frames of a contact: what neighbouring frames say of it counts too.
-#
-# Each component is a Matern process of order 5/2 (twice differentiable), mean zero, with the sd of the force's prior;
-# how fast it changes is chosen by the evidence, and it begins anew with each contact. Kalman filter and the backward
-# recursion of Bryson and Frazier; the state is the force and its derivatives, each over a power of the rate.
-#
-# A frame weighs as much as its whole region says, so that many frames which are all wrong alike do not make sure what
-# none of them knows. What is left unknown of all that they share goes through the smoother as it is, and is added: no
-# number of frames averages it down.
+# Each component of the force is a Matern process of order 5/2 with the sd of the force's prior. The evidence chooses
+# its correlation time; it begins anew with each contact. Kalman filter, and the backward recursion of Bryson and
+# Frazier. Errors that all frames share pass through the smoother and are added: frames do not average them down.
 
 _ORDER = 3  # numbers of the state of a component
 _TIMES = 24  # correlation times that are tried
@@ -146,12 +140,9 @@ def _backward(frames: list[_Frame]) -> tuple[Array, Array]:
     return force, 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
 
 
-# When a contact begins and ends.
-#
-# The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)` of the time `t` since, all unknown:
-# `w` is white noise, integrated twice. That is normal at given sizes of the five, so the evidence of each `t0` is
-# known in closed form, all that the frames share being integrated out; it is summed over sizes, and gives mean and sd
-# of `t0`. An end is a beginning with time reversed, where the bending does not tell it (`endings`).
+# The force is zero until `t0`, and then `j + v t + a t^2 / 2 + c t^3 / 3 + w(t)`, with w white noise integrated twice.
+# For given sizes of the five the evidence of each `t0` has a closed form; it is summed over sizes. An end is a
+# beginning with time reversed, where the bending does not show it (`endings`).
 
 _BEFORE, _AFTER = 48, 24  # frames that tell when it begins
 _LATER = 5  # frames that show a force, and still may be from before

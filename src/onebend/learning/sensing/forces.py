@@ -262,11 +262,8 @@ class _Search(FrameModel):
         return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
 
 
-# What each frame by itself says of its force, all that the frames share being known.
-#
-# With `f` the force of a frame, `e` (normal, of sd one) what is left unknown of all that the frames share, and the
-# frame's own noise `n`, of sd one: `told = weigh f + common e + n`, to first order. The prior of the force is not in
-# it. Noise that lasts over several frames is widened to white noise with as much of it in the mean of many frames.
+# Information of each frame on its force, to first order: `told = weigh f + common e + n`, with e (normal, of sd one)
+# the errors that frames share and n the frame's own noise of sd one. The prior of the force is not in it.
 
 _LONGEST = 0.25  # of the frames: so far apart noise is compared
 _ALIKE = 0.05  # correlation of the noise below which it is none
@@ -413,12 +410,9 @@ def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
     return float(max(whole * (1.0 + 2.0 * np.sum(alike[: ends[0] if ends.size else len(alike)])), 1.0))
 
 
-# Some frames together: their forces and all that they share, maximum a posteriori by Gauss-Newton.
-#
-# In units of its prior's sd let u be what the frames share, after the beam at rest was seen, and f the unknowns of
-# each frame. With residuals r over the tags' noise, and B, J their derivatives, each frame's own unknowns are
-# eliminated: `(I + sum B^T P B) du = sum B^T P r - ...`, `P = I - J A^-1 J^T`, `A = J^T J + I`. The covariance of a
-# frame's own is `A^-1 + G C G^T`, `G = A^-1 J^T B`, C that of u.
+# Some frames together with u, all that they share, in units of their priors' sds. With residuals r over the tags' noise
+# and derivatives B, J each frame's own unknowns are eliminated: `(I + sum B^T P B) du = sum B^T P r - ...`,
+# `P = I - J A^-1 J^T`, `A = J^T J + I`. A frame's own covariance is `A^-1 + G C G^T`, `G = A^-1 J^T B`, C that of u.
 
 _ROUNDS = 20
 _OWN_STEPS = 3  # of the frames' own unknowns for each of what they share

@@ -1,5 +1,5 @@
-"""What all frames of a recording share when the force is told from the shape: the beam, the place of the contact, how
-the tags sit, the clamp, the rest shape, the picture; as it is known by now, and the beam of it in each frame.
+"""The beam under an unknown load: what all frames share (k(s), tags, clamp, rest shape, picture, place of the contact),
+equilibria, and poses of the tags with derivatives.
 
 The unknowns a frame has of its own are its load and, where it is asked for, the place of the force. A load is the two
 components [N] of a force, and may be followed by the moment [N m] that acts at the same place.
@@ -29,8 +29,6 @@ from onebend.learning.parameters import NEEDS_MASS, Priors, clamp_sd, curvature_
 from onebend.learning.prediction import TagRide, tag_blocks
 from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations
-
-# What all frames of a recording share when the force is told from the shape, as it is known before they are seen.
 
 LEARNED = ("curvature", "along", "across", "turn")  # what the beam's recordings have in common, beside k(s)
 _PLACES = 401
@@ -380,11 +378,8 @@ def _left(bench: Bench, xy: Array) -> Array:
     return out.reshape(frames, m, 3, 3 * m)
 
 
-# Where the search for a frame's force begins: the force that balances the curvature that the tags show best.
-#
-# Inverse kinematics (22) gives a shape of few modes. Under one force F at `s_a` it would have `k (q - q0) = (r(s_a) -
-# r(s)) x F` below `s_a`, which is linear in F: least squares of the curvature over places, with the force's prior. So
-# it is with a moment.
+# The search begins at the load that balances the curvature from inverse kinematics (22), `k (q - q0) = (r(s_a) - r(s))
+# x F` below `s_a`: linear least squares over places, with the load's prior.
 
 _MODES = 4
 _NODES = 0.05 + 0.9 * (np.arange(24) + 0.5) / 24  # of the way to the force

@@ -19,7 +19,7 @@ from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
 from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
 from onebend.learning.sensing.model import Bench, Tags
-from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
+from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
@@ -104,7 +104,7 @@ def joined(contacts: Sequence[Touch]) -> tuple[Touch, ...]:
 
 
 @dataclass(frozen=True)
-class ToldMoment:
+class ContactMoment:
     """The moment that a contact puts on the beam besides its force, in T frames."""
 
     moment: Array  # (T,) N m
@@ -140,7 +140,7 @@ class Sensed:
     # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
     common: Array
     smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
-    moment: ToldMoment | None = None  # where one was asked for
+    moment: ContactMoment | None = None  # where one was asked for
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
     remarks: tuple[Remark, ...] = ()
 
@@ -205,28 +205,25 @@ def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Re
             "off, or the model's k(s) is by as much, which no shape tells. A weight hung on the beam tells which"
         )
         out.append(Remark("warning", text, about="sensed gain"))
+    notes = []
     if not banded:
-        out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
+        notes.append("The model has no band on k(s): the regions hold noise and mounting alone.")
     if not np.isfinite(o.rest_xy).any():
-        out.append(Remark("note", "No frame shows the beam at rest: the mounting is known only as stated."))
+        notes.append("No frame shows the beam at rest: the mounting is known only as stated.")
     if not o.sd_known:
-        out.append(Remark("note", "The tags' noise is a guess, and the regions are as good as it is."))
+        notes.append("The tags' noise is a guess, and the regions are as good as it is.")
     if lost:
-        out.append(Remark("note", f"In {lost} frames no equilibrium was found that explains the tags."))
+        notes.append(f"In {lost} frames no equilibrium was found that explains the tags.")
     if np.any(sensed.touched):
-        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
+        share, moment = np.nanmedian(sensed.prior_share[sensed.touched], axis=0), sensed.moment
         weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
         if weak:
-            text = (
-                f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
-            )
-            out.append(Remark("note", text))
-        moment = sensed.moment
-        share = 0.0 if moment is None else float(np.nanmedian(moment.prior_share[sensed.touched]))
-        if moment is not None and share > FROM_PRIOR:
-            text = f"The moment comes in good part ({100 * share:.0f} %) from the prior (sd {moment.prior_sd:.3g} N m)."
-            out.append(Remark("note", text))
-    return tuple(out)
+            source = f"from the prior (sd {sensed.prior_sd:.3g} N)."
+            notes.append(f"The force along {' and '.join(weak)} comes in good part {source}")
+        if moment is not None and (part := float(np.nanmedian(moment.prior_share[sensed.touched]))) > FROM_PRIOR:
+            source = f"from the prior (sd {moment.prior_sd:.3g} N m)."
+            notes.append(f"The moment comes in good part ({100 * part:.0f} %) {source}")
+    return (*out, *(Remark("note", text) for text in notes))
 
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -365,7 +362,7 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
         smoothed=None if smooth is None else smooth.turned(bench.axes),
     )
     if n == 3:
-        moment = ToldMoment(
+        moment = ContactMoment(
             load[:, 2], np.sqrt(covariance[:, 2, 2]), covariance[:, :2, 2], float(priors[2]), share[:, 2]
         )
         out = replace(out, moment=moment)
@@ -393,7 +390,7 @@ def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | Non
     force, covariance = np.where(bare[:, None], 0.0, out.force), out.covariance.copy()
     covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)
     common = np.where(bare[:, None, None], 0.0, out.common)
-    told = ToldForces(out.time, force, covariance, common, out.prior_sd)
+    told = SensedForces(out.time, force, covariance, common, out.prior_sd)
     clock_sd = 0.0 if o.source.clock is None else o.source.clock.sd
     return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force, clock_sd)
 
@@ -421,11 +418,8 @@ def _over_time(
     return contacts, smoothed(time, searched.found, runs, prior, readings.widened)
 
 
-# The force on a learned beam while it is being pushed: a frame in, a force out.
-#
-# A frame begins at the force and the shape of the one before: one or two Gauss-Newton steps, each an equilibrium from
-# near by. What the frames share is integrated out as it counts there: near a buckling load that changes much from
-# frame to frame.
+# One frame after the other, each from the force and shape of the one before. Errors that frames share are integrated
+# out as they count at this force: near a buckling load that changes much from frame to frame.
 
 _STEPS = 8
 _CLOSE = 0.3  # posterior sds: a step this small is the last, and taken to first order
