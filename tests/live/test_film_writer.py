@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.live.recording_folder import FilmWriter, mend_film, whole_boxes
+from onebend.live.recording_folder import FilmWriter, whole_boxes
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import FilmFrame, frame_at, read_frames
 from onebend.records import Array
@@ -56,9 +56,8 @@ def test_a_film_that_was_cut_anywhere_has_its_whole_frames(tmp_path: Path) -> No
     data = path.read_bytes()
     cut = tmp_path / "cut.mp4"
     for end in range(sizes[5], sizes[7] + 200, 97):
-        cut.write_bytes(data[:end])
+        cut.write_bytes(data[: whole_boxes(data[:end])])
         there = sum(size <= end for size in sizes) - 1  # the newest frame waits for the time of the next one
-        assert mend_film(cut) >= 0
         assert len(read(cut)) >= there
 
 

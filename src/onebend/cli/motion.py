@@ -95,14 +95,6 @@ MomentPrior = Annotated[
         help="One sd of the moment before; default: the force's times L.",
     ),
 ]
-Contacts = Annotated[
-    Literal["1", "2", "auto"],
-    typer.Option(help="How many forces act at once. auto: two where the evidence is for it."),
-]
-SecondAt = Annotated[
-    float | None,
-    typer.Option("--second-at", min=LEAST, max=1.0, metavar="S", help="Where the second of two forces acts."),
-]
 Smooth = Annotated[
     bool, typer.Option("--smooth", help="Besides, the force as a process over the frames: what neighbours say counts.")
 ]
@@ -213,8 +205,6 @@ def sense(
     tags: TagsNow = "learned",
     moment: AskMoment = False,
     moment_prior: MomentPrior = None,
-    contacts: Contacts = "1",
-    second_at: SecondAt = None,
     smooth: Smooth = False,
     bag: Bag = False,
     output: Output = None,
@@ -228,7 +218,7 @@ def sense(
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        settings = SenseSettings(place, at, at_sd, force_prior, tags, moment, moment_prior, contacts, second_at, smooth)
+        settings = SenseSettings(place, at, at_sd, force_prior, tags, moment, moment_prior, smooth)
         with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
             with progress_of(quiet) as progress:
                 seen = _observed(stored, recording, threads, progress)

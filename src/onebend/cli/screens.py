@@ -385,8 +385,11 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
         share = 100.0 * found.prior_share[peak]
         table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
         table.add_row("place", _place(found, peak))
-        for row in _more_rows(found, peak):
-            table.add_row(*row)
+        if found.moment is not None:
+            moment, share = found.moment, 100.0 * found.moment.prior_share[peak]
+            value = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)"
+            prior = f"{share:.2g} % from the prior (sd {moment.prior_sd:.3g} N m)"
+            table.add_row("its moment", f"{value}, {prior}")
         if found.smoothed is not None:
             smooth, sd = found.smoothed.force[peak], np.sqrt(np.diag(found.smoothed.covariance[peak]))
             said = f"{force_words(smooth)}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
@@ -419,25 +422,6 @@ def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
         ("its bias x, y", f"{pair(check.bias)} N"),
         ("its drift x, y", f"{pair(check.drift)} N/s"),
     ]
-
-
-def _more_rows(found: Sensed, peak: int) -> list[tuple[str, str]]:
-    """The moment, and the second force, where they were asked for."""
-    rows, moment, two, second = [], found.moment, found.two, found.second
-    if moment is not None:
-        value, share = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)", moment.prior_share[peak]
-        rows.append(("its moment", f"{value}, {100.0 * share:.2g} % from the prior (sd {moment.prior_sd:.3g} N m)"))
-    if two is not None:
-        rows.append(("two contacts", f"log evidence {two.evidence:.3g} against one"))
-        for near, far in two.others:
-            rows.append(("", f"places s = {near:.2f} and {far:.2f} explain the shapes about as well"))
-    if second is not None:
-        sd = np.sqrt(np.diag(second.covariance[peak]))
-        said = f"{force_words(second.force[peak])}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
-        rows.append(("second force", said))
-        place = f"s = {second.place:.3f} ± {1.96 * second.place_sd:.2g}"
-        rows.append(("its place", "not told by the shape" if math.isnan(second.place) else place))
-    return rows
 
 
 def _when(word: str, edge: Edge, outside: str) -> str:

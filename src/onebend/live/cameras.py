@@ -15,14 +15,14 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import av
 import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.extras import package
-from onebend.live.sources import Clock, End, Frame, StampTiming, of_yuyv
+from onebend.live.sources import Clock, Device, End, Frame, StampTiming, of_yuyv
 from onebend.recording.video import Picture, luma_of
 
 try:
@@ -51,33 +51,24 @@ SILENT = 5.0  # s without a picture
 TIMING = StampTiming(host=True, delay=0.0, delay_error=0.03)
 
 
+Stream = Literal["color", "infrared"]
+STREAMS: tuple[Stream, ...] = ("color", "infrared")
+
+
 @dataclass(frozen=True)
-class V4l2Settings:
-    """What is asked of a camera; it gives what is nearest."""
+class CameraSettings:
+    """What is asked of a camera. A V4L2 camera gives what is nearest; a RealSense refuses what it cannot give."""
 
     width: int = 1280  # px
     height: int = 720
     fps: float = 30.0
-    packed: str = "MJPG"
     exposure: float = math.nan  # s; NaN: the camera chooses
+    packed: str = "MJPG"  # of V4L2
+    stream: Stream = "color"  # of a RealSense
 
 
-class Kernel(Protocol):
-    """The calls of the system that are used."""
-
-    def open(self, path: Path) -> int: ...
-
-    def ioctl(self, handle: int, request: int, data: bytearray) -> None: ...
-
-    def map(self, handle: int, length: int, offset: int) -> Any: ...
-
-    def ready(self, handle: int, wait: float) -> bool: ...
-
-    def close(self, handle: int) -> None: ...
-
-
-class LinuxKernel:
-    """This machine's."""
+class Kernel:
+    """The calls of Linux that are used."""
 
     def open(self, path: Path) -> int:
         return os.open(path, os.O_RDWR | os.O_NONBLOCK)
@@ -95,17 +86,15 @@ class LinuxKernel:
         os.close(handle)
 
 
-class V4l2Camera:
+class V4l2Camera(Device):
     """A camera such as /dev/video0."""
 
-    def __init__(self, path: Path, settings: V4l2Settings = V4l2Settings(), kernel: Kernel | None = None) -> None:
-        self.name, self.timing = f"the camera {path}", TIMING
-        self._path, self._settings, self._kernel = path, settings, kernel or LinuxKernel()
+    def __init__(self, path: Path, settings: CameraSettings = CameraSettings(), kernel: Kernel | None = None) -> None:
+        super().__init__(f"the camera {path}", TIMING)
+        self._path, self._settings, self._kernel = path, settings, kernel or Kernel()
         self._handle, self._maps = -1, list[Any]()
         self._size, self._stride, self._packed = (0, 0), 0, ""
         self._jpeg: Any = None
-        self._clock: Clock | None = None
-        self._heard = 0.0
 
     def open(self, clock: Clock) -> None:
         """Begin to stream.
@@ -118,31 +107,28 @@ class V4l2Camera:
         try:
             self._handle = self._kernel.open(self._path)
             self._choose()
-            self._begin()
+            self._stream()
         except OSError as wrong:
             self.close()
             raise RecordingError(f"{self._path}: {_why(wrong)}") from None
         except RecordingError:
             self.close()
             raise
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:
-        """The next picture."""
-        assert self._clock is not None
         try:
             if not self._kernel.ready(self._handle, wait):
-                silent = self._clock.now() - self._heard > SILENT
-                return End(f"{self.name} sends no pictures any more", fault=True) if silent else None
-            buffer = BUFFER.unpack(self._call(DQBUF, BUFFER.pack(0, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
+                return self._silence(SILENT, "sends no pictures any more")
+            buffer = self._buffer(DQBUF, 0)
             arrival = self._clock.now()
             index, used, flags = buffer[0], buffer[2], buffer[3]
             data = bytes(self._maps[index][:used])
-            self._call(QBUF, BUFFER.pack(index, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0))
+            self._buffer(QBUF, index)
         except BlockingIOError:
             return None
         except OSError as wrong:
-            return End(f"{self.name} is gone ({wrong.strerror or wrong}): its cable was pulled", fault=True)
+            return self._fault(f"is gone ({wrong.strerror or wrong}): its cable was pulled")
         self._heard = arrival
         picture, colour = self._unpacked(data) if not flags & BROKEN else (None, None)
         if picture is None:
@@ -150,7 +136,6 @@ class V4l2Camera:
         return Frame(picture, buffer[5] + 1e-6 * buffer[6], arrival, buffer[7], colour)
 
     def close(self) -> None:
-        """Stop it."""
         if self._handle < 0:
             return
         with suppress(OSError):  # it is gone
@@ -166,8 +151,10 @@ class V4l2Camera:
         self._kernel.ioctl(self._handle, request, carried)
         return bytes(carried)
 
+    def _buffer(self, request: int, index: int) -> tuple[Any, ...]:
+        return BUFFER.unpack(self._call(request, BUFFER.pack(index, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
+
     def _choose(self) -> None:
-        """Size, packing, rate and exposure."""
         able = CAPABILITY.unpack(self._call(QUERYCAP, bytes(CAPABILITY.size)))
         can = able[5] if able[4] & OWN_CAPABILITIES else able[4]
         if not (can & CAN_CAPTURE and can & CAN_STREAM):
@@ -200,24 +187,25 @@ class V4l2Camera:
             if wrong.errno not in (errno.EINVAL, errno.ENOTTY, errno.ERANGE, errno.EACCES):
                 raise
 
-    def _begin(self) -> None:
-        """Buffers, and the stream."""
+    def _stream(self) -> None:
         count = BUFFERS.unpack(self._call(REQBUFS, BUFFERS.pack(COUNT, CAPTURE, MAPPED, 0, 0)))[0]
         for i in range(count):
-            there = BUFFER.unpack(self._call(QUERYBUF, BUFFER.pack(i, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0)))
+            there = self._buffer(QUERYBUF, i)
             if there[3] & STAMP_KIND != MONOTONIC:
                 self.timing = replace(TIMING, host=False)
             self._maps.append(self._kernel.map(self._handle, there[10], there[9] & 0xFFFFFFFF))
-            self._call(QBUF, BUFFER.pack(i, CAPTURE, 0, 0, 0, 0, 0, 0, MAPPED, 0, 0, 0, 0))
+            self._buffer(QBUF, i)
         self._call(STREAMON, struct.pack("<i", CAPTURE))
 
     def _unpacked(self, data: bytes) -> tuple[Picture | None, Any]:
         """Luma (H, W), and the frame with its colours where there are some; None of data that are no picture."""
         width, height = self._size
         if self._packed == "MJPG":
-            for frame in self._decoded(data):
-                return luma_of(frame), frame
-            return None, None
+            try:
+                frame = next(iter(self._jpeg.decode(av.Packet(data))), None)
+            except av.error.FFmpegError:  # a picture that was cut on its way
+                frame = None
+            return (None, None) if frame is None else (luma_of(frame), frame)
         rows = self._stride or width * (2 if self._packed == "YUYV" else 1)
         if len(data) < rows * height:
             return None, None
@@ -226,15 +214,8 @@ class V4l2Camera:
             return plane[:, :width].copy(), None
         return of_yuyv(plane[:, : 2 * width].reshape(height, width, 2))
 
-    def _decoded(self, data: bytes) -> Iterator[Any]:
-        try:
-            yield from self._jpeg.decode(av.Packet(data))
-        except av.error.FFmpegError:
-            return  # a picture that was cut on its way
-
 
 def _why(wrong: OSError) -> str:
-    """What to do, by what the system says."""
     known = {
         errno.ENOENT: "there is no such camera. Plug it in, or look for it: ls /dev/video*",
         errno.EACCES: "this camera may not be read. Join its group: sudo usermod -aG video $USER",
@@ -247,20 +228,18 @@ def _why(wrong: OSError) -> str:
 
 # What FFmpeg opens as a film that goes on: cameras of other systems, streams on a network.
 
-INPUT_TIMING = StampTiming(delay=0.03, delay_error=0.1)
 PATIENCE = (10.0, 5.0)  # s: to open, and from frame to frame
 
 
-class AvCamera:
+class AvCamera(Device):
     """A place that FFmpeg knows, with the format that reads it (avfoundation, dshow, v4l2; none: by its address)."""
 
     def __init__(self, place: str, kind: str = "", options: dict[str, str] | None = None) -> None:
-        self.name, self.timing = f"the camera {place}", INPUT_TIMING
+        super().__init__(f"the camera {place}", StampTiming(delay=0.03, delay_error=0.1))
         self.files = _file_at(place)
         self._place, self._kind, self._options = place, kind, dict(options or {})
         self._container: Any = None
         self._frames: Iterator[Any] = iter(())
-        self._clock: Clock | None = None
 
     def open(self, clock: Clock) -> None:
         """Begin to stream.
@@ -282,29 +261,25 @@ class AvCamera:
             self.close()
             why = getattr(wrong, "strerror", None) or wrong
             raise RecordingError(f"{self._place} cannot be opened as a camera ({why}). Check its name.") from None
-        self._clock = clock
+        self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:  # noqa: ARG002 (FFmpeg waits by `PATIENCE`)
-        """The next picture."""
-        assert self._clock is not None
         try:
             frame = next(self._frames, None)
         except (av.error.FFmpegError, OSError) as wrong:
-            return End(f"{self.name} is gone ({getattr(wrong, 'strerror', None) or wrong})", fault=True)
+            return self._fault(f"is gone ({getattr(wrong, 'strerror', None) or wrong})")
         if frame is None:
             return End(f"{self.name} ended")
         stamp = float("nan") if frame.time is None else float(frame.time)
         return Frame(luma_of(frame), stamp, self._clock.now(), -1, frame)
 
     def close(self) -> None:
-        """Leave it."""
         if self._container is not None:
             self._container.close()
             self._container = None
 
 
 def _file_at(place: str) -> tuple[Path, ...]:
-    """The file that is played, where the place is no camera."""
     path = Path(place.removeprefix("file:"))
     try:
         return (path,) if path.is_file() else ()
@@ -312,39 +287,19 @@ def _file_at(place: str) -> tuple[Path, ...]:
         return ()
 
 
-# RealSense cameras through `pyrealsense2`: their colour, or their left infrared picture, which a global shutter
-# takes.
-#
-# The calls are those of librealsense 2 (its API reference: pipeline, config, sensor, frame). Stamps are the camera's
-# own clock: the software's translation to this machine's time, which is renewed as it goes, is switched off.
+# RealSense cameras through `pyrealsense2`. Stamps are the camera's own clock: the software's translation to this
+# machine's time is switched off. The infrared picture is taken with a global shutter.
 
-Stream = Literal["color", "infrared"]
-STREAMS: tuple[Stream, ...] = ("color", "infrared")
 EXPOSURE_UNITS = {"color": 1e-4, "infrared": 1e-6}  # s, of the option `exposure`
-REALSENSE_TIMING = StampTiming(delay=0.01, delay_error=0.03)
 
 
-@dataclass(frozen=True)
-class RealSenseSettings:
-    """What is asked of the camera; what it cannot give it refuses."""
-
-    stream: Stream = "color"
-    width: int = 1280  # px
-    height: int = 720
-    fps: int = 30
-    exposure: float = math.nan  # s; NaN: the camera chooses
-
-
-class RealSenseCamera:
+class RealSenseCamera(Device):
     """The camera with this serial number; without one, the first that is found."""
 
-    def __init__(self, serial: str = "", settings: RealSenseSettings = RealSenseSettings()) -> None:
-        self.name = f"the RealSense camera {serial}".rstrip()
-        self.timing = REALSENSE_TIMING
+    def __init__(self, serial: str = "", settings: CameraSettings = CameraSettings()) -> None:
+        super().__init__(f"the RealSense camera {serial}".rstrip(), StampTiming(delay=0.01, delay_error=0.03))
         self._serial, self._settings = serial, settings
         self._pipeline: Any = None
-        self._clock: Clock | None = None
-        self._heard = 0.0
 
     def open(self, clock: Clock) -> None:
         """Begin to stream.
@@ -358,14 +313,14 @@ class RealSenseCamera:
             config.enable_device(self._serial)
         size = (asked.width, asked.height)
         if asked.stream == "infrared":
-            config.enable_stream(made.stream.infrared, 1, *size, made.format.y8, asked.fps)
+            config.enable_stream(made.stream.infrared, 1, *size, made.format.y8, round(asked.fps))
         else:
-            config.enable_stream(made.stream.color, *size, made.format.yuyv, asked.fps)
+            config.enable_stream(made.stream.color, *size, made.format.yuyv, round(asked.fps))
         try:
             profile = pipeline.start(config)
         except RuntimeError as wrong:
             raise RecordingError(
-                f"{self.name} gives no {asked.stream} pictures of {asked.width}x{asked.height} at {asked.fps} a second "
+                f"{self.name} gives no {asked.stream} pictures of {asked.width}x{asked.height} at {asked.fps:.0f} Hz "
                 f"({wrong}). Is it plugged in, and does no other program have it? realsense-viewer shows its streams."
             ) from None
         self._pipeline = pipeline
@@ -374,17 +329,14 @@ class RealSenseCamera:
         except RuntimeError as wrong:
             self.close()
             raise RecordingError(f"{self.name} does not take its settings ({wrong}). Plug it in again.") from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Frame | End | None:
-        """The next picture."""
-        assert self._clock is not None
         try:
             came, frames = self._pipeline.try_wait_for_frames(max(1, round(1000.0 * wait)))
             now = self._clock.now()
             if not came:
-                silent = now - self._heard > SILENT
-                return End(f"{self.name} sends no pictures any more", fault=True) if silent else None
+                return self._silence(SILENT, "sends no pictures any more")
             infrared = self._settings.stream == "infrared"
             frame = frames.get_infrared_frame(1) if infrared else frames.get_color_frame()
             if not frame:
@@ -392,7 +344,7 @@ class RealSenseCamera:
             data = np.asanyarray(frame.get_data())
             stamp, number = 1e-3 * float(frame.get_timestamp()), int(frame.get_frame_number())
         except RuntimeError as wrong:
-            return End(f"{self.name} is gone ({wrong}): its cable was pulled", fault=True)
+            return self._fault(f"is gone ({wrong}): its cable was pulled")
         self._heard = now
         if infrared:
             return Frame(data.copy(), stamp, now, number)
@@ -400,7 +352,6 @@ class RealSenseCamera:
         return Frame(luma, stamp, now, number, colour)
 
     def close(self) -> None:
-        """Stop it."""
         if self._pipeline is not None:
             with suppress(RuntimeError):  # it is gone
                 self._pipeline.stop()

@@ -160,8 +160,7 @@ Play = Annotated[
 
 
 Until = Annotated[
-    str | None,
-    typer.Option("--until", metavar="PERCENT", help="Push until k(s) is known to ± this; else once."),
+    str | None, typer.Option("--until", metavar="PERCENT", help="Push until k(s) is known to ± this; else once.")
 ]
 
 

@@ -10,7 +10,7 @@ import select
 import socket
 import struct
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from http.client import HTTPException
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 
 from onebend.errors import RecordingError
 from onebend.extras import package
-from onebend.live.sources import Clock, End, Samples, StampTiming
+from onebend.live.sources import Clock, Device, End, Samples, StampTiming
 from onebend.recording.bag_topics import FIELDS, clock_of, default_field, force_of, timed
 from onebend.recording.bags import Bag, Topic, open_bag, topic_of
 from onebend.recording.entries import ForceEntry
@@ -36,6 +36,7 @@ KNOWN = (
     f"Name forces as fx_N, fy_mN, fz_kg ({', '.join(UNITS)}), moments as tz_Nm, a time as time_s or time_ms, "
     f"{COUNTER} for a counter, {IGNORED} for what is left out"
 )
+WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 SEPARATORS = re.compile(r"[,;\s]+")
 
 
@@ -116,12 +117,8 @@ def cells_of(names: Sequence[str], zero: Sequence[str] = (), *, where: str) -> C
     )
 
 
-# ATI's Net F/T and Axia sensors: records over UDP, as the maker's manual of the Net F/T (9620-05-NET FT, section 9)
-# describes its Raw Data Transfer (RDT).
-#
-# A request is 8 bytes, big-endian: 0x1234, a command (0 stop, 2 stream at once), a count (0: without end). A record
-# is 36 bytes: a sequence number, the number of the internal sample, a status, and six counts. Counts per newton,
-# units and the rate stand in the page netftapi2.xml of the box.
+# ATI's Net F/T and Axia sensors: Raw Data Transfer over UDP (manual 9620-05-NET FT, section 9). Requests are 8 bytes
+# and records 36 bytes, big-endian; `read_scale` reads counts per newton, units and rate from the box.
 
 PORT, WEB_PORT = 49152, 80
 REQUEST, RECORD = struct.Struct("!HHI"), struct.Struct("!IIIiiiiii")
@@ -146,21 +143,19 @@ class AtiScale:
     rate: float = 0.0  # Hz of the records; 0: not known
 
 
-class AtiForce:
+class AtiForce(Device):
     """A box that is asked to stream."""
 
-    columns: tuple[str, ...] = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+    columns: tuple[str, ...] = WRENCH
 
     def __init__(
         self, address: str, *, port: int = PORT, web_port: int = WEB_PORT, scale: AtiScale | None = None
     ) -> None:
         """`scale`: None: it is asked of the box."""
-        self.name = f"the ATI sensor at {address}"
-        self.timing = StampTiming(own=False, delay=0.0005, delay_error=0.005)
+        super().__init__(f"the ATI sensor at {address}", StampTiming(own=False, delay=0.0005, delay_error=0.005))
         self._place, self._web, self._scale = (address, port), web_port, scale
         self._socket: socket.socket | None = None
-        self._clock: Clock | None = None
-        self._heard = self._asked = 0.0
+        self._asked = 0.0
         self._number = -1  # of the newest record, without wraps
 
     def open(self, clock: Clock) -> None:
@@ -180,13 +175,11 @@ class AtiForce:
             raise RecordingError(
                 f"{self.name} is not reached ({getattr(wrong, 'strerror', None) or wrong}). Check its address."
             ) from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
         self._ask(STREAM)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The records that came."""
         assert self._socket is not None
-        assert self._clock is not None
         records: list[tuple[int, ...]] = []
         try:
             self._socket.settimeout(max(wait, 1e-3))
@@ -195,16 +188,17 @@ class AtiForce:
                 self._socket.settimeout(0.0)
                 if len(data) == RECORD.size:
                     records.append(RECORD.unpack(data))
-        except (TimeoutError, BlockingIOError):
+        except (TimeoutError, BlockingIOError, ConnectionRefusedError):
             pass
-        except ConnectionRefusedError:
-            return self._silence() if not records else self._samples(records)
         except OSError as wrong:
-            return End(f"{self.name} is not reached any more ({wrong.strerror or wrong})", fault=True)
-        return self._samples(records) if records else self._silence()
+            return self._fault(f"is not reached any more ({wrong.strerror or wrong})")
+        if records:
+            return self._samples(records)
+        if self._clock.now() - self._asked > SILENT:
+            self._ask(STREAM)
+        return self._silence(LOST, "sends nothing: its cable, its power or its address")
 
     def close(self) -> None:
-        """Ask it to stop."""
         if self._socket is not None:
             self._ask(STOP)
             self._socket.close()
@@ -212,28 +206,17 @@ class AtiForce:
 
     def _ask(self, command: int) -> None:
         assert self._socket is not None
-        assert self._clock is not None
         self._asked = self._clock.now()
         try:
             self._socket.send(REQUEST.pack(HEADER, command, 0))
         except OSError:
             return  # it is asked again, and its silence told
 
-    def _silence(self) -> End | None:
-        assert self._clock is not None
-        now = self._clock.now()
-        if now - self._heard > LOST:
-            return End(f"{self.name} sends nothing: its cable, its power or its address", fault=True)
-        if now - self._asked > SILENT:
-            self._ask(STREAM)
-        return None
-
     def _samples(self, records: list[tuple[int, ...]]) -> Samples | End:
-        assert self._clock is not None
         assert self._scale is not None
         scale, self._heard = self._scale, self._clock.now()
         if records[-1][2] & SERIOUS:
-            return End(f"{self.name} reports an error (status {records[-1][2]:#010x}): see its web page", fault=True)
+            return self._fault(f"reports an error (status {records[-1][2]:#010x}): see its web page")
         lost, numbers = 0, []
         for record in records:
             number = self._unwrapped(record[0])
@@ -246,7 +229,6 @@ class AtiForce:
         return Samples(stamp, counts / per, self._heard, lost)
 
     def _unwrapped(self, number: int) -> int:
-        """A number of 32 bits as one that goes on."""
         if self._number < 0:
             return number
         return self._number + (number - self._number + WRAPS // 2) % WRAPS - WRAPS // 2
@@ -292,7 +274,6 @@ try:
 except ImportError:  # there are none on Windows
     termios = None  # type: ignore[assignment]
 
-TIMING = StampTiming(own=False, delay=0.002, delay_error=0.03)
 MOST_LINE = 4096  # bytes
 SILENT_LINE = 3.0  # s without a line
 UNREADABLE = 20  # lines in a row
@@ -300,12 +281,12 @@ POLL = 0.02  # s between looks at a file
 LONG_AGO = 30.0  # s without a row in a file
 
 
-class _Lines:
+class _Lines(Device):
     """Bytes to rows."""
 
     def __init__(self, name: str, cells: Cells) -> None:
-        self.name, self.columns = name, cells.columns
-        self.timing = replace(TIMING, own=cells.time >= 0)
+        super().__init__(name, StampTiming(own=cells.time >= 0, delay=0.002, delay_error=0.03))
+        self.columns = cells.columns
         self._cells, self._rest, self._number = cells, b"", np.nan
         self._bad = 0  # lines in a row that could not be read
         self._last = ""
@@ -337,8 +318,7 @@ class SerialForce(_Lines):
     def __init__(self, port: Path, cells: Cells, *, baud: int = 115200) -> None:
         super().__init__(f"the load cell at {port}", cells)
         self._port, self._baud, self._handle = port, baud, -1
-        self._clock: Clock | None = None
-        self._heard, self._begun = 0.0, False
+        self._begun = False
 
     def open(self, clock: Clock) -> None:
         """Open the port.
@@ -360,42 +340,35 @@ class SerialForce(_Lines):
             raise RecordingError(f"{self._port} may not be read: sudo usermod -aG dialout $USER") from None
         except (OSError, termios.error) as wrong:
             raise RecordingError(f"{self._port} is no serial port ({wrong}). Name another one.") from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The lines that came."""
-        assert self._clock is not None
         try:
             ready, _, _ = select.select([self._handle], [], [], wait)
             data = os.read(self._handle, 65536) if ready else b""
         except OSError as wrong:
-            return End(f"{self.name} is gone ({wrong.strerror}): its cable was pulled", fault=True)
+            return self._fault(f"is gone ({wrong.strerror}): its cable was pulled")
         now = self._clock.now()
         if ready and not data:
-            return End(f"{self.name} is gone: its cable was pulled", fault=True)
+            return self._fault("is gone: its cable was pulled")
         if data:
             self._heard = now
         if not self._begun and b"\n" in data:  # the first line has no beginning
             data, self._begun = data[data.index(b"\n") + 1 :], True
         samples = self._rows(data, now) if self._begun else None
         if self._bad >= UNREADABLE:
-            wanted = f"{self._cells.count} numbers"
-            return End(
-                f"{self.name} sends {self._last[:60]!r}, and {wanted} were expected: correct columns", fault=True
-            )
-        if now - self._heard > SILENT_LINE:
-            return End(f"{self.name} sends nothing: is it switched on, and is baud={self._baud} right?", fault=True)
-        return samples
+            wanted = f"{self._cells.count} numbers were expected: correct columns"
+            return self._fault(f"sends {self._last[:60]!r}, and {wanted}")
+        silent = self._silence(SILENT_LINE, f"sends nothing: is it switched on, and is baud={self._baud} right?")
+        return silent or samples
 
     def close(self) -> None:
-        """Leave the port."""
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1
 
 
 def _plain(handle: int, speed: int) -> None:
-    """Bytes as they come, 8 bits, no parity, one stop bit."""
     iflag, oflag, cflag, lflag, _, _, cc = termios.tcgetattr(handle)
     iflag &= ~(
         termios.IGNBRK | termios.BRKINT | termios.PARMRK | termios.ISTRIP | termios.INLCR | termios.IGNCR
@@ -422,8 +395,6 @@ class GrowingLog(_Lines):
             raise RecordingError(f"csv:{path} is no file. Name the CSV that the other program writes.")
         super().__init__(f"the log {path}", cells_of(names or self._header(), zero, where=f"csv:{path}"))
         self._stream: Any = None
-        self._clock: Clock | None = None
-        self._heard = 0.0
 
     def open(self, clock: Clock) -> None:
         """Go to the end of what is there."""
@@ -435,30 +406,27 @@ class GrowingLog(_Lines):
             self._rest = self._stream.read(at - self._stream.tell()).rpartition(b"\n")[2]
         except OSError as wrong:
             raise RecordingError(f"{self._path} cannot be read ({wrong.strerror}).") from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The rows that were added."""
-        assert self._clock is not None
         try:
             data = self._stream.read(1 << 20)
             if not data:
                 if os.fstat(self._stream.fileno()).st_size < self._stream.tell():
-                    return End(f"{self.name} was written anew", fault=True)
+                    return self._fault("was written anew")
                 self._clock.wait_until(self._clock.now() + min(wait, POLL))
                 data = self._stream.read(1 << 20)
         except OSError as wrong:
-            return End(f"{self.name} cannot be read any more ({wrong.strerror})", fault=True)
+            return self._fault(f"cannot be read any more ({wrong.strerror})")
         now = self._clock.now()
         samples = self._rows(data, now)
         if samples is not None:
             self._heard = now
         if self._bad >= UNREADABLE:
-            return End(f"{self.name} has lines such as {self._last[:60]!r}: correct columns", fault=True)
-        return End(f"{self.name} does not grow any more", fault=True) if now - self._heard > LONG_AGO else samples
+            return self._fault(f"has lines such as {self._last[:60]!r}: correct columns")
+        return self._silence(LONG_AGO, "does not grow any more") or samples
 
     def close(self) -> None:
-        """Leave the file."""
         if self._stream is not None:
             self._stream.close()
             self._stream = None
@@ -476,35 +444,29 @@ class GrowingLog(_Lines):
 
 # What their makers' own packages read: Universal Robots, Franka, the Lab Streaming Layer.
 
-WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 TOGETHER = 0.01  # s of rows that are given together
 PATIENCE = 5.0  # s to find a stream
 SILENT_PACKAGE = 3.0  # s without a row
 
 
-class _Robot:
+class _Robot(Device):
     """A robot whose state is asked for, again and again."""
 
     columns: tuple[str, ...] = WRENCH
 
-    def __init__(self, name: str, rate: float) -> None:
-        self.name = name
-        self.timing = StampTiming(delay=0.001, delay_error=0.01)
-        self._rate = rate
-        self._last = -np.inf
-        self._clock: Clock | None = None
-        self._heard = 0.0
+    def __init__(self, name: str, host: str, rate: float) -> None:
+        super().__init__(f"{name} {host}", StampTiming(delay=0.001, delay_error=0.01))
+        self._host, self._rate, self._last = host, rate, -np.inf
+        self._robot: Any = None
 
     def read(self, wait: float) -> Samples | End | None:
-        """The rows of the next moments."""
-        assert self._clock is not None
         until = self._clock.now() + min(max(wait, 0.0), TOGETHER)
         rows: list[tuple[float, list[float]]] = []
         while True:
             try:
                 time, force = self._state()
             except Exception as wrong:  # each package has errors of its own
-                return End(f"{self.name} answers no more ({wrong})", fault=True)
+                return self._fault(f"answers no more ({wrong})")
             if time > self._last:
                 rows.append((time, force))
                 self._last, self._heard = time, self._clock.now()
@@ -514,8 +476,7 @@ class _Robot:
         if rows:
             stamp, force_rows = zip(*rows, strict=True)
             return Samples(np.array(stamp), np.array(force_rows, dtype=float), self._heard)
-        silent = self._clock.now() - self._heard > SILENT_PACKAGE
-        return End(f"{self.name} stands still: its time goes on no more", fault=True) if silent else None
+        return self._silence(SILENT_PACKAGE, "stands still: its time goes on no more")
 
     def _state(self) -> tuple[float, list[float]]:
         raise NotImplementedError
@@ -525,9 +486,7 @@ class UrForce(_Robot):
     """The wrench at a Universal Robot's tool, in the axes of its base, through `ur-rtde`."""
 
     def __init__(self, host: str, *, rate: float = 500.0) -> None:
-        super().__init__(f"the robot {host}", rate)
-        self._host = host
-        self._robot: Any = None
+        super().__init__("the robot", host, rate)
 
     def open(self, clock: Clock) -> None:
         """Connect.
@@ -540,10 +499,9 @@ class UrForce(_Robot):
             self._robot = made.RTDEReceiveInterface(self._host, self._rate)
         except Exception as wrong:
             raise RecordingError(f"{self.name} does not answer ({wrong}). Is it on, and is RTDE allowed?") from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def close(self) -> None:
-        """Disconnect."""
         if self._robot is not None:
             self._robot.disconnect()
             self._robot = None
@@ -558,9 +516,7 @@ class FrankaForce(_Robot):
     """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`), in its base's axes, through `pylibfranka`."""
 
     def __init__(self, host: str) -> None:
-        super().__init__(f"the arm {host}", 1000.0)
-        self._host = host
-        self._robot: Any = None
+        super().__init__("the arm", host, 1000.0)
 
     def open(self, clock: Clock) -> None:
         """Connect; nothing is asked to move.
@@ -575,10 +531,9 @@ class FrankaForce(_Robot):
             raise RecordingError(
                 f"{self.name} does not answer ({wrong}). Is FCI active, and nobody else on it?"
             ) from None
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def close(self) -> None:
-        """Disconnect."""
         self._robot = None
 
     def _state(self) -> tuple[float, list[float]]:
@@ -586,17 +541,14 @@ class FrankaForce(_Robot):
         return float(state.time.to_sec()), list(state.O_F_ext_hat_K)
 
 
-class LslForce:
+class LslForce(Device):
     """A stream of the Lab Streaming Layer, by its name, through `pylsl`."""
 
     def __init__(self, stream: str, cells: Cells) -> None:
         """`cells`: its channels, in order."""
-        self.name, self.columns = f"the stream {stream}", cells.columns
-        self.timing = StampTiming(delay=0.0005, delay_error=0.01)
-        self._stream, self._cells = stream, cells
+        super().__init__(f"the stream {stream}", StampTiming(delay=0.0005, delay_error=0.01))
+        self.columns, self._stream, self._cells = cells.columns, stream, cells
         self._inlet: Any = None
-        self._clock: Clock | None = None
-        self._heard = 0.0
 
     def open(self, clock: Clock) -> None:
         """Find the stream, and listen.
@@ -618,54 +570,44 @@ class LslForce:
             )
         self._inlet = made.StreamInlet(found[0], recover=False)
         self._inlet.open_stream(PATIENCE)
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """What came."""
-        assert self._clock is not None
         try:
             rows, stamps = self._inlet.pull_chunk(timeout=min(wait, TOGETHER))
         except Exception as wrong:  # a LostError, of the package
-            return End(f"{self.name} ended ({type(wrong).__name__})", fault=True)
-        now = self._clock.now()
+            return self._fault(f"ended ({type(wrong).__name__})")
         if not len(stamps):
-            return End(f"{self.name} sends nothing", fault=True) if now - self._heard > SILENT_PACKAGE else None
-        self._heard = now
-        read = np.asarray(rows, dtype=float)
-        return Samples(np.array(stamps, dtype=float), np.column_stack(list(self._columns(read))), now)
+            return self._silence(SILENT_PACKAGE, "sends nothing")
+        self._heard = self._clock.now()
+        place, scale = list(self._cells.place), np.array(self._cells.scale)
+        force = np.where(np.array(place) < 0, 0.0, np.asarray(rows, dtype=float)[:, place] * scale)
+        return Samples(np.array(stamps, dtype=float), force, self._heard)
 
     def close(self) -> None:
-        """Listen no more."""
         if self._inlet is not None:
             self._inlet.close_stream()
             self._inlet = None
 
-    def _columns(self, rows: Any) -> Iterator[Any]:
-        for place, scale in zip(self._cells.place, self._cells.scale, strict=True):
-            yield scale * rows[:, place] if place >= 0 else np.zeros(len(rows))
 
-
-# A ROS bag that a robot is writing: its force topic, read again and again up to where it ends.
-#
-# Each look reads the whole bag, as one that broke off, and takes what is new; so looks are farther apart the longer
-# it grows. A recorder writes in chunks: what it holds back is not seen before it lets go of it.
+# A ROS bag that a robot is writing. Each look reads the whole bag and takes what is new, so looks are farther apart the
+# longer it grows. Messages that the recorder still holds back are not seen.
 
 EVERY, SHARE = 0.5, 4.0  # s between two looks, and times what the last one took
 SILENT_TOPIC = 30.0  # s without a message
 
 
-class GrowingBag:
+class GrowingBag(Device):
     """The force in a bag that grows."""
 
     columns: tuple[str, ...] = ("fx_N", "fy_N", "fz_N")
 
     def __init__(self, path: Path, topic: str = "", field: str = "") -> None:
         """`topic`: empty: the only one whose force is known; `field`: where the force stands in its messages."""
-        self.name, self._path, self.files = f"the bag {path}", path, (path,)
-        self.timing = StampTiming(delay=0.01, delay_error=0.5)  # a recorder holds back what it writes
+        super().__init__(f"the bag {path}", StampTiming(delay=0.01, delay_error=0.5))  # recorders hold back messages
+        self._path, self.files = path, (path,)
         self._entry = ForceEntry(path, topic=topic, field=field, damaged="keep")
-        self._seen, self._due, self._heard = 0, -np.inf, 0.0
-        self._clock: Clock | None = None
+        self._seen, self._due = 0, -np.inf
 
     def open(self, clock: Clock) -> None:
         """Find the topic; what is in the bag already is left out.
@@ -678,11 +620,9 @@ class GrowingBag:
         default = self._entry.field or default_field(topic, self._entry)
         self._entry = ForceEntry(self._path, topic=topic.channel.topic, field=default, damaged="keep")
         self._seen = len(self._rows()[0])
-        self._clock, self._heard = clock, clock.now()
+        self._begin(clock)
 
     def read(self, wait: float) -> Samples | End | None:
-        """The messages that are new."""
-        assert self._clock is not None
         begun = self._clock.now()
         if begun < self._due:
             self._clock.wait_until(min(self._due, begun + wait))
@@ -690,11 +630,11 @@ class GrowingBag:
         try:
             time, force = self._rows()
         except (RecordingError, OSError) as wrong:
-            return End(f"{self.name} cannot be read any more ({wrong})", fault=True)
+            return self._fault(f"cannot be read any more ({wrong})")
         now = self._clock.now()
         self._due = now + max(EVERY, SHARE * (now - begun))
         if len(time) <= self._seen:
-            return End(f"{self.name} does not grow any more", fault=True) if now - self._heard > SILENT_TOPIC else None
+            return self._silence(SILENT_TOPIC, "does not grow any more")
         new = slice(self._seen, None)
         self._seen, self._heard = len(time), now
         return Samples(time[new], force[new], begun)

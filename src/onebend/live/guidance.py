@@ -288,7 +288,6 @@ class Stages:
         return max(MOVED_SHARE, MOVED_SD * float(np.median(steps))) if len(steps) else 2.0 * MOVED_SHARE
 
     def _pushed(self, time: float) -> None:
-        """At rest again after a push?"""
         bent = self.largest > 3.0 * self._threshold
         if bent and self.displacement < max(self._threshold, BACK * self.largest) and self._still():
             self._since, self.stage = time, "last rest"
@@ -454,7 +453,6 @@ def _unseen(tags: Sequence[TagView]) -> str:
 
 
 def _at_edge(picture: Picture, seen: Sequence[TagView]) -> list[str]:
-    """A tag at the picture's edge leaves it when the beam bends."""
     height, width = picture.shape
     near = [
         tag.id

@@ -1,7 +1,6 @@
-"""What is kept of a stream: the tags of its frames and the rows of its force log, in order of time, of bounded size.
+"""The tags and the force log of a stream so far, in order of time, of bounded size.
 
-Where a store is full, it goes on at half the rate: of the frames every other one is kept, and two rows of the log
-become their mean. So a long push is kept from its first rest to its end.
+A full store goes on at half the rate: every other frame is dropped, and two rows of the log become their mean.
 """
 
 from __future__ import annotations
@@ -81,7 +80,6 @@ class FrameHistory:
         return tracks, repeated(changes)
 
     def _halved(self) -> list[TrackedFrame]:
-        """The first frame, of those after it every other one, and those that are spared."""
         out, change = [self._frames[0]], 0.0
         for i, frame in enumerate(self._frames[1:], start=1):
             change = max(change, frame.change)
@@ -101,7 +99,6 @@ class FrameHistory:
 
 
 def _changed(frame: TrackedFrame, change: float) -> TrackedFrame:
-    """The frame, as different from that before as the larger of both changes says."""
     return frame if change <= frame.change else replace(frame, change=change)
 
 
@@ -172,7 +169,6 @@ class ForceHistory:
             self._halve()
 
     def _insert(self, rows: Array) -> None:
-        """Rows that are not newer than the newest one."""
         self._room_for(len(rows))
         begin = int(np.searchsorted(self.rows[:, 0], rows[:, 0].min()))
         tail = np.concatenate([self.rows[begin:], rows])

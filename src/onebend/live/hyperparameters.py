@@ -10,31 +10,19 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs, dpstrf, dtrtrs
 
 from onebend.errors import LearningError
+from onebend.learning import normal
 from onebend.learning.allowances import AllowanceName
 from onebend.learning.force_error import LOAD
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
-from onebend.learning.normal import (
-    RHO,
-    SPREAD as PRIOR_SPREAD,
-    STEP_DIRECTIONS,
-    TAU,
-    WIDE_SHARE,
-    InformationForm,
-    drawn_sizes,
-    part_variances,
-)
+from onebend.learning.normal import RHO, SPREAD as PRIOR_SPREAD, STEP_DIRECTIONS, TAU, WIDE_SHARE, InformationForm
 from onebend.learning.parameters import Priors, Spline
 from onebend.live.key_frames import CAUSAL_ALLOWANCES, ForceProcess
-from onebend.live.model import SmootherSettings
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
 from onebend.records import Array
 
-# Hyperparameters of the force error in the live learner: a search for the most probable, and an average around them.
-#
-# The search makes one trial at a time, with the data so far. Every second trial is a climb: one hyperparameter is
-# made larger or smaller, and the change is kept if it is more probable. The others are looks. Pairs of looks near the
-# optimum give the curvature of the log probability; pairs far out along its principal axes are the nodes over which
-# log k is averaged (a cubature of degree three, as in the fit). A round of looks is followed by the next.
+# A search for the most probable hyperparameters of the force error, one trial with every fourth frame. Climbs change
+# one of them and keep what is better. Looks come in pairs: near the optimum for the curvature, far out as cubature
+# nodes.
 
 _CHOSEN = ("coloured", "memory", "walk", "load", "white")  # log k is averaged over all but the last
 _CENTRE = 0.25  # share of the node in the middle
@@ -74,7 +62,6 @@ class HyperparameterSearch:
 
     @property
     def climbs(self) -> bool:
-        """Whether the next trial is a climb."""
         return self._trials % _CLIMB_EVERY == 0
 
     @property
@@ -83,7 +70,6 @@ class HyperparameterSearch:
         return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
 
     def proposal(self, now: LiveHyperparameters) -> LiveHyperparameters:
-        """The next trial."""
         logs = np.log([getattr(now, name) for name in self._chosen])
         if self.climbs:
             i = self._climbs % len(self._chosen)
@@ -95,7 +81,6 @@ class HyperparameterSearch:
         return replace(now, **dict(zip(self._chosen, values.tolist(), strict=True)))
 
     def cost(self, hyperparameters: LiveHyperparameters) -> float:
-        """-2 log prior."""
         z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
         return float(z @ z)
 
@@ -156,7 +141,6 @@ class HyperparameterSearch:
             self._begin()
 
     def failed(self) -> None:
-        """After a trial that has no posterior."""
         if self.climbs:
             self.climbed(False)
         elif self._look < 2 * len(self._pairs):
@@ -180,7 +164,6 @@ class HyperparameterSearch:
         return mean + root @ away, np.asarray(0.5 * (out + out.T))
 
     def _begin(self) -> None:
-        """A new round of looks."""
         count = len(self._open)
         self._pairs = [(i, j) for i in range(count) for j in range(i + 1)]
         self._curved = np.zeros(len(self._pairs))
@@ -188,7 +171,6 @@ class HyperparameterSearch:
         self._look = 0
 
     def _away(self) -> Array:
-        """Offset of the next look from the optimum, in sd of the priors."""
         out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
         if self._look < pairs:
             i, j = self._pairs[self._look // 2]
@@ -222,10 +204,8 @@ class OnlineSettings:
     functions: int = 45  # of the spline of log k
     key_frames: int = 30
     renewed: int = 5  # key frames linearised anew with every other update; one with those between
-    priors: Priors = field(default_factory=Priors)  # `clock` None: camera and force log share one
-    placement_sd: float = 5e-4  # m, of the tags' places and of the clamp's
-    rest_unknown: bool = True  # the beam may be curved when free
-    calibrated: bool = True  # False: all lengths have a common unknown scale
+    # `clock` None: camera and force log share one; `scale` None: the camera is calibrated
+    priors: Priors = field(default_factory=Priors)
     marker_noise: float = 1.5  # over what the tags' covariances say
     force_noise: float = 0.01  # N, sd of the log's coloured error
     force_white: float | None = None  # N, sd of its error that is anew in every frame; None: as the coloured one
@@ -246,25 +226,6 @@ class OnlineSettings:
     tag_size: float | None = None  # m, side of a tag's black square; None: not known
 
     @property
-    def smoother(self) -> SmootherSettings:
-        """The part that the smoother needs."""
-        return SmootherSettings(
-            key_frames=self.key_frames,
-            renewed=self.renewed,
-            zero=self.force_zero,
-            least_zero=self.force_noise,
-            load=self.force_load,
-            roughness=self.roughness,
-            steps=self.steps,
-            memory_doubt=self.memory_doubt,
-            adapt=self.adapt,
-            bulk=self.bulk,
-            gate=self.gate,
-            patience=self.patience,
-            step=self.step,
-        )
-
-    @property
     def hyperparameters(self) -> LiveHyperparameters:
         """The values that the hyperparameters begin with."""
         return LiveHyperparameters(
@@ -278,18 +239,14 @@ class OnlineSettings:
 
     def check(self) -> None:
         """Raises `LearningError` for settings without meaning."""
-        sizes = ("marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt")
-        for name in (*sizes, "roughness", "steps", "bulk", "gate", "step"):
-            value = getattr(self, name)
-            if value is not None and not value > 0.0:
+        positive = {"marker_noise", "force_noise", "force_white", "force_walk", "force_memory", "memory_doubt"}
+        positive |= {"roughness", "steps", "bulk", "gate", "step"}
+        for name, value in vars(self).items():
+            if name in positive and value is not None and not value > 0.0:
                 raise LearningError(f"{name} must be positive, got {value}")
-        for name in ("force_zero", "force_load", "placement_sd"):
-            value = getattr(self, name)
-            if value is not None and not value >= 0.0:
+            if name in ("force_zero", "force_load") and value is not None and not value >= 0.0:
                 raise LearningError(f"{name} cannot be negative, got {value}")
-        for name in ("thickness", "tag_size"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
+            if name in ("thickness", "tag_size") and value is not None and not (np.isfinite(value) and value > 0.0):
                 raise LearningError(f"{name} must be a length in m, got {value}")
         if not self.allowances <= CAUSAL_ALLOWANCES:
             other = ", ".join(sorted(self.allowances - CAUSAL_ALLOWANCES))
@@ -300,12 +257,12 @@ class OnlineSettings:
 
 
 def force_process(
-    settings: SmootherSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
+    settings: OnlineSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
 ) -> ForceProcess:
     """The force log's error. `largest`: N, the largest force so far; `far_off`: the residuals are far above the tags'
     noise, so the force may also be further off than its log says."""
-    level = float(np.hypot(settings.zero, max(_LEVEL * largest, settings.least_zero)))
-    load = hyperparameters.load * (LOAD * largest if settings.load is None else settings.load)
+    level = float(np.hypot(settings.force_zero, max(_LEVEL * largest, settings.force_noise)))
+    load = hyperparameters.load * (LOAD * largest if settings.force_load is None else settings.force_load)
     if far_off:
         load *= _WRONG
     return ForceProcess(
@@ -313,11 +270,8 @@ def force_process(
     )
 
 
-# Hyperparameters of log k's prior in the live learner: drawn from the same density as in `stiffness_prior.py`.
-#
-# A few Markov chains run for as long as frames come. The posterior changes little from frame to frame, so a few steps
-# of the chains follow it. The last draws are kept. Given the hyperparameters log k is normal, so its mean and
-# covariance are averages over draws.
+# Hyperparameters of log k's prior: a few Markov chains run while frames come, and their last draws are kept. Given the
+# hyperparameters log k is normal, so its mean and covariance are averages over draws.
 
 _CHAINS = 2
 _KEPT_STEPS = 20  # the last steps, whose draws are kept
@@ -343,7 +297,7 @@ class StiffnessChains:
         self._logs = np.tile(np.log([tau, rho]), (_CHAINS, 1))
         self._own = np.ones((_CHAINS, len(spline.share)))
         self._expected = np.log([TAU, RHO])
-        first = part_variances(spline, self._logs, self._own)[0]
+        first = normal.part_variances(spline, self._logs, self._own)[0]
         self._logs_drawn = np.tile(np.log(first), (_KEPT_STEPS, 1))  # (B KEPT, n) of the parts' variances
         self._next_draw = 0
 
@@ -357,11 +311,10 @@ class StiffnessChains:
         return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
 
     def step(self, stiffness_form: InformationForm) -> None:
-        """One step of every chain."""
         b = _CHAINS
         self._logs, self._own = self._moved(self._data(stiffness_form), self._logs, self._own, self._rng)
         self._logs_drawn[self._next_draw : self._next_draw + b] = np.log(
-            part_variances(self._spline, self._logs, self._own)[0]
+            normal.part_variances(self._spline, self._logs, self._own)[0]
         )
         self._next_draw = (self._next_draw + b) % len(self._logs_drawn)
 
@@ -376,7 +329,7 @@ class StiffnessChains:
         for i in range(_LEFT_OUT + _READ):
             logs, own = self._moved(data, logs, own, rng)
             if i >= _LEFT_OUT:
-                drawn.append(part_variances(self._spline, logs, own)[0])
+                drawn.append(normal.part_variances(self._spline, logs, own)[0])
         return self._averaged(data, np.concatenate(drawn))
 
     def _averaged(self, data: _PartRows, drawn: Array) -> tuple[Array, Array, Array]:
@@ -399,12 +352,12 @@ class StiffnessChains:
         stride = np.where(rng.random((b, 1)) < WIDE_SHARE, 1.5, 0.5) * PRIOR_SPREAD
         tried = logs + STEP_DIRECTIONS[rng.integers(0, 3, b)] * stride * rng.standard_normal((b, 2))
         both = np.concatenate([logs, tried])
-        variance, capped = part_variances(self._spline, both, np.concatenate([own, own]))
+        variance, capped = normal.part_variances(self._spline, both, np.concatenate([own, own]))
         factors, value = self._density(both, capped, variance, data)
         taken = np.log(rng.random(b)) < value[b:] - value[:b]
         chosen = np.where(taken, np.arange(b, 2 * b), np.arange(b))
         local = self._local(variance[chosen], [factors[i] for i in chosen.tolist()], data, rng)
-        return both[chosen], drawn_sizes(self._spline, both[chosen], local, rng)
+        return both[chosen], normal.drawn_sizes(self._spline, both[chosen], local, rng)
 
     def _data(self, stiffness_form: InformationForm) -> _PartRows:
         """The information form as rows on log k less its level, one for each direction with information."""

@@ -1,9 +1,8 @@
 """Key frames: a bounded set of frames that stands for all frames so far.
 
 A key frame is linear in the parameters x and in its own force error e: `zeta = J x - A e + noise`. It keeps its
-measurement, so that it can be linearised anew. Two neighbours in time under nearly the same force are averaged: the
-mean of their residuals, added to the prediction under their mean force, counts as a measurement under that force.
-Where no two are alike, the oldest is marginalised (`marginalised.py`).
+measurement, so that it can be linearised anew. Neighbours in time under nearly the same force are averaged; where no
+two are alike, the oldest is marginalised (`posterior.py`).
 """
 
 from __future__ import annotations
@@ -15,38 +14,14 @@ from functools import cached_property
 
 import numpy as np
 
-from onebend.learning.allowances import (
-    ANGLE,
-    DEGREE,
-    OF_ONE,
-    TIMES,
-    XY,
-    Allowance,
-    AllowanceName,
-    PushCourse,
-    discrepancy_of,
-    giving,
-    length,
-    of_axes,
-    on_each_axis,
-    patches,
-    posture_bias,
-    powers,
-    relaxation,
-    section,
-    sliding,
-    smooth_functions,
-    turn_at_push,
-)
+from onebend.learning import allowances
+from onebend.learning.allowances import ANGLE, DEGREE, OF_ONE, TIMES, XY, Allowance, AllowanceName, PushCourse, length
 from onebend.learning.force_error import ANEW, RELEASED
 from onebend.recording.force import BEFORE, CLEAR, EARLY, TURN, LoadChange
 from onebend.records import Array, BoolArray, IntArray
 
-# The allowances of a learner that sees frame after frame, and the course of the push as far as it has been seen.
-#
-# They are those of a whole recording but for what needs frames to come or a camera's place. Displacements here are
-# over the beam's length: nobody knows the largest one before the end. So the parameters that go with it keep their
-# units, and their prior follows the largest so far (`course_scale`).
+# Allowances of a learner that sees frame after frame: those that need no later frame and no place of the camera.
+# Displacements are over the beam's length; the priors follow the largest one so far (`course_scale`).
 
 # Of the others, inertia needs frames to come, gravity's direction the weight, and three need the camera's place.
 CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {
@@ -72,14 +47,17 @@ def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, t
     empty = np.zeros(0)
     none = PushCourse(empty, empty, empty, empty, np.zeros((0, len(marker_s))))
     return (
-        section(known=thick),
-        relaxation(none),
-        sliding(marker_s, none, np.zeros(0)),
-        giving(none, 0),
-        posture_bias(none, np.array([[1.0, 0.0]])),  # per N of the largest force
-        patches(marker_s, beam_length, tag_size, None),
+        allowances.section(known=thick),
+        allowances.relaxation(none),
+        allowances.sliding(marker_s, none, np.zeros(0)),
+        allowances.giving(none, 0),
+        allowances.posture_bias(none, np.array([[1.0, 0.0]])),  # per N of the largest force
+        allowances.patches(marker_s, beam_length, tag_size, None),
         length(),
-        *(replace(one, prior_sd=_WORTH * one.prior_sd) for one in discrepancy_of(no_functions, tags, beam_length)),
+        *(
+            replace(one, prior_sd=_WORTH * one.prior_sd)
+            for one in allowances.discrepancy_of(no_functions, tags, beam_length)
+        ),
     )
 
 
@@ -116,8 +94,12 @@ class CourseSoFar:
         out = np.empty(TERMS)
         once = np.zeros(1)
         run = PushCourse(once, np.array([bend]), np.array([float(back)]), once, self._turn[None])
-        out[SLIDE] = turn_at_push(self._marker_s, run.turn, np.array([push_s]))
-        out[CLAMP], out[POSTURE], out[SMOOTH] = self._turn[0], powers(run.bend), smooth_functions(run)[:, _LINEAR]
+        out[SLIDE] = allowances.turn_at_push(self._marker_s, run.turn, np.array([push_s]))
+        out[CLAMP], out[POSTURE], out[SMOOTH] = (
+            self._turn[0],
+            allowances.powers(run.bend),
+            allowances.smooth_functions(run)[:, _LINEAR],
+        )
         return out
 
 
@@ -126,9 +108,11 @@ class CourseBases:
 
     def __init__(self, terms: Array, tags: int, carried: Collection[str]) -> None:
         self._terms, self._carried = terms, carried
-        self.force = on_each_axis(terms[:, POSTURE])  # (B, 2, 4) N per unit: the posture-dependent bias
+        self.force = allowances.on_each_axis(terms[:, POSTURE])  # (B, 2, 4) N per unit: the posture-dependent bias
         axes = {"discrepancy": XY, "angle discrepancy": ANGLE}
-        self.poses = {name: of_axes(terms[:, SMOOTH], tags, of) for name, of in axes.items() if name in carried}
+        self.poses = {
+            name: allowances.of_axes(terms[:, SMOOTH], tags, of) for name, of in axes.items() if name in carried
+        }
 
     def blocks(self, of: Mapping[str, Array]) -> dict[str, Array]:
         """(B, m, 3, n) by name, of the tags' poses, from those with the "push", its "place" and the "clamp"."""
@@ -143,12 +127,8 @@ class CourseBases:
         return sum((basis @ values[name] for name, basis in self.poses.items()), start=0.0)
 
 
-# The error of a force log as a process in time: a level, a random walk, an Ornstein-Uhlenbeck part, white noise, and
-# a part that comes with the load (`recording/force.py`). That part has a time of its own, which advances
-# only while the load changes; `LoadStages` finds it from frames as they come.
-#
-# Frames that are averaged into one key frame share one number per axis: the mean of the error over their times. Key
-# frames follow each other in time and do not overlap, so the covariances of these means have short closed forms.
+# The error of a force log as a process in time. The part that comes with the load has a time of its own, which advances
+# only while the load changes. A key frame has the mean error over its time span; spans do not overlap.
 
 _LEAST = 1e-12  # of each variance: what rounding leaves of two that are the same
 
@@ -324,7 +304,6 @@ class LoadStages:
         return not self._rising
 
     def _go_on(self, time: float, over: bool) -> None:
-        """The present change lasts until now."""
         amount, change = self._changes[-1]
         self._changes[-1] = amount, LoadChange(change.begin, time, change.release)
         self._open = None if over else self._open
@@ -376,76 +355,53 @@ _EYE = np.eye(3)
 _REST_SHARE = 0.1  # of its cost counts at rest: such frames say less and are averaged earlier
 
 
+class _View:
+    """Some of the last axis of one of the arrays of `KeyFrames`, to read and to write into."""
+
+    def __init__(self, array: str, which: int | slice) -> None:
+        self._array, self._which = array, which
+
+    def __get__(self, keys: KeyFrames, _: type | None = None) -> Array:
+        out: Array = getattr(keys, self._array)[..., self._which]
+        return out
+
+
 @dataclass
 class KeyFrames:
     """Room for K frames; the first `used` are taken, in order of time. In few arrays, to move a frame quickly."""
 
     used: int
-    numbers: Array  # (K, 14 + TERMS): `begin`, `end`, `own`, `frames`, `push_s`, `grid`, `force`, `rate`, ... in turn
+    numbers: Array  # (K, 14 + TERMS)
     flags: BoolArray  # (K, 3): `rest`, `stale`, `lost`
     measured: Array  # (K, m, 3)
     information: Array  # (K, m, 3, 3) of `measured`; zero where a tag was not seen
     root: Array  # (K, m, 3, 3) R with R' R = information
     weight: Array  # (K, m) robust
     residual: Array  # (K, m, 3) measured less predicted, where it was linearised
-    linear: Array  # (K, m, 3, n + 3): `j`, `a`, `zeta`
+    linear: Array  # (K, m, 3, n + 3)
     rows: Array  # (K, 3 m, n + 3): the same, whitened
-    shape: Array  # (K, Q, 3 + r): `q`, `by_force`, `lags`
+    shape: Array  # (K, Q, 3 + r)
 
-    @property
-    def begin(self) -> Array:
-        """(K,) s."""
-        return self.numbers[:, 0]
-
-    @property
-    def end(self) -> Array:
-        """(K,) s."""
-        return self.numbers[:, 1]
-
-    @property
-    def own(self) -> Array:
-        """(K,) the load's own time there, but for its last changes."""
-        return self.numbers[:, 2]
-
-    @property
-    def frames(self) -> Array:
-        """(K,) how many were averaged."""
-        return self.numbers[:, 3]
-
-    @property
-    def push_s(self) -> Array:
-        """(K,)."""
-        return self.numbers[:, 4]
-
-    @property
-    def grid(self) -> Array:
-        """(K,) place of the push whose grid `q` is on; 0: there is none yet."""
-        return self.numbers[:, 5]
-
-    @property
-    def force(self) -> Array:
-        """(K, 2) N, as logged."""
-        return self.numbers[:, 6:8]
-
-    @property
-    def rate(self) -> Array:
-        """(K, 2) N/s."""
-        return self.numbers[:, 8:10]
-
-    @property
-    def gravity(self) -> Array:
-        """(K, 2) m/s^2."""
-        return self.numbers[:, 10:12]
-
-    @property
-    def error(self) -> Array:
-        """(K, 2) N, the force's, at which it was linearised."""
-        return self.numbers[:, 12:14]
-
-    @property
-    def terms(self) -> Array:
-        """(K, TERMS) of the allowances, see `CourseSoFar.terms`."""
-        return self.numbers[:, 14:]
+    begin = _View("numbers", 0)  # (K,) s
+    end = _View("numbers", 1)  # (K,) s
+    own = _View("numbers", 2)  # (K,) the load's own time there, but for its last changes
+    frames = _View("numbers", 3)  # (K,) how many were averaged
+    push_s = _View("numbers", 4)  # (K,)
+    grid = _View("numbers", 5)  # (K,) place of the push whose grid `q` is on; 0: there is none yet
+    force = _View("numbers", slice(6, 8))  # (K, 2) N, as logged
+    rate = _View("numbers", slice(8, 10))  # (K, 2) N/s
+    gravity = _View("numbers", slice(10, 12))  # (K, 2) m/s^2
+    error = _View("numbers", slice(12, 14))  # (K, 2) N, the force's, at which it was linearised
+    terms = _View("numbers", slice(14, None))  # (K, TERMS) of the allowances, see `CourseSoFar.terms`
+    j = _View("linear", slice(None, -3))  # (K, m, 3, n) derivatives with the parameters
+    a = _View("linear", slice(-3, -1))  # (K, m, 3, 2) derivatives with the force
+    zeta = _View("linear", -1)  # (K, m, 3)
+    rows_j = _View("rows", slice(None, -3))  # (K, 3 m, n) whitened
+    rows_a = _View("rows", slice(-3, -1))  # (K, 3 m, 2) whitened
+    rows_z = _View("rows", -1)  # (K, 3 m) whitened
+    q = _View("shape", 0)  # (K, Q) rad, the shape to start from
+    by_force = _View("shape", slice(1, 3))  # (K, Q, 2) of it with the logged force
+    lags = _View("shape", slice(3, None))  # (K, Q, r) rad, curvatures that lag behind that of a beam that relaxes
 
     @property
     def rest(self) -> BoolArray:
@@ -461,51 +417,6 @@ class KeyFrames:
     def lost(self) -> BoolArray:
         """(K,) has no equilibrium at the linearisation point; keeps its earlier linearisation."""
         return self.flags[:, 2]
-
-    @property
-    def j(self) -> Array:
-        """(K, m, 3, n) derivatives with the parameters."""
-        return self.linear[..., :-3]
-
-    @property
-    def a(self) -> Array:
-        """(K, m, 3, 2) derivatives with the force."""
-        return self.linear[..., -3:-1]
-
-    @property
-    def zeta(self) -> Array:
-        """(K, m, 3)."""
-        return self.linear[..., -1]
-
-    @property
-    def rows_j(self) -> Array:
-        """(K, 3 m, n) whitened."""
-        return self.rows[..., :-3]
-
-    @property
-    def rows_a(self) -> Array:
-        """(K, 3 m, 2) whitened."""
-        return self.rows[..., -3:-1]
-
-    @property
-    def rows_z(self) -> Array:
-        """(K, 3 m) whitened."""
-        return self.rows[..., -1]
-
-    @property
-    def q(self) -> Array:
-        """(K, Q) rad, the shape to start from."""
-        return self.shape[..., 0]
-
-    @property
-    def by_force(self) -> Array:
-        """(K, Q, 2) of it with the logged force."""
-        return self.shape[..., 1:3]
-
-    @property
-    def lags(self) -> Array:
-        """(K, Q, r) rad, curvatures that lag behind that of a beam that relaxes."""
-        return self.shape[..., 3:]
 
     @property
     def centre(self) -> Array:

@@ -1,10 +1,8 @@
 """k(s) while the beam is being pushed: the posterior of the marker-space fit, renewed with every frame.
 
-A bounded set of key frames stands for all frames so far (`key_frames.py`). With every new frame a few of them are
-linearised anew at the present estimate, and the posterior is solved for over all of them (`key_frame_posterior.py`).
-So a poor start is forgotten, which in an extended Kalman filter it would not be. The hyperparameters of noise and force
-error are searched for, one trial in two updates; those of log k's prior are drawn. Memory and time per update do not
-grow.
+A bounded set of key frames stands for all frames so far (`key_frames.py`). Each update linearises a few of them anew
+and solves for the posterior over all of them (`posterior.py`), so a poor start is forgotten. Memory and time per update
+do not grow.
 """
 
 from __future__ import annotations
@@ -22,18 +20,10 @@ from onebend.learning.allowances import OF_ONE, AllowanceName
 from onebend.learning.optimizer import MISS
 from onebend.learning.parameters import Layout, Spline
 from onebend.learning.posterior import Nuisance
+from onebend.live import key_frames
 from onebend.live.hyperparameters import HyperparameterSearch, OnlineSettings, StiffnessChains, force_process
-from onebend.live.key_frames import (
-    CourseSoFar,
-    ForceProcess,
-    KeyFrames,
-    LoadStages,
-    accept_average,
-    closest_pairs,
-    empty,
-    propose_average,
-)
-from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, SmootherSettings, session_layout
+from onebend.live.key_frames import CourseSoFar, ForceProcess, KeyFrames, LoadStages
+from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_layout
 from onebend.live.posterior import (
     KeyFramePosterior,
     KeyFrameSums,
@@ -51,9 +41,6 @@ from onebend.live.posterior import (
 )
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray
-
-# The frame that comes from a live camera and force sensor: checked, written behind the key frames, and its tags
-# compared with what was expected of them.
 
 
 @dataclass(frozen=True)
@@ -166,8 +153,6 @@ def surprise(
     return innovation, np.sqrt(np.maximum(np.sum(innovation * solved, axis=1), 0.0))
 
 
-# Reasons not to rely on the live learner's k(s) at the moment; usually there are none.
-
 FAR_OFF = 5.0  # times the tags' noise: a larger misfit is not of the tags alone
 FAILED = "the last solution failed: k(s) is what was known before"
 TOO_SOFT = "the estimate has no equilibrium under a force that the beam withstood"
@@ -236,8 +221,6 @@ def _motion(xy: Array, visible: BoolArray) -> Array:
     return np.asarray(np.sqrt(across[:, 0] ** 2 + across[:, 1] ** 2))
 
 
-# The state of the live learner: key frames, their posterior, and the search for the hyperparameters.
-
 _MOVED = 0.5  # posterior sd: a larger distance from the linearisation point moves that point
 _NOISE_EVERY = 8  # of so many trials one counts the effective parameters instead
 _MANY = 6  # key frames linearised with one frame: after more, nothing else is done in that update
@@ -247,19 +230,12 @@ _MISSED_EVERY = 8  # of so many updates without a solution one looks for a misse
 class Smoother:
     """All state of a live learner; its size is fixed when it is made."""
 
-    def __init__(
-        self,
-        session: LiveSession,
-        prior: LivePrior,
-        x: Array,
-        hyperparameters: LiveHyperparameters,
-        settings: SmootherSettings,
-    ) -> None:
+    def __init__(self, session: LiveSession, prior: LivePrior, x: Array, settings: OnlineSettings) -> None:
         tags, n = len(session.marker_s), session.layout.size
         self.x = x  # (n,) the estimate
         self.point = x  # (n,) linearisation point; one for all frames, or their mismatch would look like information
-        self.hyperparameters = hyperparameters
-        self.keys = empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
+        self.hyperparameters = hyperparameters = settings.hyperparameters
+        self.keys = key_frames.empty(settings.key_frames, tags, n, MOST_PANELS * ORDER)
         self.marginalised = nothing_marginalised(n)
         self._session, self._prior, self._settings = session, prior, settings
         self._search = HyperparameterSearch(hyperparameters, settings.memory_doubt)
@@ -297,10 +273,10 @@ class Smoother:
         i = self._write(frame, rate)
         over = 0 if self.pending else keys.used - self._settings.key_frames  # an update that solves does no averaging
         own = keys.own[: keys.used] + self._stages.own(keys.centre)
-        pairs = closest_pairs(keys, i, self._largest, own, over)
+        pairs = key_frames.closest_pairs(keys, i, self._largest, own, over)
         fresh = [i]
         for slot, pair in enumerate(pairs, keys.used):
-            propose_average(keys, pair, slot)
+            key_frames.propose_average(keys, pair, slot)
             fresh += [slot, *(k for k in (pair, pair + 1) if keys.stale[k])]
         if keys.stale[0] and 0 not in fresh and keys.used - len(pairs) > self._settings.key_frames + 1:
             fresh.append(0)  # it is marginalised next, with the linearisation that it has then
@@ -316,7 +292,7 @@ class Smoother:
         missed = set(fresh) - solved
         for pair, slot in sorted(zip(pairs, range(keys.used, keys.used + len(pairs)), strict=True), reverse=True):
             if missed.isdisjoint((pair, pair + 1, slot)):
-                accept_average(keys, pair, slot, self.point)
+                key_frames.accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
             marker = max(self.hyperparameters.marker, self._misfit)
             marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)
@@ -501,7 +477,6 @@ class Smoother:
         return self._prior.nuisance_sd
 
     def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
-        """The force log's error under these hyperparameters."""
         far_off = self._misfit > FAR_OFF * hyperparameters.marker
         return force_process(self._settings, hyperparameters, self._largest, far_off)
 
@@ -558,9 +533,6 @@ class OnlineLearner:
             s,
             settings.priors,
             length=length,
-            placement_sd=settings.placement_sd,
-            rest_unknown=settings.rest_unknown,
-            calibrated=settings.calibrated,
             mass=mass,
             allowances=settings.allowances - self._held,
             thickness=thickness,
@@ -569,7 +541,7 @@ class OnlineLearner:
         self.settings = settings
         self._session, self._gain_sd = LiveSession(length, s, mass, layout, thickness, tag_size), gain_sd
         prior, x = _prior_and_point(layout, start)
-        self._state = Smoother(self._session, prior, x, settings.hyperparameters, settings.smoother)
+        self._state = Smoother(self._session, prior, x, settings)
         self._doubts = start.doubts if isinstance(start, UncertainStiffness) else ()  # what it rests on stays in doubt
         self._last: tuple[float, Array] | None = None
         self._frames = 0
@@ -715,7 +687,6 @@ class OnlineLearner:
 
 
 def _prior_and_point(layout: Layout, start: Profile | float | UncertainStiffness) -> tuple[LivePrior, Array]:
-    """The prior, and the parameters to begin with."""
     x, mean, p = np.zeros(layout.size), np.zeros(layout.size), layout.spline.count
     if isinstance(start, UncertainStiffness):
         if len(start.mean) < p:

@@ -17,24 +17,11 @@ from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.errors import ObservationError, RecordingError
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Grade
+from onebend.live import review
 from onebend.live.history import AS_NEAR, ForceHistory, FrameHistory, FrameReader
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
-from onebend.live.review import (
-    ENDED,
-    HALF,
-    LONGEST_GAP,
-    NO_TAGS,
-    Later,
-    Reviewed,
-    Reviewer,
-    ReviewerBeside,
-    ReviewerHere,
-    Seen,
-    logged_at,
-    observed_in,
-    teach,
-)
+from onebend.live.review import ENDED, HALF, LONGEST_GAP, NO_TAGS, Later, Reviewed, Reviewer, ReviewerBeside, Seen
 from onebend.pipeline import Run, learn_observed
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.entries import Recording
@@ -70,9 +57,9 @@ class Learning:
 
     def update(self, log: ForceHistory, time: float, corners: Array, ahead: float) -> None:
         """Teach it one frame; `ahead`: as `FrameReader.stands_in`."""
-        logged = logged_at(log, self.reader, time, self.reader.stands_in(ahead))
+        logged = review.logged_at(log, self.reader, time, self.reader.stands_in(ahead))
         self.force = self.reader.force_on_beam(logged[:2])
-        doubts = teach(self.learner, self.reader, time, corners, logged)
+        doubts = review.teach(self.learner, self.reader, time, corners, logged)
         if doubts is not None:
             self.learned, self.doubts = self.learned + 1, tuple(doubts)
 
@@ -173,7 +160,6 @@ class Following:
         self._catch_up(self._coming)
 
     def _released(self) -> list[Frame]:
-        """The frames that no review has seen and that do not wait."""
         waiting = {time for time, _ in self._waiting}
         return [frame for frame in self._since if frame[0] not in waiting]
 
@@ -333,7 +319,7 @@ class Live:
         self._small = KeptSmall(rec.beam.length, rec.tags.size, settings.most_frames // 4)
         self._frames = FrameHistory(settings.most_frames, self._small)
         self._log = ForceHistory(settings.most_rows, 4 if rec.push is not None and rec.push.column else 3)
-        made = ReviewerBeside if beside else ReviewerHere
+        made = ReviewerBeside if beside else Reviewer
         self._reviewer: Reviewer = made(settings.observing, settings.learning)
         self._begin = math.nan  # s, the camera's clock, of the first frame
         self._newest: TrackedFrame | None = None
@@ -484,7 +470,9 @@ class Live:
         self.close()
         if not len(self._frames):
             raise ObservationError(f"{self.recording.name}: {NOTHING_YET}")
-        return learn_observed(observed_in(seen_by(self), self.settings.observing), fitting=fitting, progress=progress)
+        return learn_observed(
+            review.observed_in(seen_by(self), self.settings.observing), fitting=fitting, progress=progress
+        )
 
     def close(self) -> None:
         """End the process beside this one; nothing more may come."""
@@ -503,7 +491,6 @@ class Live:
             self.recording = replace(self.recording, video=video)
 
     def _own(self, clock: ClockOffset) -> ClockOffset:
-        """The offset between the clocks as they were given."""
         return replace(clock, offset=clock.offset - self._begin, stated=clock.stated - self._begin)
 
     def _seen(self) -> Seen:

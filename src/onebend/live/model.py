@@ -4,9 +4,8 @@ push."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotrs
@@ -17,6 +16,7 @@ from onebend.beam.problem import Problem
 from onebend.beam.sensitivity import Perturbation, adjoint_times, minus_gradient, moved_by_strain
 from onebend.beam.statics import Equilibrium, nodal_forces, tangent
 from onebend.beam.stiffness import RectangularSection
+from onebend.learning import prediction
 from onebend.learning.allowances import (
     LARGEST,
     TIMES,
@@ -28,31 +28,20 @@ from onebend.learning.allowances import (
     shift_of_lags,
 )
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
-from onebend.learning.parameters import Block, Layout, Priors, Spline
-from onebend.learning.prediction import (
-    BentBeam,
-    ResponseColumns,
-    TagRide,
-    free_columns,
-    joined_functions,
-    load_changes,
-    material_changes,
-    push_blocks,
-    put_blocks,
-    put_tags,
-    response_columns,
-)
+from onebend.learning.parameters import Block, Layout, Priors, Spline, log_axes
+from onebend.learning.prediction import BentBeam, ResponseColumns, TagRide
 from onebend.live.key_frames import CLAMP, OF_COURSE, SLIDE, CourseBases, KeyFrames, causal_allowances, course_scale
-from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, SCALE_SD, TURN_SD, Array, BoolArray
+from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray
 
 ORDER, WIDEST = 12, 0.5
 MOST_PANELS = 4  # two before the push, and two behind one that is near the clamp
+_PLACEMENT_SD = 5e-4  # m, of the tags' places and the clamp's
 _GRIDS = 50  # over the length; a push between two places acts along the tangent from the nearer one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LiveSession:
-    """The beam, its tags and its parameters."""
+    """The beam, its tags and its parameters. Sessions are equal only to themselves."""
 
     length: float  # m
     marker_s: Array  # (m,)
@@ -80,7 +69,7 @@ class LiveSession:
     @cached_property
     def columns(self) -> dict[str, slice]:
         """Columns of all parameters that are not frozen."""
-        return free_columns(self.layout)
+        return prediction.free_columns(self.layout)
 
     @property
     def weighs(self) -> bool:
@@ -108,38 +97,6 @@ class LiveSession:
 
 
 @dataclass(frozen=True)
-class SmootherSettings:
-    """Settings of the smoother; see `OnlineSettings`."""
-
-    key_frames: int
-    renewed: int  # key frames linearised anew with every frame
-    zero: float  # N, sd of the log's zero
-    least_zero: float  # N
-    load: float | None  # N, error expected to come with the load; None: a share of the largest force
-    roughness: float  # of log k, first value
-    steps: float  # of log k, first value
-    memory_doubt: float  # of the log of the force error's memory
-    adapt: bool
-    bulk: float  # sd: tags that fit worse get less weight
-    gate: float  # sd: tags farther from where they are expected are left out
-    patience: int  # frames
-    step: float  # of log k: the most that one update changes it
-
-
-@dataclass(frozen=True)
-class PointBeam:
-    """The beam at parameters x, on the grid of a push: all that no frame changes."""
-
-    x: Array
-    problem: Problem  # under no load
-    stiff: Array  # (Q,) k times the nodes' weights
-    axes: Array  # (2, 2) by which the logged force is turned
-    columns: dict[str, slice]  # where the groups of `material_changes` stand in the functions
-    elastic: Array  # (Q, P) N m, see `joined_functions`
-    compliant: Array  # (Q, P)
-
-
-@dataclass(frozen=True)
 class PushGrid:
     """The grid for a push at one place, and everything that depends only on it."""
 
@@ -153,11 +110,24 @@ class PushGrid:
     mass_beyond: Array  # (Q, 4) kg, of an even mass and of its uneven parts
     log_k: Array  # (Q, p + 1): the functions of log k, the last under the tags
     rest_on_nodes: Array  # (Q, 3)
-    kept: list[PointBeam] = field(default_factory=list)  # the last one
 
     def places(self, s: Array) -> tuple[Array, Array]:
         """(m, Q) each, for places `s` (m,): integrals up to them, and values there."""
         return _rows_at(self.push_s, s.tobytes())
+
+
+@dataclass(frozen=True)
+class PointBeam:
+    """The beam at parameters x, on the grid of a push: all that no frame changes."""
+
+    x: Array
+    push_grid: PushGrid
+    problem: Problem  # under no load
+    stiff: Array  # (Q,) k times the nodes' weights
+    axes: Array  # (2, 2) by which the logged force is turned
+    columns: dict[str, slice]  # where the groups of `material_changes` stand in the functions
+    elastic: Array  # (Q, P) N m, see `joined_functions`
+    compliant: Array  # (Q, P)
 
 
 # Parts of the curvature that those which lag behind it (`TIMES`) are taken to reach: on the way k is the secant
@@ -197,39 +167,36 @@ def session_layout(
     priors: Priors,
     *,
     length: float,
-    placement_sd: float,
-    rest_unknown: bool,
-    calibrated: bool,
     mass: float,
     allowances: frozenset[AllowanceName] = frozenset(),
     thickness: float = math.nan,
     tag_size: float = math.nan,
 ) -> Layout:
-    """The parameters of one beam under one camera; the force's error is a process and not among them. Allowances that
-    are not wanted are frozen."""
-    placement = placement_sd if priors.placement is None else priors.placement
-    origin = placement_sd if priors.origin is None else priors.origin
-    mounted = TURN_SD if priors.mounting is None else priors.mounting
-    pushed = PLACE_SD if priors.place is None else priors.place
-    turned = DIRECTION_SD if priors.direction is None else priors.direction
-    clamped = CLAMP_SD if priors.clamp is None else priors.clamp
-    bent = CURVATURE_SD if priors.curvature is None else priors.curvature
-    scaled = SCALE_SD if priors.scale is None else priors.scale
+    """The parameters of one beam under one camera; the force's error is a process and not among them.
+
+    A prior that is None takes the usual tolerance; without `scale` the camera is calibrated, and without `clock` camera
+    and force log share one clock. Allowances that are not wanted are frozen.
+    """
+
+    def stated_or(stated: float | None, usual: float) -> float:
+        return usual if stated is None else stated
+
+    placement, mounted = stated_or(priors.placement, _PLACEMENT_SD), stated_or(priors.mounting, TURN_SD)
     numbers = range(1, len(marker_s) + 1)
     every = causal_allowances(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
     wanted: list[tuple[str, str, float | Array, tuple[str, ...]]] = [
         ("stiffness", "log(N m)", 1.0, tuple(f"c{i}" for i in range(spline.count))),
-        ("curvature", "rad", bent if rest_unknown else 0.0, ("q0 mean", "q0 slope", "q0 bow")),
+        ("curvature", "rad", stated_or(priors.curvature, CURVATURE_SD), ("q0 mean", "q0 slope", "q0 bow")),
         ("mass", "1", priors.mass if mass > 0.0 else 0.0, ("mass", "mass slope", "mass bow", "mass third")),
         ("along", "m", placement, tuple(f"tag {i} along" for i in numbers)),
         ("across", "m", placement, tuple(f"tag {i} across" for i in numbers)),
         ("turn", "rad", mounted, tuple(f"tag {i} turn" for i in numbers)),
-        ("clamp", "rad", clamped, ("clamp angle",)),
-        ("origin", "m", origin, ("origin x", "origin y")),
-        ("scale", "1", 0.0 if calibrated else scaled, ("camera scale",)),
+        ("clamp", "rad", stated_or(priors.clamp, CLAMP_SD), ("clamp angle",)),
+        ("origin", "m", stated_or(priors.origin, _PLACEMENT_SD), ("origin x", "origin y")),
+        ("scale", "1", priors.scale or 0.0, ("camera scale",)),
         ("clock", "s", priors.clock or 0.0, ("clock offset",)),
-        ("place", "m", pushed, ("push place",)),
-        ("direction", "rad", turned, ("force axes",)),
+        ("place", "m", stated_or(priors.place, PLACE_SD), ("push place",)),
+        ("direction", "rad", stated_or(priors.direction, DIRECTION_SD), ("force axes",)),
         *((a.name, a.unit, a.prior_sd * (a.name in allowances), a.labels) for a in every),
     ]
     blocks, start = [], 0
@@ -248,6 +215,13 @@ def _grid_at(push_s: float) -> Grid:
     return make_grid((0.5 * push_s, push_s), order=ORDER, widest=WIDEST)
 
 
+@lru_cache(maxsize=_GRIDS)
+def _squares_at(push_s: float) -> Array:
+    """See `PushGrid.squares`."""
+    to_nodes = _grid_at(push_s).integral_to_nodes
+    return np.asarray((to_nodes[:, :, None] * to_nodes[:, None, :]).reshape(len(to_nodes), -1))
+
+
 @lru_cache(maxsize=4 * _GRIDS)
 def _rows_at(push_s: float, places: bytes) -> tuple[Array, Array]:
     """See `PushGrid.places`."""
@@ -260,11 +234,7 @@ def nearest_grid_place(push_s: float) -> float:
     return max(round(push_s * _GRIDS), 1) / _GRIDS
 
 
-def grid_places() -> list[float]:
-    """All places at which there is a grid."""
-    return [i / _GRIDS for i in range(1, _GRIDS + 1)]
-
-
+@lru_cache(maxsize=4 * _GRIDS)
 def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     """The grid for a push at `push_s`."""
     grid = _grid_at(push_s)
@@ -277,7 +247,7 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
         push_s=push_s,
         grid=grid,
         to_nodes=to_nodes,
-        squares=(to_nodes[:, :, None] * to_nodes[:, None, :]).reshape(len(nodes), -1),
+        squares=_squares_at(push_s),
         weights=weights,
         beyond=np.asarray(beyond, dtype=float),
         farther=np.asarray(last / (session.length * weights)),
@@ -307,7 +277,6 @@ class LinearisedTags:
     a: Array  # (B, m, 3, 2) with the logged force, per N
 
     def take(self, chosen: BoolArray) -> LinearisedTags:
-        """Some of the frames."""
         return LinearisedTags(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
@@ -322,23 +291,21 @@ class _LoadedBeam:
     by_mass: Perturbation | None  # the parts of the mass; None where nothing weighs
 
 
-def linearise(
-    session: LiveSession, push_grid: PushGrid, x: Array, inputs: FrameInputs, start: Array | None
-) -> LinearisedTags:
-    """Poses and derivatives at parameters x, from shapes `start` (B, Q) where there are any.
+def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start: Array | None) -> LinearisedTags:
+    """Poses and derivatives of the tags on a beam, from shapes `start` (B, Q) where there are any.
 
     The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
     for the force. What a beam that relaxes remembers is taken at `start`, and as given: it has no derivatives but those
     with the shares.
     """
-    layout, m, beam = session.layout, len(session.marker_s), _beam_at(session, push_grid, x)
+    layout, m, x, push_grid = session.layout, len(session.marker_s), beam.x, beam.push_grid
     bases, straight = CourseBases(inputs.terms, m, session.carried), beam.problem.q0
     logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
     q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
     loaded = _loaded_beam(session, push_grid, beam, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
     q, converged, factors = _shapes(push_grid, loaded, start)
     bent = _bent(push_grid, loaded, by_shares, q, converged)
-    loads, tags = response_columns(load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
+    loads, tags = prediction.response_columns(prediction.load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
     right = minus_gradient(bent.solved, loads.changes)
     both = np.concatenate([tags.by_shape, right[..., loads.slices["push"]].swapaxes(1, 2)], axis=1)
     for rows, factor in zip(both, factors, strict=True):
@@ -349,9 +316,9 @@ def linearise(
     columns = _with_material(loads, material, beam)
     tags.add_direct(response, columns)
     blocks, j = columns.split(tags.ride.carry(response)), np.zeros((len(q), m, 3, layout.size))
-    further = push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
-    put_blocks(j, session.columns, blocks | further)
-    put_tags(j, session.columns, tags.motion)
+    further = prediction.push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
+    prediction.put_blocks(j, session.columns, blocks | further)
+    prediction.put_tags(j, session.columns, tags.motion)
     pose, a = tags.pose + bases.moved({name: layout.get(x, name) for name in bases.poses}), blocks["push"] @ beam.axes
     by_force, lags = both[:, 3 * m :].swapaxes(1, 2) @ beam.axes, inputs.memory.lags(q - straight)
     return LinearisedTags(converged, q, by_force, lags, pose, j, a)
@@ -365,7 +332,6 @@ def _material(solved: Equilibrium, beam: PointBeam) -> Perturbation:
 
 
 def _with_material(loads: ResponseColumns, material: Perturbation, beam: PointBeam) -> ResponseColumns:
-    """The columns of the loads, and behind them those of the material."""
     first = len(loads.changes.clamp)
     behind = {name: slice(first + c.start, first + c.stop) for name, c in beam.columns.items()}
     return ResponseColumns(loads.changes + material, loads.slices | behind)
@@ -486,11 +452,15 @@ def _loaded_beam(
     return _LoadedBeam(beam.problem.under(dead, q0, alpha0), beam.stiff, force, pushed, by_mass)
 
 
-def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
-    """The beam at parameters x. It is kept, as all key frames are linearised at one point."""
-    if push_grid.kept and push_grid.kept[0].x is x:
-        return push_grid.kept[0]
-    layout, (size, p) = session.layout, push_grid.log_k.shape
+def beam_at(session: LiveSession, push_s: float, x: Array) -> PointBeam:
+    """The beam at parameters x (n,), on the grid for a push at `push_s`."""
+    return _beam_of(session, push_s, x.tobytes())
+
+
+@lru_cache(maxsize=_GRIDS)  # all key frames are linearised at one point
+def _beam_of(session: LiveSession, push_s: float, parameters: bytes) -> PointBeam:
+    layout, x, push_grid = session.layout, np.frombuffer(parameters), push_grid_at(session, push_s)
+    size, p = push_grid.log_k.shape
     none, (section, thickens) = np.zeros((1, 0, size)), session.section(x)
     problem = Problem(
         grid=push_grid.grid,
@@ -512,14 +482,13 @@ def _beam_at(session: LiveSession, push_grid: PushGrid, x: Array) -> PointBeam:
     bent = BentBeam(
         at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=lengthens, thickens=thickens
     )
-    changes = material_changes(bent)
-    columns = response_columns(changes).slices
+    changes = prediction.material_changes(bent)
+    columns = prediction.response_columns(changes).slices
     last = session.layout.spline.count
     columns |= {"stiffness": slice(0, last), "patches": slice(last, p)}
-    elastic, compliant = joined_functions(changes, size)
-    beam = PointBeam(x, problem, push_grid.weights * problem.k, _axes(layout, x), columns, elastic, compliant)
-    push_grid.kept[:] = [beam]
-    return beam
+    elastic, compliant = prediction.joined_functions(changes, size)
+    stiff, axes = push_grid.weights * problem.k, log_axes(layout, x, -1)
+    return PointBeam(x, push_grid, problem, stiff, axes, columns, elastic, compliant)
 
 
 def _solved(problem: Problem, q: Array, converged: BoolArray) -> Equilibrium:
@@ -543,32 +512,17 @@ def _bent(
     )
 
 
-def _axes(layout: Layout, x: Array) -> Array:
-    """(2, 2) by which the logged force is turned."""
-    turn = float(layout.get(x, "direction")[0])
-    cos, sin = np.cos(turn), np.sin(turn)
-    return np.array([[cos, -sin], [sin, cos]])
-
-
 # Linearises key frames through the equilibrium, those that share a grid together.
 
 
 class Lineariser:
-    """Holds the grids of all places of the push, made beforehand so that a new place costs no time."""
+    """Linearises key frames at parameters."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session = session
-        self._grids = {s: push_grid_at(session, s) for s in grid_places()}
         self._pushed = 1.0  # place of the last push
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without the grids: they are a hundred times as large as all else, and are made again where wanted."""
-        return vars(self) | {"_grids": {}}
-
-    def _grid(self, push_s: float) -> PushGrid:
-        if push_s not in self._grids:
-            self._grids[push_s] = push_grid_at(self._session, push_s)
-        return self._grids[push_s]
+        for i in range(1, _GRIDS + 1):  # beforehand, so that a new place costs no time
+            push_grid_at(session, i / _GRIDS)
 
     def pushed_at(self, push_s: float) -> None:
         """Take note of the place of the push."""
@@ -584,10 +538,11 @@ class Lineariser:
         grids = [self._grid_of(keys, i) for i in chosen]
         for push_s in dict.fromkeys(grids):
             part = [i for i, grid in zip(chosen, grids, strict=True) if grid == push_s]
-            solved |= self._renew(keys, self._grid(push_s), part, point)
+            solved |= self._renew(keys, beam_at(self._session, push_s, point), part)
         return solved
 
-    def _renew(self, keys: KeyFrames, push_grid: PushGrid, chosen: list[int], point: Array) -> set[int]:
+    def _renew(self, keys: KeyFrames, beam: PointBeam, chosen: list[int]) -> set[int]:
+        push_grid, point = beam.push_grid, beam.x
         nodes, loaded, here = len(push_grid.weights), ~keys.rest[chosen], self._on_grid(keys, push_grid, chosen)
         force = (keys.force[chosen] - keys.error[chosen]) * loaded[:, None]
         beyond = self._session.length * (keys.push_s[chosen] - push_grid.push_s) * loaded
@@ -599,7 +554,7 @@ class Lineariser:
             keys.terms[chosen],
             self._memory(keys, push_grid, (chosen, here), point),
         )
-        there = linearise(self._session, push_grid, point, inputs, here[..., 0])
+        there = linearise(self._session, beam, inputs, here[..., 0])
         solved, good = np.asarray(chosen), there.converged
         if not good.all():
             solved, there = solved[good], there.take(good)
@@ -657,7 +612,7 @@ class Lineariser:
         curvature, lagged, square = self._session.layout.get(point, "curvature"), np.zeros(len(TIMES)), 0.0
         for i in range(keys.used):
             if keys.grid[i] != 0.0 and not keys.rest[i]:
-                grid = self._grid(float(keys.grid[i]))
+                grid = push_grid_at(self._session, float(keys.grid[i]))
                 q = keys.q[i, : len(grid.weights)] - grid.rest_on_nodes @ curvature
                 here = grid.weights * keys.frames[i] * q
                 lagged, square = lagged + here @ keys.lags[i, : len(q)], square + float(here @ q)
@@ -668,7 +623,7 @@ class Lineariser:
         out, grids = keys.shape[chosen, : len(push_grid.weights)], keys.grid[chosen].tolist()
         for row, i, grid in zip(out, chosen, grids, strict=True):
             if grid not in (push_grid.push_s, 0.0):
-                nodes, before = push_grid.grid.nodes, self._grid(float(keys.grid[i])).grid.nodes
+                nodes, before = push_grid.grid.nodes, push_grid_at(self._session, float(keys.grid[i])).grid.nodes
                 for c in (0, *range(3, out.shape[-1])):
                     row[:, c] = np.interp(nodes, before, keys.shape[i, : len(before), c])
         return out

@@ -211,15 +211,12 @@ class _Playing:
         self._advance()
 
     def due(self) -> float:
-        """s, on the clock that it was opened with."""
         return self._at if self._next is not None else math.inf
 
     def close(self) -> None:
-        """Nothing more comes."""
         self._coming, self._next = iter(()), None
 
     def _take(self, wait: float) -> tuple[Arrival, float] | End | None:
-        """The next item and when it came in."""
         clock = self._clock
         if self._next is None or clock is None:
             return End(self._fault or f"{self.name} was played to its end", fault=bool(self._fault))
@@ -270,7 +267,6 @@ class PlayedCamera(_Playing):
         self._begin(clock, play(frames, _NO_LOG, 0.0, self._how, seed=self._seed))
 
     def read(self, wait: float) -> Frame | End | None:
-        """The next picture."""
         taken = self._take(wait)
         if not isinstance(taken, tuple):
             return taken
@@ -312,7 +308,6 @@ class PlayedForce(_Playing):
         self._begin(clock, play((), self._log, 0.0, how, seed=self._seed + 1))
 
     def read(self, wait: float) -> Samples | End | None:
-        """The next rows."""
         taken = self._take(wait)
         if not isinstance(taken, tuple):
             return taken
@@ -374,15 +369,7 @@ def played_force(
     start, error = (float(log.time[0]), 5.0) if math.isnan(start) else (start, error)
     columns = ("fx_N", "fy_N") if log.push_s is None else ("fx_N", "fy_N", "push_s")
     return PlayedForce(
-        log,
-        start,
-        disturbances,
-        columns=columns,
-        error=error,
-        own=own,
-        seed=seed,
-        name=f"the log {place}",
-        files=files,
+        log, start, disturbances, columns=columns, error=error, own=own, seed=seed, name=f"the log {place}", files=files
     )
 
 

@@ -2,10 +2,8 @@
 
     -2 log p = sum_i |zeta_i - J_i x + A_i e_i|^2 / s^2  +  (x - x0)' P (x - x0)  +  e' C^-1 e + (marginalised) + logs
 
-C is the force error's covariance over the key frames' times. The unknowns are few (some 70, and 2 for each key frame),
-so one Cholesky factorisation solves for all of them. The matrix is summed anew from squares each time, so it stays
-positive definite. Log k is eliminated last: this gives its information form with all else integrated out, before the
-prior of log k is added.
+C is the force error's covariance over the key frames' times. One Cholesky factorisation solves for all unknowns. Log k
+is eliminated last: this gives its information form with all else integrated out, before its prior is added.
 """
 
 from __future__ import annotations
@@ -19,24 +17,12 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
 from onebend.learning.normal import InformationForm
 from onebend.learning.parameters import Layout
-from onebend.live.key_frames import (
-    AT_REST,
-    ForceProcess,
-    KeyFrames,
-    TimeSpans,
-    covariance,
-    fast_variance,
-    slow_variance,
-    with_one_more,
-)
+from onebend.live import key_frames
+from onebend.live.key_frames import AT_REST, ForceProcess, KeyFrames, TimeSpans, covariance
 from onebend.records import Array
 
-# Key frames that were marginalised: their information on the parameters x and on one slow force error e.
-#
-# It is kept as a square root: rows of unit noise, not the information matrix. Each change of the force error
-# subtracts information; subtracted from a matrix, rounding errors would grow until it is no longer positive definite.
-# Triangular rows stay valid: the square-root information filter (Bierman, Factorization Methods for Discrete
-# Sequential Estimation, 1977).
+# Marginalised key frames are kept as square-root information (Bierman, Factorization Methods for Discrete Sequential
+# Estimation, 1977): subtracting from an information matrix would lose its positive definiteness to rounding.
 
 
 @dataclass
@@ -78,7 +64,10 @@ def marginalise_oldest(
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
     here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
     own = float(keys.own[0]) - marginalised.own + here - there
-    slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
+    slow, fast = (
+        key_frames.slow_variance(process, end - marginalised.time, own),
+        key_frames.fast_variance(process, end - begin, frames),
+    )
     marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
     keys.drop(0)
 
@@ -238,7 +227,7 @@ class KeyFramePosterior:
 
     def predicted_error(self, time: float, own: float) -> tuple[Array, Array, float]:
         """Force error of a frame to come: mean (2,), weights (slots,) on the known errors, and conditional variance."""
-        with_others, alone = with_one_more(self.process, self.spans, time, own)
+        with_others, alone = key_frames.with_one_more(self.process, self.spans, time, own)
         rows = self.inverse @ with_others
         return rows @ self.e, rows, alone - float(rows @ with_others)
 
@@ -346,7 +335,6 @@ def _add_marginalised(
 
 
 def _inverse(c: Array) -> tuple[Array, float]:
-    """Of a covariance, and its log determinant."""
     factor, info = dpotrf(c, lower=1)
     if info:
         raise np.linalg.LinAlgError("a prior's covariance is not positive definite")
@@ -355,7 +343,6 @@ def _inverse(c: Array) -> tuple[Array, float]:
 
 
 def _symmetric(lower: Array) -> Array:
-    """From the lower triangle, zero above it."""
     out = lower + lower.T
     out.ravel()[:: len(out) + 1] *= 0.5
     return np.asarray(out)
@@ -370,10 +357,8 @@ def _force_part(out: Array, inverse: Array, ee: Array, certain: Array) -> None:
     out[x + 1, x] += ee[:, 1, 0]
 
 
-# Noise of the tags in the live learner, from the residuals of the key frames.
-#
-# As in the fit, what an error of each frame's force can explain is taken out first. A key frame that averages several
-# frames shows the error of averages, so errors that last from frame to frame count with their correlation time.
+# Noise of the tags, from the residuals of the key frames less what an error of each frame's force explains. Averages of
+# frames show the error of averages, so errors that last count with their correlation time.
 
 _BULK = 5.0  # sd: larger residuals are cut off there
 _LEAST = 0.02  # over the tags' covariances: the smallest size

@@ -20,18 +20,8 @@ import numpy as np
 
 from onebend.errors import RecordingError, ResultsError
 from onebend.files.single_file import GrowingFile, write_file
-from onebend.live.sources import (
-    CameraSource,
-    Clock,
-    End,
-    ForceSource,
-    Frame,
-    Played,
-    PlayedClock,
-    Samples,
-    StampedClock,
-    StampTiming,
-)
+from onebend.live import sources
+from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, Samples, StampedClock, StampTiming
 from onebend.progress import available_cores
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
@@ -327,7 +317,6 @@ class WholeFragments:
         del self._waiting[:whole]
 
     def close(self) -> None:
-        """Nothing more is written."""
         self._file.close()
 
 
@@ -343,15 +332,6 @@ def whole_boxes(data: bytes | bytearray) -> int:
         at += size
         good = good if kind == b"moof" else at
     return good
-
-
-def mend_film(path: Path) -> int:
-    """Cut what follows the last whole fragment of a film whose writing was ended by force; the bytes cut."""
-    with path.open("r+b") as stream:
-        data = stream.read()
-        whole = whole_boxes(data)
-        stream.truncate(whole)
-    return len(data) - whole
 
 
 class FilmWriter:
@@ -601,8 +581,8 @@ class Pump:
         """Both are open already."""
         self._sources: list[Source] = [camera, *([] if force is None else [force])]
         self._clock = clock
-        at_will = isinstance(clock, PlayedClock)  # else what is played comes as from a camera, by threads
-        self._played = at_will and all(isinstance(source, Played) for source in self._sources)
+        at_will = isinstance(clock, sources.PlayedClock)  # else what is played comes as from a camera, by threads
+        self._played = at_will and all(isinstance(source, sources.Played) for source in self._sources)
         self._ended: set[int] = set()
         self._pictures: queue.Queue[None] = queue.Queue(_MOST_PICTURES)
         self._items: queue.SimpleQueue[tuple[Source, Item]] = queue.SimpleQueue()
@@ -638,7 +618,6 @@ class Pump:
                 yield source, got
 
     def close(self) -> None:
-        """Read no more, and wait for what still reads."""
         self._stop.set()
         for thread in self._threads:
             thread.join(timeout=_PATIENCE)
@@ -655,7 +634,6 @@ class Pump:
         return source, item if item is not None else End(f"{source.name} ended")
 
     def _read(self, source: Source) -> None:
-        """One source, in a thread of its own."""
         while not self._stop.is_set():
             item = source.read(_WAIT)
             if item is None:

@@ -10,7 +10,7 @@ from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
-from onebend.learning.parameters import Priors, Spline, make_layout, scale_sd
+from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
@@ -59,15 +59,10 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
     o = observations
     known = replace(
         settings,
-        placement_sd=o.stated.placement_sd,
-        rest_unknown=o.stated.rest == "unknown",
         priors=_priors(o, settings),
         thickness=_known(o.stated.thickness, settings.thickness),
         tag_size=_known(o.stated.tag_size, settings.tag_size),
     )
-    if o.source.view is not None:
-        sd = scale_sd(o, settings.priors)
-        known = replace(known, calibrated=sd == 0.0, priors=replace(known.priors, scale=sd))
     largest = float(np.nanmax(np.linalg.norm(o.force, axis=1))) if len(o.time) else 0.0
     if largest == 0.0 or not (np.any(o.force_sd > 0.0) or o.source.clean_force is not None):
         return known  # nothing is said of the force's noise
@@ -86,14 +81,15 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
 
 
 def _known(stated: float, wanted: float | None) -> float | None:
-    """What the recording states, where it does."""
     return stated if np.isfinite(stated) else wanted
 
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
-    """What the fit takes as known before the data."""
     at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
-    sd = {name: float(at.index[name, 0].prior_sd[0]) for name in ("clamp", "origin", "clock", "place", "direction")}
+    sd = {
+        name: float(at.index[name, 0].prior_sd[0])
+        for name in ("clamp", "origin", "scale", "clock", "place", "direction")
+    }
     shared = {"curvature": "curvature", "placement": "along", "mounting": "turn"}
     sd |= {kept: float(at.index[name, -1].prior_sd[0]) for kept, name in shared.items()}
     return replace(settings.priors, **sd)
@@ -161,7 +157,6 @@ def live_frames(observations: Observations) -> list[LiveFrame]:
 
 
 def _playable(observations: Observations) -> list[int]:
-    """Frames under load, and frames at rest well away from contact."""
     o = observations
     known = np.all(np.isfinite(o.force), axis=1)
     touched = o.time[o.loaded]

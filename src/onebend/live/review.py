@@ -1,8 +1,7 @@
-"""What the frames and the log so far say when they are read as a whole: camera, rest, clock, tare, k(s).
+"""Reviews of a stream: all frames and rows so far, read as `learn` reads a recording.
 
-A review reads all that is kept as `learn` reads a recording, with the same functions, and plays it to a new live
-learner. Frame by frame only that learner goes on, with the camera, clock and tare of the last review. So what was
-wrong with them in the beginning is not carried along.
+Each review finds camera, rest, clock and tare anew and plays the stream to a new live learner, so early errors are not
+carried along.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 import numpy as np
 
@@ -58,7 +57,6 @@ class Seen:
 
     @property
     def until(self) -> float:
-        """s, the frames' clock."""
         return float(self.tracks.time[-1])
 
 
@@ -234,34 +232,8 @@ def teach(
 NICE = 5  # added to the niceness of the process that reviews
 
 
-class Reviewer(Protocol):
-    """Makes one review at a time."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether a review is being made."""
-        ...
-
-    def begin(self, seen: Seen) -> None:
-        """Begin a review."""
-        ...
-
-    def result(self, since: Callable[[Reviewed], Later]) -> Reviewed | None:
-        """The review, once it is made; `since` gives what came after its last frame. Does not wait."""
-        ...
-
-    @property
-    def spent(self) -> float:
-        """s of this process's time that reviews took so far."""
-        ...
-
-    def close(self) -> None:
-        """End it; nothing more may be begun."""
-        ...
-
-
-class ReviewerHere:
-    """Reviews at once, in this process: the same stream gives the same results, whatever the machine."""
+class Reviewer:
+    """Makes one review at a time: at once, in this process, so that the same stream always gives the same results."""
 
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
         self._settings = observing, learning
@@ -272,24 +244,27 @@ class ReviewerHere:
     def busy(self) -> bool:
         return self._made is not None
 
+    @property
+    def spent(self) -> float:
+        """s of this process's time that reviews took so far."""
+        return self._spent
+
     def begin(self, seen: Seen) -> None:
         begun = time.thread_time()
         self._made = review(seen, *self._settings)
         self._spent += time.thread_time() - begun
 
     def result(self, since: Callable[[Reviewed], Later]) -> Reviewed | None:  # noqa: ARG002 (nothing came meanwhile)
+        """The review, once it is made; `since` gives what came after its last frame. Does not wait."""
         made, self._made = self._made, None
         return made
 
-    @property
-    def spent(self) -> float:
-        return self._spent
-
     def close(self) -> None:
+        """End it; nothing more may be begun."""
         self._made = None
 
 
-class ReviewerBeside:
+class ReviewerBeside(Reviewer):
     """Reviews in a process of its own, which ends with this object, or with the process that made it.
 
     When a review is made, the frames that came meanwhile are sent after it, so that its learner is nearly up to date
@@ -297,7 +272,7 @@ class ReviewerBeside:
     """
 
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
-        self._settings = observing, learning
+        super().__init__(observing, learning)
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: SimpleQueue[Reviewed | None] = SimpleQueue()
         self._messages: SimpleQueue[bytes] = SimpleQueue()
@@ -328,10 +303,6 @@ class ReviewerBeside:
         self._caught_up = True
         self._send(since(made))
         return None
-
-    @property
-    def spent(self) -> float:
-        return 0.0
 
     def close(self) -> None:
         self._end()

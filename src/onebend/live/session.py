@@ -19,21 +19,8 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.design import plan
 from onebend.learning.instruments import instruments_of
-from onebend.live.guidance import (
-    GOOD,
-    NO_FORCE,
-    CaptureOutcome,
-    CaptureSettings,
-    CaptureState,
-    Stages,
-    Stop,
-    TagView,
-    not_begun,
-    outcome_remarks,
-    setup_advice,
-    stage_advice,
-    tag_views,
-)
+from onebend.live import guidance
+from onebend.live.guidance import GOOD, NO_FORCE, CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
 from onebend.live.live import Live, seen_by
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.review import Seen, observed_in
@@ -98,7 +85,6 @@ class NextPush:
             self._coming = self._pool.submit(next_push_words, seen, observing)
 
     def close(self) -> None:
-        """End the process."""
         if self._pool is None:
             return
         processes = list(getattr(self._pool, "_processes", {}).values())
@@ -129,8 +115,8 @@ class Follower:
             seen = self._tracker.step(frame.picture, frame.arrival)
         except ObservationError as wrong:
             return (), [str(wrong)]
-        views = tag_views(self._rec.tags, seen.corners)
-        return views, setup_advice(frame.picture, views, seen.strangers)
+        views = guidance.tag_views(self._rec.tags, seen.corners)
+        return views, guidance.setup_advice(frame.picture, views, seen.strangers)
 
     def begin(self, error: float) -> None:
         """The film begins, and its clock; that of the force is the same to `error` [s]."""
@@ -166,7 +152,6 @@ class Follower:
         return {"live": state, "stiffness": state.stiffness, "half_width": half_width_share(state.stiffness)}
 
     def plan(self) -> None:
-        """Begin to find what the next push should be."""
         if self._live is not None:
             self._next.ask(seen_by(self._live), self._settings.live.observing)
 
@@ -176,7 +161,6 @@ class Follower:
         return self._next.words
 
     def close(self) -> None:
-        """End what learns beside this process."""
         self._next.close()
         if self._live is not None:
             self._live.close()
@@ -262,7 +246,6 @@ class _Session:
         self._planned = False  # the next push is asked for, in this rest
 
     def run(self, stop: Stop, begin: Stop) -> CaptureOutcome:
-        """Until something ends it."""
         try:
             for item in self._pump:
                 if item is not None:
@@ -307,7 +290,6 @@ class _Session:
             self._felt(item)
 
     def _set_up(self, frame: Frame) -> None:
-        """One picture before the film begins."""
         settings = self._settings
         while self._early and self._early[0].arrival < frame.arrival - settings.setup - 0.5:
             self._early.popleft()
@@ -321,17 +303,13 @@ class _Session:
         if advice or math.isnan(self._good_since):
             self._good_since = frame.arrival
         if self._force is not None and not any(isinstance(one, Samples) for one in self._early):
-            advice = [
-                *advice,
-                NO_FORCE,
-            ]
+            advice = [*advice, NO_FORCE]
         self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice or [GOOD]))
         good = self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup
         if good:
             self._begin()
 
     def _begin(self) -> None:
-        """The film begins with the pictures of the last moments."""
         first = next(one for one in self._early if isinstance(one, Frame))
         height, width = first.picture.shape
         for path in self._places.earlier:
@@ -349,7 +327,6 @@ class _Session:
                 self._felt(item)
 
     def _too_late(self) -> bool:
-        """Whether there is no time to search this picture for tags."""
         now = self._clock.now()
         if self._pump.waiting > self._settings.most_waiting and now - self._followed < LEAST_OFTEN:
             return True
@@ -369,7 +346,9 @@ class _Session:
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
         elif (corners := self._follower.frame(frame.picture, time)) is not None:
             self._stages.update(time, corners)
-            self._state = replace(self._state, picture=frame.picture, tags=tag_views(self._places.rec.tags, corners))
+            self._state = replace(
+                self._state, picture=frame.picture, tags=guidance.tag_views(self._places.rec.tags, corners)
+            )
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
             self._end(f"it lasted {self._settings.longest:.0f} s, and longer was not asked for")
@@ -385,7 +364,6 @@ class _Session:
             self._newest = float(time[good[-1]]), force[good[-1]]
 
     def _now_and_then(self) -> None:
-        """What need not be done for each frame."""
         now, settings = self._clock.now(), self._settings
         if self._film is not None and now >= self._next_flush:
             self._next_flush = now + settings.flush_every
@@ -400,7 +378,6 @@ class _Session:
             self._watch(self._state)
 
     def _renew(self) -> None:
-        """The state, of what is known now."""
         now, state, stages, settings = self._clock.now(), self._state, self._stages, self._settings
         if self._film is not None:
             if now >= self._next_stiffness or self._why:
@@ -416,7 +393,7 @@ class _Session:
             state = replace(
                 state,
                 stage="done" if rested and enough else stages.stage,
-                advice=tuple(stage_advice(stages, settings, state.half_width, next_push)),
+                advice=tuple(guidance.stage_advice(stages, settings, state.half_width, next_push)),
                 next_push=next_push,
                 displacement=stages.displacement,
                 largest=stages.largest,
@@ -434,7 +411,6 @@ class _Session:
         self._state = state
 
     def _close(self) -> None:
-        """Put all there is on disk."""
         self._follower.close()
         if self._film is None:
             return
@@ -447,7 +423,7 @@ class _Session:
 
     def _outcome(self) -> CaptureOutcome:
         places, state, why = self._places, self._state, self._why or "its sources ended"
-        remarks = [] if self._film is None else outcome_remarks(state, self._settings, self._stages)
+        remarks = [] if self._film is None else guidance.outcome_remarks(state, self._settings, self._stages)
         if self._follower.why and self._settings.follow:
             remarks.append(f"k(s) was not learned meanwhile: {self._follower.why}")
         if self._force_end and self._force is not None:
@@ -456,7 +432,7 @@ class _Session:
             folder=places.rec.folder,
             film=None if self._film is None else places.film,
             log=None if self._film is None else places.log,
-            why=why if self._film is not None or self._fault else not_begun(why, state.advice, self._settings),
+            why=why if self._film is not None or self._fault else guidance.not_begun(why, state.advice, self._settings),
             fault=self._fault,
             state=state,
             remarks=tuple(remarks),

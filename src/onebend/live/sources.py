@@ -1,7 +1,6 @@
-"""What a camera and a force sensor are to a recorder: opened, read until they end, closed.
+"""Cameras and force sensors as a recorder sees them: opened, read until they end, closed.
 
-`read` waits for some time at most, so that a recorder can be stopped. It never raises what a cable, a robot or a full
-buffer may cause: that is an `End` with its reason. `open` raises, with what to do.
+`read` returns after a given time, and an `End` with its reason for a fault of a cable or a robot. Only `open` raises.
 """
 
 from __future__ import annotations
@@ -19,13 +18,9 @@ from numpy.typing import ArrayLike
 from onebend.recording.video import Picture
 from onebend.records import Array
 
-# Clocks: this machine's, one that is only data, and what a sensor's own stamps are on this machine's clock.
-#
-# A stamp x of a sensor comes in at y = a + b x + d on this machine's monotonic clock. What it took to come, d,
-# varies, and is seldom less than some least value; so the line is laid along the lower edge of the points (x, y). (D.
-# Mills, and S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements",
-# 1999.) Stamps that jitter, and stretches in which all came late, are borne: each part of the recording gives one low
-# quantile, and the line is the median one of those through two such points (Theil and Sen).
+# A stamp x of a sensor arrives at y = a + b x + delay, and the delay is seldom below some least value: the line follows
+# the lower edge of the points (Moon, Skelly, Towsley 1999). Each part of the recording gives one low quantile; the line
+# is the median of those through two such points (Theil, Sen).
 
 LEAST_SPAN = 4.0  # s of stamps: of a shorter stretch the pace is taken as stated
 PARTS = 48  # of a recording, each with one point of its lower edge
@@ -186,7 +181,6 @@ class StampedClock:
         return self._line
 
     def renew(self) -> None:
-        """Make the line of all that came."""
         self._due = 0
 
     def own(self, stamp: ArrayLike, arrival: ArrayLike) -> Array:
@@ -239,6 +233,25 @@ class End:
 
     why: str  # a sentence
     fault: bool = False  # a cable, a full buffer: rather than the end of what is played
+
+
+class Device:
+    """A camera or a sensor on a cable: its name, the recorder's clock, and when it was heard last."""
+
+    def __init__(self, name: str, timing: StampTiming) -> None:
+        self.name, self.timing = name, timing
+        self._clock: Clock = HostClock()
+        self._heard = 0.0
+
+    def _begin(self, clock: Clock) -> None:
+        self._clock, self._heard = clock, clock.now()
+
+    def _fault(self, why: str) -> End:
+        return End(f"{self.name} {why}", fault=True)
+
+    def _silence(self, longest: float, why: str) -> End | None:
+        """The end, where nothing was heard for longer than that [s]."""
+        return self._fault(why) if self._clock.now() - self._heard > longest else None
 
 
 class CameraSource(Protocol):

@@ -6,24 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 from onebend.errors import RecordingError
-from onebend.live.cameras import PACKED, STREAMS, AvCamera, RealSenseCamera, RealSenseSettings, V4l2Camera, V4l2Settings
-from onebend.live.force_sensors import (
-    KNOWN,
-    PORT,
-    WEB_PORT,
-    AtiForce,
-    AtiScale,
-    FrankaForce,
-    GrowingBag,
-    GrowingLog,
-    LslForce,
-    SerialForce,
-    UrForce,
-    cells_of,
-)
+from onebend.live import force_sensors
+from onebend.live.cameras import PACKED, STREAMS, AvCamera, CameraSettings, RealSenseCamera, Stream, V4l2Camera
+from onebend.live.force_sensors import KNOWN, PORT, WEB_PORT, AtiForce, AtiScale, FrankaForce, GrowingBag, GrowingLog
 from onebend.live.played import Disturbances, OwnClock, played_camera, played_force
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.text_files import QUOTED
@@ -155,8 +143,8 @@ def _names(options: Options, key: str) -> list[str]:
 def _serial(place: str, options: Options) -> ForceSource:
     if "columns" not in options:
         raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
-    cells = cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
-    return SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
+    cells = force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
+    return force_sensors.SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
 
 
 def _csv(place: str, options: Options) -> ForceSource:
@@ -166,7 +154,9 @@ def _csv(place: str, options: Options) -> ForceSource:
 def _lsl(place: str, options: Options) -> ForceSource:
     if "columns" not in options:
         raise RecordingError(f"lsl:{place}: say what its channels are, as columns=fx_N/fy_N/_. {KNOWN}.")
-    return LslForce(place, cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}"))
+    return force_sensors.LslForce(
+        place, force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}")
+    )
 
 
 def _size(options: Options, default: str) -> tuple[int, int]:
@@ -177,36 +167,24 @@ def _size(options: Options, default: str) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
-def _v4l2(place: str, options: Options) -> CameraSource:
-    asked = V4l2Settings()
+def _camera(options: Options, *, least_fps: float) -> CameraSettings:
+    asked = CameraSettings()
     width, height = _size(options, f"{asked.width}x{asked.height}")
-    packed = options.get("packed", asked.packed)
-    if packed not in PACKED:
-        raise RecordingError(f"packed={packed}: take one of {', '.join(PACKED)}.")
-    settings = V4l2Settings(
-        width=width,
-        height=height,
-        fps=number(options, "fps", asked.fps, least=0.1, most=MOST_FPS),
-        packed=packed,
-        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE),
-    )
-    return V4l2Camera(Path(place), settings)
+    packed, stream = options.get("packed", asked.packed), options.get("stream", asked.stream)
+    for key, value, known in (("packed", packed, PACKED), ("stream", stream, STREAMS)):
+        if value not in known:
+            raise RecordingError(f"{key}={value}: take one of {', '.join(known)}.")
+    fps = number(options, "fps", asked.fps, least=least_fps, most=MOST_FPS)
+    exposure = 1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE)
+    return CameraSettings(width, height, fps, exposure, packed, cast(Stream, stream))
+
+
+def _v4l2(place: str, options: Options) -> CameraSource:
+    return V4l2Camera(Path(place), _camera(options, least_fps=0.1))
 
 
 def _realsense(place: str, options: Options) -> CameraSource:
-    asked = RealSenseSettings()
-    width, height = _size(options, f"{asked.width}x{asked.height}")
-    stream = next((one for one in STREAMS if one == options.get("stream", asked.stream)), None)
-    if stream is None:
-        raise RecordingError(f"stream={options['stream']}: take one of {', '.join(STREAMS)}.")
-    settings = RealSenseSettings(
-        stream=stream,
-        width=width,
-        height=height,
-        fps=round(number(options, "fps", asked.fps, least=1.0, most=MOST_FPS)),
-        exposure=1e-3 * number(options, "exposure_ms", math.nan, least=0.01, most=MOST_LATE),
-    )
-    return RealSenseCamera("" if place == "any" else place, settings)
+    return RealSenseCamera("" if place == "any" else place, _camera(options, least_fps=1.0))
 
 
 def _av(place: str, options: Options) -> CameraSource:
@@ -249,7 +227,9 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         "ur:HOST",
         "a Universal Robot's wrench (pip install 'onebend[ur]')",
         ("rate",),
-        lambda place, options: UrForce(place, rate=number(options, "rate", 500.0, least=1.0, most=MOST_RATE)),
+        lambda place, options: force_sensors.UrForce(
+            place, rate=number(options, "rate", 500.0, least=1.0, most=MOST_RATE)
+        ),
     ),
     "franka": SourceKind(
         "franka:HOST",

@@ -251,16 +251,12 @@ _BEYOND = 1.6  # of the largest force: the axes show no more of a band
 
 @styled
 def sensing(found: Sensed) -> Figure:
-    """Both components with their bands over time, and the log's; the moment and the second force, where they were asked
-    for; the place; the misfit of each frame; when contacts begin and end."""
-    more = (found.moment is not None) + 2 * (found.second is not None)
+    """Both components with their bands over time, and the log's; the moment, where it was asked for; the place; the
+    misfit of each frame; when contacts begin and end."""
+    more = int(found.moment is not None)
     figure, (x, y, *others, place, misfit) = blank(8.0 + 1.6 * more, 4 + more, 1, sharex=True)
     if found.moment is not None:
         _band(others[0], found.time, found.moment.moment, found.moment.sd, "moment [N m]")
-    if found.second is not None:
-        for c, axes in enumerate(others):
-            sd = np.sqrt(found.second.covariance[:, c, c])
-            _band(axes, found.time, found.second.force[:, c], sd, f"second along {'xy'[c]} [N]")
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
     x.set_title("Force from the shape, 95 % bands", loc="left")

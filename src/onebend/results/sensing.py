@@ -53,16 +53,6 @@ MOMENT_COLUMNS = (
     "fx_moment_covariance_N2m",
     "fy_moment_covariance_N2m",
 )
-SECOND_COLUMNS = (
-    "second_fx_N",
-    "second_fy_N",
-    "second_fx_sd_N",
-    "second_fy_sd_N",
-    "second_fx_fy_covariance_N2",
-    "second_fx_prior_share",
-    "second_fy_prior_share",
-    "second_touched",
-)
 
 
 def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, Any]:
@@ -106,7 +96,6 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
             "peak_sd_Nm": None if peak is None else _number(found.moment.sd[peak]),
             "peak_prior_share": None if peak is None else _number(found.moment.prior_share[peak]),
         },
-        "two_contacts": None if found.two is None else _two(found),
         "smoothed": None if found.smoothed is None else {
             "memory_s": _number(found.smoothed.memory),
             "noise_widened": found.smoothed.widened,
@@ -114,20 +103,6 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
         "sensor": None if found.sensor is None else _sensor(found.sensor),
         "remarks": [{"level": one.level, "text": one.text} for one in found.remarks],
     }  # fmt: skip
-
-
-def _two(found: Sensed) -> dict[str, Any]:
-    two, second = found.two, found.second
-    assert two is not None
-    return {
-        "log_evidence_against_one": two.evidence,
-        "told": second is not None,
-        "likeliest_places_s": list(two.places),
-        "place_sds_s": list(two.place_sds),
-        "other_places_s": [list(pair) for pair in two.others],
-        "second_place_s": None if second is None else _number(second.place),
-        "frames_second_touched": None if second is None else int(np.sum(second.touched)),
-    }
 
 
 def _contact(one: Touch) -> dict[str, Any]:
@@ -164,12 +139,8 @@ def _number(value: float) -> float | None:
 
 def force_columns(found: Sensed) -> tuple[str, ...]:
     """Of `force.csv`: those of every recording, and those that were asked for."""
-    asked = (
-        (SMOOTH_COLUMNS, found.smoothed is not None),
-        (MOMENT_COLUMNS, found.moment is not None),
-        (SECOND_COLUMNS, found.second is not None),
-    )
-    return sum((names for names, there in asked if there), FORCE_COLUMNS)
+    smooth = () if found.smoothed is None else SMOOTH_COLUMNS
+    return FORCE_COLUMNS + smooth + (() if found.moment is None else MOMENT_COLUMNS)
 
 
 def write_forces(path: Path, found: Sensed) -> None:
@@ -183,9 +154,6 @@ def write_forces(path: Path, found: Sensed) -> None:
     if found.moment is not None:
         moment = found.moment
         more += [moment.moment, moment.sd, moment.prior_share, *moment.with_force.T]
-    if found.second is not None:
-        second = found.second
-        more += [*_forces(second.force, second.covariance), *second.prior_share.T, second.touched.astype(float)]
     added = np.column_stack(more) if more else np.zeros((len(found.time), 0))
     rows = (
         [int(frame), *map(_cell, row), int(touched), f"{misfit:.4g}", *map(_cell, extra)]

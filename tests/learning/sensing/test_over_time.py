@@ -45,8 +45,8 @@ def test_a_smooth_process_is_as_normal_densities_say() -> None:
     time = np.sort(rng.uniform(0.0, 1.0, count))
     weigh, common = rng.normal(size=(count, 2, 2)), rng.normal(size=(count, 2, 3))
     read = FrameForces(time, weigh, rng.normal(size=(count, 2)), common, 1.0)
-    out = _filtered(read, 0.7, np.array([2.0, memory]))
-    force, covariance = _backward(_filtered(read, 0.7, np.array([memory])))
+    _, evidence = _filtered(read, 0.7, np.array([2.0, memory]))
+    force, covariance = _backward(_filtered(read, 0.7, np.array([memory]))[0])
     lag = np.sqrt(5.0) * np.abs(time[:, None] - time) / memory
     prior = np.kron(0.7**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag), np.eye(2))
     rows = block_diag(*weigh)
@@ -59,7 +59,7 @@ def test_a_smooth_process_is_as_normal_densities_say() -> None:
         np.testing.assert_allclose(covariance[t], whole[here, here], atol=1e-9)
     seen = rows @ prior @ rows.T + np.eye(2 * count)
     expected = read.told.ravel() @ np.linalg.solve(seen, read.told.ravel()) + np.linalg.slogdet(seen)[1]
-    assert -2.0 * out.evidence[1] == pytest.approx(expected, rel=1e-9)
+    assert -2.0 * evidence[1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_noise_free_shapes_give_a_smooth_force_and_its_begin_back() -> None:

@@ -16,7 +16,7 @@ from onebend.beam.stiffness import Table, UncertainStiffness
 from onebend.cli.screens import show_sensed
 from onebend.errors import LearningError
 from onebend.learning.instruments import Instruments
-from onebend.learning.sensing.bench import shared_prior
+from onebend.learning.sensing.model import shared_prior
 from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
 from onebend.report.control_figures import sensed_regions, sensing

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.force_error import force_error
-from onebend.learning.sensing.sensor import START, SensorCheck, ToldForces, _Check, check_sensor
+from onebend.learning.sensing.sensor import START, SensedForces, SensorCheck, _Check, check_sensor
 from onebend.records import Array, CleanForce, ForceNoise, Observations
 from tests.learning.bench import SOFT, forces, observed
 
@@ -39,7 +39,7 @@ def log_of(true: Array, *, gain: float = 1.08, bias: tuple[float, float] = (0.02
     return np.asarray(turned + bias + 0.004 * (TIME - 4.0)[:, None] * [1.0, -1.0])
 
 
-def told_of(true: Array, covariance: Array, rng: np.random.Generator) -> ToldForces:
+def told_of(true: Array, covariance: Array, rng: np.random.Generator) -> SensedForces:
     """Means of posteriors, with a factor on all forces in common, which k(s) may have."""
     common = COMMON * true[..., None]
     before = PRIOR**-2 * np.eye(2)
@@ -50,10 +50,10 @@ def told_of(true: Array, covariance: Array, rng: np.random.Generator) -> ToldFor
     gain = after @ data
     common = gain @ common
     whole = after + common @ np.swapaxes(common, 1, 2)
-    return ToldForces(TIME, (gain @ seen[..., None])[..., 0], whole, common, PRIOR)
+    return SensedForces(TIME, (gain @ seen[..., None])[..., 0], whole, common, PRIOR)
 
 
-def checked(log: Array, told: ToldForces) -> SensorCheck:
+def checked(log: Array, told: SensedForces) -> SensorCheck:
     o = recorded(log)
     found = check_sensor(told, log, force_error(o, TIME), o.source.clean_force)
     assert found is not None
@@ -136,7 +136,7 @@ def test_the_prior_is_divided_out_of_what_is_told() -> None:
     before, data = PRIOR**-2 * np.eye(2), np.linalg.inv(covariance)
     seen, common = rng.normal(size=(len(TIME), 2)), rng.normal(size=(len(TIME), 2, 3))
     after: Array = np.asarray(np.linalg.inv(data + before), dtype=float)
-    told = ToldForces(TIME, (after @ data @ seen[..., None])[..., 0], after, after @ data @ common, PRIOR)
+    told = SensedForces(TIME, (after @ data @ seen[..., None])[..., 0], after, after @ data @ common, PRIOR)
     left = told.without_prior()
     np.testing.assert_allclose(left.force, seen, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(left.covariance, covariance, rtol=1e-9)

@@ -12,7 +12,7 @@ import pytest
 
 from onebend import extras
 from onebend.errors import MissingPackageError, RecordingError
-from onebend.live.cameras import RealSenseCamera, RealSenseSettings
+from onebend.live.cameras import CameraSettings, RealSenseCamera
 from onebend.live.sources import End, Frame, HostClock
 from onebend.live.specs import camera_of
 
@@ -144,7 +144,7 @@ def test_its_infrared_pictures_without_the_pattern(sensors: tuple[Sensor, Sensor
 
 def test_what_is_not_there_is_refused_in_words(sensors: tuple[Sensor, Sensor], monkeypatch: pytest.MonkeyPatch) -> None:
     assert sensors
-    with pytest.raises(RecordingError, match="camera 999 gives no color pictures of 1280x720 at 30 a second"):
+    with pytest.raises(RecordingError, match="camera 999 gives no color pictures of 1280x720 at 30 Hz"):
         camera_of("realsense:999").open(HostClock())
     with pytest.raises(RecordingError, match="stream=depth: take one of color, infrared"):
         camera_of("realsense:any,stream=depth")
@@ -159,7 +159,7 @@ def test_what_is_not_there_is_refused_in_words(sensors: tuple[Sensor, Sensor], m
 
     monkeypatch.setattr(extras, "import_module", without_usb)
     with pytest.raises(MissingPackageError, match="pyrealsense2 does not load: libusb"):
-        RealSenseCamera("", RealSenseSettings()).open(HostClock())
+        RealSenseCamera("", CameraSettings()).open(HostClock())
 
 
 def test_a_camera_that_falls_silent_ends(sensors: tuple[Sensor, Sensor], monkeypatch: pytest.MonkeyPatch) -> None:

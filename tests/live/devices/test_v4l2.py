@@ -15,7 +15,7 @@ from PIL import Image
 
 from onebend.errors import RecordingError
 from onebend.live import cameras as v4l2
-from onebend.live.cameras import V4l2Camera, V4l2Settings
+from onebend.live.cameras import CameraSettings, V4l2Camera
 from onebend.live.sources import End, Frame, HostClock
 from onebend.live.specs import camera_of
 
@@ -33,7 +33,7 @@ def yuyv() -> bytes:
     return np.stack([RAMP, np.full_like(RAMP, 128)], axis=-1).tobytes()
 
 
-class FakeCamera:
+class FakeCamera(v4l2.Kernel):
     """The calls that V4L2 knows. Pictures wait in `coming`: their bytes, stamps [s], numbers and flags."""
 
     def __init__(self, packed: str = "MJPG", *, monotonic: bool = True) -> None:
@@ -118,7 +118,7 @@ class FakeCamera:
         struct.pack_into("<I", data, 56, number)
 
 
-def opened(fake: FakeCamera, settings: V4l2Settings = V4l2Settings()) -> V4l2Camera:
+def opened(fake: FakeCamera, settings: CameraSettings = CameraSettings()) -> V4l2Camera:
     camera = V4l2Camera(Path("/dev/video0"), settings, fake)
     camera.open(HostClock())
     return camera
@@ -127,7 +127,7 @@ def opened(fake: FakeCamera, settings: V4l2Settings = V4l2Settings()) -> V4l2Cam
 @pytest.mark.parametrize(("packed", "data"), [("MJPG", jpeg()), ("YUYV", yuyv()), ("GREY", RAMP.tobytes())])
 def test_pictures_come_with_the_kernels_stamps_and_count(packed: str, data: bytes) -> None:
     fake = FakeCamera(packed)
-    camera = opened(fake, V4l2Settings(packed=packed, exposure=0.004, fps=60.0))
+    camera = opened(fake, CameraSettings(packed=packed, exposure=0.004, fps=60.0))
     assert fake.streaming
     assert fake.rate == (1000, 60000)
     assert fake.controls == {v4l2.EXPOSURE_AUTO: 1, v4l2.EXPOSURE: 40}
@@ -203,7 +203,7 @@ def test_no_camera_and_the_wrong_one_are_told() -> None:
 def test_the_spec_says_size_rate_and_exposure() -> None:
     camera = camera_of("/dev/video3,size=1920x1080,fps=60,packed=YUYV,exposure_ms=5")
     assert isinstance(camera, V4l2Camera)
-    assert camera._settings == V4l2Settings(1920, 1080, 60.0, "YUYV", 0.005)
+    assert camera._settings == CameraSettings(1920, 1080, 60.0, 0.005, "YUYV")
     for spec, says in (
         ("size=big", "size=1280x720"),
         ("packed=H264", "take one of MJPG"),

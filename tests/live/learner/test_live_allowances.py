@@ -28,6 +28,7 @@ from onebend.live.key_frames import (
     course_scale,
 )
 from onebend.live.learner import OnlineLearner
+from onebend.live.model import push_grid_at
 from onebend.live.replayed import replay, settings_for
 from onebend.records import Array, Observations
 from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, filmed
@@ -130,8 +131,8 @@ def test_what_the_beam_remembers_is_that_of_all_frames_in_turn() -> None:
     learner.settle(12)
     state = learner._state
     keys, x = state.keys, state.point
-    rest = state._lineariser._grids[1.0].rest_on_nodes @ learner._session.layout.get(x, "curvature")
-    nodes, weights = len(rest), state._lineariser._grids[1.0].weights
+    rest = push_grid_at(learner._session, 1.0).rest_on_nodes @ learner._session.layout.get(x, "curvature")
+    nodes, weights = len(rest), push_grid_at(learner._session, 1.0).weights
     bent = keys.q[:40, :nodes] - rest
     every = lags(made.time) @ bent
     np.testing.assert_allclose(keys.lags[:40, :nodes], np.moveaxis(every, 0, -1), atol=2e-3 * float(np.max(every)))

@@ -133,10 +133,7 @@ def test_the_live_learner_has_what_is_stated() -> None:
     for name in NAMES:
         held, free = (settings_for(stated(name, sd)) for sd in (0.0, 0.3))
         for settings, wide in ((held, False), (free, True)):
-            at = session_layout(
-                SPLINE, MARKERS, settings.priors, length=0.15, placement_sd=5e-4, rest_unknown=settings.rest_unknown,
-                calibrated=settings.calibrated, mass=0.0,
-            )  # fmt: skip
+            at = session_layout(SPLINE, MARKERS, settings.priors, length=0.15, mass=0.0)
             assert (at.index[name, -1].start >= 0) == wide
             own = block(stated(name, 0.3 if wide else 0.0), name).prior_sd[0]
             assert at.index[name, -1].prior_sd[0] == own

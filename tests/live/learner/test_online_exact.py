@@ -23,7 +23,16 @@ from onebend.live.key_frames import (
     fast_variance,
     with_one_more,
 )
-from onebend.live.model import REACHED, FrameInputs, LiveSession, Memory, linearise, push_grid_at, session_layout
+from onebend.live.model import (
+    REACHED,
+    FrameInputs,
+    LiveSession,
+    Memory,
+    beam_at,
+    linearise,
+    push_grid_at,
+    session_layout,
+)
 from onebend.live.posterior import (
     LiveHyperparameters,
     LivePrior,
@@ -34,7 +43,7 @@ from onebend.live.posterior import (
     with_error_change,
 )
 from onebend.live.replayed import replay
-from onebend.records import DIRECTION_SD, TURN_SD, Array, Observations
+from onebend.records import DIRECTION_SD, SCALE_SD, TURN_SD, Array, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.live.streamed_recording import PLAIN, tags_of
 
@@ -46,17 +55,13 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
     layout = session_layout(
         Spline(7),
         MARKERS,
-        Priors(clock=0.02),
+        Priors(clock=0.02, scale=SCALE_SD),
         length=0.15,
-        placement_sd=5e-4,
-        rest_unknown=True,
-        calibrated=False,
         mass=0.02,
         allowances=CAUSAL_ALLOWANCES,
     )
     session, rng = LiveSession(0.15, MARKERS, 0.02, layout), np.random.default_rng(0)
-    push_grid = push_grid_at(session, 0.8)
-    nodes, relaxing = push_grid.grid.nodes, layout.index["relaxation", -1].where
+    nodes, relaxing = push_grid_at(session, 0.8).grid.nodes, layout.index["relaxation", -1].where
     before = np.cos(nodes[:, None] * np.array([1.0, 2.0, 3.0])) * np.array([[[0.7]], [[-0.4]]])
     force = np.array([[0.02, 0.2], [-0.1, 0.3]])
     inputs = FrameInputs(
@@ -70,20 +75,21 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
     x = 1e-3 * np.sin(np.arange(layout.size))
     x[:7] = np.log(0.03) + 0.3 * np.cos(np.arange(7))
     x[relaxing] = shares
-    exact, h = linearise(session, push_grid, x, inputs, None), 1e-5
+    exact, h = linearise(session, beam_at(session, 0.8, x), inputs, None), 1e-5
     for _ in range(8):
         begin = exact.q
-        exact = linearise(session, push_grid, x, inputs, begin)
+        exact = linearise(session, beam_at(session, 0.8, x), inputs, begin)
     assert session.carried >= CAUSAL_ALLOWANCES
     at_rest = layout.index["curvature", -1].where if any(shares) else slice(0, 0)
     for i in set(range(layout.size)) - set(range(layout.size)[at_rest]):
         step = h * np.eye(layout.size)[i]
-        ends = [linearise(session, push_grid, x + sign * step, inputs, begin).pose for sign in (1.0, -1.0)]
+        moved = [beam_at(session, 0.8, x + sign * step) for sign in (1.0, -1.0)]
+        ends = [linearise(session, beam, inputs, begin).pose for beam in moved]
         difference = (ends[0] - ends[1]) / (2.0 * h)
         np.testing.assert_allclose(exact.j[..., i], difference, atol=2e-6 * max(1.0, float(np.max(abs(difference)))))
     for c in range(2):
         pushes = [force + sign * h * np.eye(2)[c] for sign in (1.0, -1.0)]
-        there = [linearise(session, push_grid, x, replace(inputs, force=f), begin) for f in pushes]
+        there = [linearise(session, beam_at(session, 0.8, x), replace(inputs, force=f), begin) for f in pushes]
         np.testing.assert_allclose(exact.a[..., c], (there[0].pose - there[1].pose) / (2.0 * h), atol=1e-6)
         np.testing.assert_allclose(exact.by_force[..., c], (there[0].q - there[1].q) / (2.0 * h), atol=1e-4)
 
@@ -174,11 +180,8 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     layout = session_layout(
         Spline(6),
         np.array([0.5, 1.0]),
-        Priors(),
+        Priors(placement=0.1, origin=0.1, curvature=0.0),
         length=0.15,
-        placement_sd=0.1,
-        rest_unknown=False,
-        calibrated=True,
         mass=0.0,
     )
     keys, prior = linear_frames(1, layout, 7), LivePrior(layout, np.where(np.arange(layout.size) < 6, 0.3, 0.0), None)

@@ -78,7 +78,12 @@ def test_outliers_are_named_and_do_not_move_the_answer() -> None:
     wild = np.arange(20, 90, 9)
     xy[wild, wild % 3] += 0.02
     clean = replay(made, 0.03, settings=replace(IDEAL_LIVE, functions=10)).stiffness.log_at(S)
-    learner = OnlineLearner(made.length, MARKERS, 0.03, settings=replace(IDEAL_LIVE, functions=10, placement_sd=5e-4))
+    learner = OnlineLearner(
+        made.length,
+        MARKERS,
+        0.03,
+        settings=replace(IDEAL_LIVE, functions=10),
+    )
     refused = []
     for t in range(90):
         refused.append(~learner.update(made.time[t], xy[t], made.angle[t], made.covariance[t], made.force[t]).accepted)

@@ -25,6 +25,7 @@ from onebend.live.model import (
     LinearisedTags,
     LiveSession,
     Memory,
+    beam_at,
     linearise,
     push_grid_at,
     session_layout,
@@ -88,9 +89,6 @@ class Point:
             TAGS,
             FREE,
             length=0.15,
-            placement_sd=5e-4,
-            rest_unknown=True,
-            calibrated=False,
             mass=MASS,
             allowances=frozenset(ALLOWED),
         )
@@ -103,7 +101,6 @@ class Point:
         }
         self.values["stiffness"] += np.log(0.03)
         self.session = LiveSession(0.15, TAGS, MASS, self.session_layout)
-        self.grid = push_grid_at(self.session, PUSH_S)
         course = {a.name: a.basis for a in data.allowances if a.enters in ("force", "place", "clamp")}
         self.terms = np.zeros((8, TERMS))
         self.terms[:, SLIDE], self.terms[:, CLAMP] = course["slide"], course["clamp gives"]
@@ -128,7 +125,7 @@ class Point:
         reached = np.array([reached_part(lagging[..., j], bent, data.problem.weights) for j in range(len(TIMES))])
         memory = Memory(lagging, np.zeros((8, len(TIMES))), reached)
         inputs = FrameInputs(data.force, data.rate, data.observations.gravity, np.zeros(8), self.terms, memory)
-        return linearise(self.session, self.grid, x, inputs, shapes)
+        return linearise(self.session, beam_at(self.session, PUSH_S, x), inputs, shapes)
 
 
 def _block(where: Layout, name: str, recording: int) -> slice:
@@ -143,7 +140,9 @@ def point() -> Iterator[Point]:
 
 
 def test_the_grids_are_the_same(point: Point) -> None:
-    np.testing.assert_allclose(point.fit_data.problem.grid.nodes, point.grid.grid.nodes, atol=1e-14)
+    np.testing.assert_allclose(
+        point.fit_data.problem.grid.nodes, push_grid_at(point.session, PUSH_S).grid.nodes, atol=1e-14
+    )
 
 
 def test_fit_and_live_learner_have_the_same_jacobian(point: Point) -> None:

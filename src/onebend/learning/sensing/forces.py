@@ -1,6 +1,6 @@
 """The force of each frame: maximum a posteriori by Gauss-Newton, many frames at once.
 
-Whitened by the tags' noise and by what the frames share (`bench.py`), the residuals r of a frame and their derivatives
+Whitened by the tags' noise and by what the frames share (`model.py`), the residuals r of a frame and their derivatives
 J with its own unknowns u, in units of their prior's sd, give steps `(1 + d) (J^T J + I) du = J^T r - u`; d, of each
 frame, grows where a step did not lower `|r|^2 + |u|^2` and falls where it did. The covariance is `(J^T J + I)^-1`.
 What the frames share counts as it does at the force where a search begins; a second one begins where the first ended.
@@ -16,19 +16,8 @@ from scipy.stats import chi2
 from onebend.beam.grid import apply
 from onebend.beam.statics import Equilibrium
 from onebend.learning.frames import moved_by, whitening
-from onebend.learning.sensing.bench import (
-    AT_REST,
-    INNERMOST,
-    Bench,
-    Tags,
-    first_forces,
-    poses_of,
-    problem_apart,
-    problem_of,
-    rest_problem,
-    solve,
-    tags_of,
-)
+from onebend.learning.sensing import model
+from onebend.learning.sensing.model import AT_REST, INNERMOST, Bench, Tags
 from onebend.records import Array, BoolArray, IntArray
 
 CHUNK = 250  # frames solved together
@@ -54,8 +43,8 @@ def with_place(prior_sd: Array, seek_place: bool) -> tuple[Array, Array]:
 class Estimates:
     """Forces of F frames. NaN where none was found."""
 
-    force: Array  # (F, n) N, the load (`bench.py`)
-    place: Array  # (F,) or (F, 2) s
+    force: Array  # (F, n) N, the load (`model.py`)
+    place: Array  # (F,) s
     covariance: Array  # (F, d, d) of load and, where it was sought, place: N, N m, s
     common: Array  # (F, n, r) N, of it what one sd of each way in which the bench is off does to the load
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
@@ -63,11 +52,9 @@ class Estimates:
     pose: Array  # (F, m, 3) the tags that belong to it
 
     def take(self, rows: IntArray | BoolArray) -> Estimates:
-        """Of some frames."""
         return Estimates(*(values[rows] for values in vars(self).values()))
 
     def then(self, other: Estimates) -> Estimates:
-        """Followed by those of other frames."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Estimates(*(np.concatenate(pair) for pair in pairs))
 
@@ -92,6 +79,47 @@ class _SearchState:
                 values[rows] = getattr(other, name)
 
 
+class FrameModel:
+    """Some frames and their unknowns: the load of each and, where it is sought, its place."""
+
+    def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
+        o = bench.observations
+        self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
+        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
+        self.whiten = whitening(self.seen, o.covariance[frames])
+        self.sd, self.mean = with_place(prior_sd, seek_place)
+        self.load = len(prior_sd)
+
+    def flat(self, of_tags: Array, rows: IntArray | slice = slice(None)) -> Array:
+        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
+        return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
+
+    def away(self, pose: Array, rows: IntArray | slice = slice(None)) -> Array:
+        """(F, 3 m) of the tags from poses (F, m, 3), over their noise."""
+        return self.flat(np.nan_to_num(self.seen[rows] - pose)[..., None], rows)[..., 0]
+
+    def own_slopes(self, tags: Tags, rows: IntArray | slice = slice(None)) -> Array:
+        """(F, 3 m, d) of the tags with the frames' own unknowns over their priors' sds, over the tags' noise."""
+        own = tags.by_load
+        if self.seek_place:
+            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
+        return self.flat(own * self.sd, rows)
+
+    def inside(self, unknown: Array) -> Array:
+        """The unknowns (F, d), with places on the beam."""
+        if not self.seek_place:
+            return unknown
+        return np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], INNERMOST, 1.0)])
+
+    def placed(self, unknown: Array, rows: IntArray | slice = slice(None)) -> Array:
+        """(F,) places of the loads."""
+        return unknown[:, -1] if self.seek_place else self.place[rows]
+
+    def costs(self, residual: Array, unknown: Array) -> Array:
+        """(F,) squared residuals (F, R), and the prior's part."""
+        return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))
+
+
 def estimate(
     bench: Bench,
     frames: IntArray,
@@ -103,9 +131,9 @@ def estimate(
     restarts: int = 4,
 ) -> Estimates:
     """The force in `frames` (F,), rising, from `force` (F, 2) N (default: that of `begin`) at `place` (F,), which is
-    where it acts or, with `seek_place`, where the search begins; two places, (F, 2), are said. `prior_sd` (n,): of each
-    number of the load, mean zero."""
-    first = first_forces(bench, frames, place, prior_sd) if force is None else force
+    where it acts or, with `seek_place`, where the search begins. `prior_sd` (n,): of
+    each number of the load, mean zero."""
+    first = model.first_forces(bench, frames, place, prior_sd) if force is None else force
     found = _searched(bench, frames, place, prior_sd, seek_place, first)
     for _ in range(restarts):  # frames that ended far from what their neighbours explain begin anew where those ended
         numbers = np.sum(np.isfinite(bench.observations.xy[frames]), axis=(1, 2))
@@ -134,21 +162,15 @@ def _searched(
     return Estimates(*(np.concatenate(each) for each in zip(*(vars(one).values() for one in parts), strict=True)))
 
 
-class _Search:
+class _Search(FrameModel):
     """Gauss-Newton for one chunk of frames."""
 
     def __init__(self, bench: Bench, frames: IntArray, place: Array, prior_sd: Array, seek_place: bool) -> None:
-        o = bench.observations
-        self.bench, self.frames, self.place, self.seek_place = bench, frames, place, seek_place
-        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-        self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd, self.mean = with_place(prior_sd, seek_place)
-        self.load = len(prior_sd)
-        self.problem = problem_of(bench, frames, place)
+        super().__init__(bench, frames, place, prior_sd, seek_place)
+        self.problem = model.problem_of(bench, frames, place)
         stiff = _STRIDE * float(np.mean(self.problem.k))
         self.longest = np.full(len(self.sd), stiff / bench.observations.length)
-        if self.load % 2:
-            self.longest[self.load - 1] = stiff
+        self.longest[2 : self.load] = stiff
         if seek_place:
             self.longest[-1] = np.inf
 
@@ -175,10 +197,11 @@ class _Search:
             if not rows.size:
                 break
             step, size = self._step(state, rows, damping[rows])
-            trial = self._inside(state.unknown[rows] + step)
+            trial = self.inside(state.unknown[rows] + step)
             there = self._solved(rows, trial, state.q[rows])
-            away = self._residual(rows, state.root[rows], poses_of(self.bench, self.frames[rows], there)[0])
-            lower = self._objective(away, trial) < self._objective(state.residual[rows], state.unknown[rows])
+            pose = model.poses_of(self.bench, self.frames[rows], there)[0]
+            away = apply(state.root[rows], self.away(pose, rows))
+            lower = self.costs(away, trial) < self.costs(state.residual[rows], state.unknown[rows])
             better = np.flatnonzero(there.converged & lower)
             if better.size:
                 there = there.take(better)
@@ -189,7 +212,6 @@ class _Search:
             rows = rows[~done]
 
     def _at(self, rows: IntArray, state: _SearchState) -> Equilibrium:
-        """The beam as it stands in the state."""
         found = self._solved(rows, state.unknown, state.q)
         return replace(found, converged=found.converged & state.stands)
 
@@ -198,8 +220,8 @@ class _Search:
         root = np.swapaxes(turn, 1, 2) / np.sqrt(1.0 + size[:, None] ** 2)
         covariance = self.sd[:, None] * (root @ np.swapaxes(root, 1, 2)) * self.sd
         known = np.where(state.stands[:, None], state.unknown, np.nan)
-        place = known[:, -1] if self.seek_place else np.where(state.stands, self.place.T, np.nan).T
-        objective = np.where(state.stands, self._objective(state.residual, state.unknown), np.inf)
+        place = known[:, -1] if self.seek_place else np.where(state.stands, self.place, np.nan)
+        objective = np.where(state.stands, self.costs(state.residual, state.unknown), np.inf)
         chi2 = np.sum(state.residual**2, axis=1)
         gain = self.sd[:, None] * (root @ np.swapaxes(state.slopes @ root, 1, 2))
         common = -(gain @ state.shared)[:, : self.load]
@@ -207,36 +229,25 @@ class _Search:
 
     def _solved(self, rows: IntArray, unknown: Array, start: Array | None) -> Equilibrium:
         """The beam in frames `rows` of the chunk."""
-        if self.seek_place:
-            place, problem = unknown[:, -1], problem_apart(self.bench, self.frames[rows], unknown[:, -1])
-        else:
-            place, problem = self.place[rows], self.problem.take(rows)
-        return solve(self.bench, problem, unknown[:, : self.load], place, start)
+        place, problem = self.placed(unknown, rows), self.problem
+        problem = model.problem_apart(self.bench, self.frames[rows], place) if self.seek_place else problem.take(rows)
+        return model.solve(self.bench, problem, unknown[:, : self.load], place, start)
 
     def _state(self, rows: IntArray, unknown: Array, solved: Equilibrium, root: Array | None) -> _SearchState:
         """Whitened by the tags' noise and what the frames share, as it is here, or by the `root` (F, 3 m, 3 m)."""
-        place = unknown[:, -1] if self.seek_place else self.place[rows]
-        tags = tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
-        stands, own = solved.converged[:, None, None], tags.by_load
-        if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
+        place = self.placed(unknown, rows)
+        tags = model.tags_of(self.bench, self.frames[rows], solved, unknown[:, : self.load], place, shared=root is None)
+        stands = solved.converged[:, None, None]
         shared = np.zeros((len(rows), 3 * self.seen.shape[1], 0))
         if root is None:
-            shared = np.nan_to_num(np.where(stands, self._flat(rows, tags.by_shared @ self.bench.root), 0.0))
+            shared = np.nan_to_num(np.where(stands, self.flat(tags.by_shared @ self.bench.root, rows), 0.0))
             size, ways = np.linalg.eigh(shared @ np.swapaxes(shared, 1, 2))
             root = (ways / np.sqrt(1.0 + np.maximum(size, 0.0))[:, None]) @ np.swapaxes(ways, 1, 2)
-        slopes = root @ np.where(stands, self._flat(rows, own * self.sd), 0.0)
-        residual = self._residual(rows, root, tags.pose)
+        slopes = root @ np.where(stands, self.own_slopes(tags, rows), 0.0)
+        residual = apply(root, self.away(tags.pose, rows))
         return _SearchState(
             unknown.copy(), solved.q, solved.converged, tags.pose, root, residual, slopes, root @ shared
         )
-
-    def _residual(self, rows: IntArray, root: Array, pose: Array) -> Array:
-        return apply(root, self._flat(rows, np.nan_to_num(self.seen[rows] - pose)[..., None])[..., 0])
-
-    def _flat(self, rows: IntArray, of_tags: Array) -> Array:
-        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
-        return np.asarray((self.whiten[rows] @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
 
     def _step(self, state: _SearchState, rows: IntArray, damping: Array) -> tuple[Array, Array]:
         """The step (F, d) of some frames, and its size in posterior sds."""
@@ -250,20 +261,9 @@ class _Search:
         longest = np.maximum(np.max(np.abs(step / self.longest), axis=1), 1.0)
         return step / longest[:, None], np.where(longest > 1.0, np.inf, size)
 
-    def _objective(self, residual: Array, unknown: Array) -> Array:
-        return np.asarray(np.sum(residual**2, axis=1) + np.sum(((unknown - self.mean) / self.sd) ** 2, axis=1))
 
-    def _inside(self, unknown: Array) -> Array:
-        if self.seek_place:
-            unknown = np.column_stack([unknown[:, :-1], np.clip(unknown[:, -1], INNERMOST, 1.0)])
-        return unknown
-
-
-# What each frame by itself says of its force, all that the frames share being known.
-#
-# With `f` the force of a frame, `e` (normal, of sd one) what is left unknown of all that the frames share, and the
-# frame's own noise `n`, of sd one: `told = weigh f + common e + n`, to first order. The prior of the force is not in
-# it. Noise that lasts over several frames is widened to white noise with as much of it in the mean of many frames.
+# Information of each frame on its force, to first order: `told = weigh f + common e + n`, with e (normal, of sd one)
+# the errors that frames share and n the frame's own noise of sd one. The prior of the force is not in it.
 
 _LONGEST = 0.25  # of the frames: so far apart noise is compared
 _ALIKE = 0.05  # correlation of the noise below which it is none
@@ -282,7 +282,6 @@ class FrameForces:
     widened: float  # of the variance of the frames' own noise, for its memory
 
     def take(self, rows: IntArray | slice) -> FrameForces:
-        """Of some frames."""
         return FrameForces(self.time[rows], self.weigh[rows], self.told[rows], self.common[rows], self.widened)
 
 
@@ -319,24 +318,17 @@ class _Linear:
 
 
 def read(
-    bench: Bench,
-    frames: IntArray,
-    load: Array,
-    place: Array,
-    prior_sd: Array,
-    *,
-    seek_place: bool,
-    which: int = 0,
+    bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, *, seek_place: bool
 ) -> FrameForces:
-    """Of `frames` (F,), to first order about `load` (F, n) at `place` (F,) or (F, 2), NaN in frames that tell nothing;
-    of the first force or, with `which` 1, of the second, the frame's other unknowns being integrated out.
+    """Of `frames` (F,), to first order about `load` (F, n) at `place` (F,), NaN in frames that tell nothing; the
+    frame's other unknowns are integrated out.
 
     What a frame tells less of than the prior (`prior_sd` (n,)) is left out: it depends on how the beam is bent at rest
     and on the other component, which first order does not know, and many frames would make it sure.
     """
     known = np.flatnonzero(np.isfinite(load).all(axis=1))
     chunks = [known[i : i + CHUNK] for i in range(0, len(known), CHUNK)]
-    parts = [_linear(bench, frames[rows], load[rows], place[rows], prior_sd, seek_place, which) for rows in chunks]
+    parts = [_linear(bench, frames[rows], load[rows], place[rows], prior_sd, seek_place) for rows in chunks]
     count, ways, time = len(frames), bench.root.shape[1], bench.observations.time[frames]
     weigh, told, common = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.zeros((count, 2, ways))
     if not parts:
@@ -347,38 +339,32 @@ def read(
     across = np.swapaxes(side, 1, 2)
     left = one.residual - apply(side, apply(across, one.residual))
     widened = _memory(left, one.measured, 2 + one.other.shape[1])
-    side = np.where((prior_sd[2 * which] * size > 1.0)[..., None], across / np.sqrt(widened), 0.0)
+    side = np.where((prior_sd[0] * size > 1.0)[..., None], across / np.sqrt(widened), 0.0)
     weigh[known] = side @ one.by_force
-    told[known] = apply(side, one.residual) + apply(weigh[known], load[known, 2 * which : 2 * which + 2])
+    told[known] = apply(side, one.residual) + apply(weigh[known], load[known, :2])
     common[known] = side @ one.by_shared
     return FrameForces(time, weigh, told, common, widened)
 
 
-def _linear(
-    bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool, which: int
-) -> _Linear:
-    o = bench.observations
-    seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-    whiten = whitening(seen, o.covariance[frames])
-    problem = (problem_apart if seek_place else problem_of)(bench, frames, place)
-    solved = solve(bench, problem, load, place, None)
-    tags = tags_of(bench, frames, solved, load, place)
-    stands = solved.converged
-
-    def flat(of_tags: Array) -> Array:
-        out = (whiten @ np.where(stands[:, None, None, None], of_tags, 0.0)).reshape(len(frames), -1, of_tags.shape[-1])
-        return np.asarray(out)
-
-    residual = flat(np.nan_to_num(seen - tags.pose)[..., None])[..., 0]
-    sd, mean = with_place(prior_sd, seek_place)
-    own, by_own = load, tags.by_load
-    if seek_place:
-        own, by_own = np.column_stack([load, place]), np.concatenate([by_own, o.length * tags.by_place], axis=-1)
-    this = np.isin(np.arange(len(sd)), [2 * which, 2 * which + 1])
-    measured = (np.any(whiten != 0.0, axis=-1) & stands[:, None, None]).reshape(len(frames), -1)
-    other = ((own - mean) / sd)[:, ~this]
-    by_own, by_shared = flat(by_own), flat(tags.by_shared @ bench.root)
-    return _Linear(residual, by_own[..., this], (by_own * sd)[..., ~this], other, by_shared, measured)
+def _linear(bench: Bench, frames: IntArray, load: Array, place: Array, prior_sd: Array, seek_place: bool) -> _Linear:
+    frame = FrameModel(bench, frames, place, prior_sd, seek_place)
+    solved = model.solve(
+        bench, (model.problem_apart if seek_place else model.problem_of)(bench, frames, place), load, place, None
+    )
+    tags = model.tags_of(bench, frames, solved, load, place)
+    stands = solved.converged[:, None, None]
+    own = np.column_stack([load, place]) if seek_place else load
+    by_own, by_shared = (
+        np.where(stands, each, 0.0) for each in (frame.own_slopes(tags), frame.flat(tags.by_shared @ bench.root))
+    )
+    return _Linear(
+        residual=np.where(stands[..., 0], frame.away(tags.pose), 0.0),
+        by_force=by_own[..., :2] / frame.sd[:2],
+        by_other=by_own[..., 2:],
+        other=((own - frame.mean) / frame.sd)[:, 2:],
+        by_shared=by_shared,
+        measured=(np.any(frame.whiten != 0.0, axis=-1) & stands).reshape(len(frames), -1),
+    )
 
 
 def _without_other(one: _Linear) -> _Linear:
@@ -424,12 +410,9 @@ def _memory(left: Array, measured: BoolArray, unknowns: int) -> float:
     return float(max(whole * (1.0 + 2.0 * np.sum(alike[: ends[0] if ends.size else len(alike)])), 1.0))
 
 
-# Some frames together: their forces and all that they share, maximum a posteriori by Gauss-Newton.
-#
-# In units of its prior's sd let u be what the frames share, after the beam at rest was seen, and f the unknowns of
-# each frame. With residuals r over the tags' noise, and B, J their derivatives, each frame's own unknowns are
-# eliminated: `(I + sum B^T P B) du = sum B^T P r - ...`, `P = I - J A^-1 J^T`, `A = J^T J + I`. The covariance of a
-# frame's own is `A^-1 + G C G^T`, `G = A^-1 J^T B`, C that of u.
+# Some frames together with u, all that they share, in units of their priors' sds. With residuals r over the tags' noise
+# and derivatives B, J each frame's own unknowns are eliminated: `(I + sum B^T P B) du = sum B^T P r - ...`,
+# `P = I - J A^-1 J^T`, `A = J^T J + I`. A frame's own covariance is `A^-1 + G C G^T`, `G = A^-1 J^T B`, C that of u.
 
 _ROUNDS = 20
 _OWN_STEPS = 3  # of the frames' own unknowns for each of what they share
@@ -446,7 +429,6 @@ class Misfit:
     chi2: float
     freedom: int  # numbers measured, less the frames' own unknowns
     frames: int
-    evidence: float  # log but for a constant (Laplace): the frames' own unknowns and all that they share integrated out
 
     @property
     def ratio(self) -> float:
@@ -471,7 +453,6 @@ class _At:
 
     @property
     def objective(self) -> float:
-        """All squares."""
         return float(np.sum(self.objectives) + self.shared @ self.shared)
 
 
@@ -481,12 +462,12 @@ def rested(bench: Bench) -> Bench:
     seen = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=1)
     if not np.isfinite(seen).any():
         return bench
-    root, mean, forces = bench.root, bench.mean, len(bench.mean[bench.parts["place"]])
-    none, at = np.zeros((1, 2 * forces)), np.ones(1) if forces == 1 else np.ones((1, forces))
+    root, mean = bench.root, bench.mean
+    none, at = np.zeros((1, 2)), np.ones(1)
     whiten, inner = whitening(seen, o.rest_covariance), np.eye(root.shape[1])
     for _ in range(_REST_ROUNDS):
         now = replace(bench, mean=mean)
-        tags = tags_of(now, AT_REST, solve(now, rest_problem(now), none, at, None), none, at)
+        tags = model.tags_of(now, AT_REST, model.solve(now, model.rest_problem(now), none, at, None), none, at)
         rows = (whiten @ (tags.by_shared[0] @ root)).reshape(3 * m, -1)
         away = np.nan_to_num(seen - tags.pose[0]) + tags.by_shared[0] @ (mean - bench.mean)
         inner = np.linalg.inv(np.eye(root.shape[1]) + rows.T @ rows)
@@ -498,22 +479,13 @@ def together(
     bench: Bench, frames: IntArray, begin: Estimates, prior_sd: Array, *, seek_place: bool
 ) -> tuple[Bench, Estimates, Misfit]:
     """The bench as the `frames` (F,), rising, show it besides; what is known of them then; how well it fits."""
-    return _Joint(bench, frames, prior_sd, seek_place).run(begin)
+    return _Joint(bench, frames, begin.place, prior_sd, seek_place).run(begin)
 
 
-class _Joint:
+class _Joint(FrameModel):
     """Gauss-Newton, damped."""
 
-    def __init__(self, bench: Bench, frames: IntArray, prior_sd: Array, seek_place: bool) -> None:
-        o = bench.observations
-        self.bench, self.frames, self.seek_place = bench, frames, seek_place
-        self.seen = np.concatenate([o.xy[frames], o.angle[frames][..., None]], axis=-1)
-        self.whiten = whitening(self.seen, o.covariance[frames])
-        self.sd, self.mean = with_place(prior_sd, seek_place)
-        self.load = len(prior_sd)
-
     def run(self, begin: Estimates) -> tuple[Bench, Estimates, Misfit]:
-        self.place = begin.place
         own = np.column_stack([begin.force, begin.place]) if self.seek_place else begin.force
         now = self._at(np.zeros(self.bench.root.shape[1]), own)
         damping = 1e-4
@@ -530,17 +502,16 @@ class _Joint:
         return self._outcome(now)
 
     def _at(self, shared: Array, own: Array, near: Array | None = None) -> _At:
-        """With the frames' own unknowns brought to where they fit best, by a few steps each."""
         bench = self._bench(shared)
-        now = self._there(bench, shared, self._inside(own), near)
+        now = self._there(bench, shared, self.inside(own), near)
         for _ in range(_OWN_STEPS):
-            slopes, z = self._own_slopes(now.tags), (now.own - self.mean) / self.sd
+            slopes, z = self.own_slopes(now.tags), (now.own - self.mean) / self.sd
             inner = np.swapaxes(slopes, 1, 2) @ slopes + np.eye(len(self.sd))
             right = np.einsum("frd,fr->fd", slopes, now.residual) - z
             step = np.linalg.solve(inner, right[..., None])[..., 0]
             if not np.isfinite(now.objectives).all() or np.max(np.abs(step * right)) < _SETTLED:
                 break
-            trial = self._there(bench, shared, self._inside(now.own + self.sd * step), now.tags.solved.q)
+            trial = self._there(bench, shared, self.inside(now.own + self.sd * step), now.tags.solved.q)
             better = trial.objectives < now.objectives
             if not better.any():
                 break
@@ -549,37 +520,23 @@ class _Joint:
         return now
 
     def _there(self, bench: Bench, shared: Array, own: Array, near: Array | None) -> _At:
-        place = own[:, -1] if self.seek_place else self.place
-        problem = (problem_apart if self.seek_place else problem_of)(bench, self.frames, place)
+        place = self.placed(own)
+        problem = (model.problem_apart if self.seek_place else model.problem_of)(bench, self.frames, place)
         near = near if near is not None and near.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = solve(bench, problem, own[:, : self.load], place, near)
-        tags = tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
-        residual = self._flat(np.nan_to_num(self.seen - tags.pose)[..., None])[..., 0]
-        objectives = np.sum(residual**2, axis=1) + np.sum(((own - self.mean) / self.sd) ** 2, axis=1)
+        solved = model.solve(bench, problem, own[:, : self.load], place, near)
+        tags = model.tags_of(bench, self.frames, solved, own[:, : self.load], place, shared=False)
+        residual = self.away(tags.pose)
+        objectives = self.costs(residual, own)
         return _At(shared, own, tags, residual, np.where(solved.converged, objectives, np.inf))
-
-    def _inside(self, own: Array) -> Array:
-        return np.column_stack([own[:, :-1], np.clip(own[:, -1], INNERMOST, 1.0)]) if self.seek_place else own
 
     def _bench(self, shared: Array) -> Bench:
         return replace(self.bench, mean=self.bench.mean + self.bench.root @ shared)
 
-    def _flat(self, of_tags: Array) -> Array:
-        """(F, 3 m, n) of (F, m, 3, n), over the tags' noise."""
-        return np.asarray((self.whiten @ of_tags).reshape(len(of_tags), -1, of_tags.shape[-1]))
-
-    def _own_slopes(self, tags: Tags) -> Array:
-        """(F, 3 m, d) with the frames' own unknowns, over their priors' sd."""
-        own = tags.by_load
-        if self.seek_place:
-            own = np.concatenate([own, self.bench.observations.length * tags.by_place], axis=-1)
-        return self._flat(own * self.sd)
-
     def _slopes(self, now: _At) -> tuple[Array, Array]:
         """The same, and (F, 3 m, r) with what is shared."""
-        place = now.own[:, -1] if self.seek_place else self.place
-        tags = tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
-        return self._own_slopes(tags), self._flat(tags.by_shared @ self.bench.root)
+        place = self.placed(now.own)
+        tags = model.tags_of(self._bench(now.shared), self.frames, now.tags.solved, now.own[:, : self.load], place)
+        return self.own_slopes(tags), self.flat(tags.by_shared @ self.bench.root)
 
     def _step(self, now: _At, damping: float) -> tuple[Array, Array]:
         own, shared = self._slopes(now)
@@ -611,11 +568,9 @@ class _Joint:
         bench = replace(self._bench(now.shared), root=self.bench.root @ root)
         squares = np.sum(now.residual**2, axis=1)
         measured = int(np.sum(np.any(self.whiten != 0.0, axis=-1)))
-        spread = float(np.sum(np.log1p(size**2)) + np.sum(np.log1p(told**2)))
-        evidence = -0.5 * (now.objective + spread)
         whole = float(np.sum(squares) + now.shared @ now.shared)
-        fit = Misfit(whole, measured - now.own.size, len(self.frames), evidence)
-        place = now.own[:, -1] if self.seek_place else self.place
+        fit = Misfit(whole, measured - now.own.size, len(self.frames))
+        place = self.placed(now.own)
         stands = np.where(now.tags.solved.converged, squares, np.inf)
         common = -(self.sd[:, None] * (down @ root))[:, : self.load]
         found = Estimates(now.own[:, : self.load], place, covariance, common, stands, squares, now.tags.pose)

@@ -14,35 +14,12 @@ from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
-from onebend.learning.frames import whitening
 from onebend.learning.instruments import Instruments
-from onebend.learning.sensing.bench import (
-    INNERMOST,
-    Bench,
-    Tags,
-    check_recording,
-    problem_of,
-    shared_prior,
-    solve,
-    tags_of,
-)
-from onebend.learning.sensing.contacts import (
-    APART,
-    STRIDE,
-    Benches,
-    Smoothed,
-    TwoContacts,
-    both_touch,
-    edges_of,
-    frames_at_edges,
-    runs_of,
-    smoothed,
-    two_said,
-    two_sought,
-    within,
-)
-from onebend.learning.sensing.forces import PLACE_PRIOR, TOUCH, Misfit, Searched, first, read, rested, search, touches
-from onebend.learning.sensing.sensor import FEWEST, SensorCheck, ToldForces, check_sensor
+from onebend.learning.sensing import model
+from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
+from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
+from onebend.learning.sensing.model import Bench, Tags
+from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
@@ -66,20 +43,17 @@ class SenseSettings:
     tags: Literal["learned", "anew"] = "learned"
     moment: bool = False  # whether the contact transmits a moment besides
     moment_prior: float | None = None  # N m, one sd of it before the shape is seen; None: the force's times L
-    contacts: Literal["1", "2", "auto"] = "1"  # auto: two where the evidence is for it
-    second_s: float | None = None  # where the second of two forces acts that are said
     smooth: bool = False  # whether the force is told as a process over the frames besides
 
 
-def check_settings(settings: SenseSettings, name: str, length: float) -> None:
-    """Of the recording `name`, of a beam of so many metres.
+def check_settings(settings: SenseSettings, length: float) -> None:
+    """Of a beam of `length` [m].
 
     Raises:
         LearningError: what is asked contradicts itself, or is not known to act.
     """
-    for at in (settings.at_s, settings.second_s):
-        if at is not None and not 0.0 < at <= 1.0:
-            raise LearningError(f"a force acts at s in (0, 1], got {at}")
+    if settings.at_s is not None and not 0.0 < settings.at_s <= 1.0:
+        raise LearningError(f"a force acts at s in (0, 1], got {settings.at_s}")
     if settings.place == "unknown" and not (settings.at_s is None and settings.at_sd is None):
         raise LearningError("the place of the contact is either said or sought: leave out where it is, or 'unknown'")
     sds = (("the place's sd", settings.at_sd), ("the force's prior sd", settings.force_prior))
@@ -92,28 +66,13 @@ def check_settings(settings: SenseSettings, name: str, length: float) -> None:
         raise LearningError("a force prior of 0 N says that there is no force: give the size of forces to be expected")
     if settings.moment_prior == 0.0:
         raise LearningError("a moment prior of 0 N m says that there is no moment: ask for none")
-    _check_contacts(settings, name)
-
-
-def _check_contacts(settings: SenseSettings, name: str) -> None:
-    if settings.moment and (settings.place == "unknown" or settings.contacts != "1"):
+    if settings.moment and settings.place == "unknown":
         raise LearningError(
-            "a moment is told of one contact whose place is said: a force elsewhere looks much like a force with a "
-            "moment. Say the place (--push-at), and ask for one contact"
+            "a moment is told of a contact whose place is said: a force elsewhere looks much like a force with a "
+            "moment. Say the place (--push-at)"
         )
-    if settings.contacts != "1" and settings.smooth:
-        raise LearningError("a smooth force is told of one contact: ask for --smooth or for --contacts, not for both")
     if settings.moment_prior is not None and not settings.moment:
         raise LearningError("a moment's prior is given, and no moment is asked for: add --moment, or leave it out")
-    if settings.second_s is not None and settings.contacts == "1":
-        raise LearningError("where a second force acts is said, and one contact is asked for: add --contacts 2")
-    if settings.second_s is not None and settings.place == "unknown":
-        raise LearningError("the places are sought (--place unknown): leave out where the second force acts")
-    if settings.contacts != "1" and settings.place == "known" and settings.second_s is None:
-        raise LearningError(
-            f"{name}: nobody says where the second force acts. Give its place (--second-at), or let both be sought "
-            "(--place unknown)"
-        )
 
 
 @dataclass(frozen=True)
@@ -145,7 +104,7 @@ def joined(contacts: Sequence[Touch]) -> tuple[Touch, ...]:
 
 
 @dataclass(frozen=True)
-class ToldMoment:
+class ContactMoment:
     """The moment that a contact puts on the beam besides its force, in T frames."""
 
     moment: Array  # (T,) N m
@@ -153,19 +112,6 @@ class ToldMoment:
     with_force: Array  # (T, 2) N^2 m, covariance with the components of the force
     prior_sd: float  # N m
     prior_share: Array  # (T,) of the prior's variance, what the data leave
-
-
-@dataclass(frozen=True)
-class SecondForce:
-    """The second of two forces, the farther one from the clamp where both were sought, in T frames."""
-
-    force: Array  # (T, 2) N
-    covariance: Array  # (T, 2, 2) N^2
-    with_first: Array  # (T, 2, 2) N^2, covariance of the first force's components with its own
-    prior_share: Array  # (T, 2)
-    place: float  # s; NaN where it was sought and not found
-    place_sd: float  # of s
-    touched: BoolArray  # (T,) zero force lies outside its 95 % region
 
 
 @dataclass(frozen=True)
@@ -194,9 +140,7 @@ class Sensed:
     # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
     common: Array
     smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
-    moment: ToldMoment | None = None  # where one was asked for
-    two: TwoContacts | None = None  # one contact against two, where that was asked for
-    second: SecondForce | None = None  # where two contacts were asked for, or found
+    moment: ContactMoment | None = None  # where one was asked for
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
     remarks: tuple[Remark, ...] = ()
 
@@ -221,10 +165,7 @@ class Sensed:
     @property
     def against_log(self) -> tuple[float, float] | None:
         """N, RMS over the touched frames of the difference to the log: in the direction in which the force is known
-        best, and in that in which least. None where there is no log, no frame that shows a force, or a second one, of
-        which the log may be."""
-        if self.second is not None:
-            return None
+        best, and in that in which least. None where there is no log, or no frame that shows a force."""
         shown = self.touched & np.isfinite(self.logged).all(axis=1)
         if not np.any(shown):
             return None
@@ -264,43 +205,25 @@ def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Re
             "off, or the model's k(s) is by as much, which no shape tells. A weight hung on the beam tells which"
         )
         out.append(Remark("warning", text, about="sensed gain"))
+    notes = []
     if not banded:
-        out.append(Remark("note", "The model has no band on k(s): the regions hold noise and mounting alone."))
+        notes.append("The model has no band on k(s): the regions hold noise and mounting alone.")
     if not np.isfinite(o.rest_xy).any():
-        out.append(Remark("note", "No frame shows the beam at rest: the mounting is known only as stated."))
+        notes.append("No frame shows the beam at rest: the mounting is known only as stated.")
     if not o.sd_known:
-        out.append(Remark("note", "The tags' noise is a guess, and the regions are as good as it is."))
+        notes.append("The tags' noise is a guess, and the regions are as good as it is.")
     if lost:
-        out.append(Remark("note", f"In {lost} frames no equilibrium was found that explains the tags."))
+        notes.append(f"In {lost} frames no equilibrium was found that explains the tags.")
     if np.any(sensed.touched):
-        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
+        share, moment = np.nanmedian(sensed.prior_share[sensed.touched], axis=0), sensed.moment
         weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
         if weak:
-            text = (
-                f"The force along {' and '.join(weak)} comes in good part from the prior (sd {sensed.prior_sd:.3g} N)."
-            )
-            out.append(Remark("note", text))
-    return (*out, *load_remarks(sensed))
-
-
-def load_remarks(sensed: Sensed) -> list[Remark]:
-    """What is not observable of a moment, and how sure two contacts are."""
-    out, two, moment = [], sensed.two, sensed.moment
-    if moment is not None and np.any(sensed.touched):
-        share = float(np.nanmedian(moment.prior_share[sensed.touched]))
-        if share > FROM_PRIOR:
-            out.append(
-                f"The moment comes in good part ({100 * share:.0f} %) from the prior (sd {moment.prior_sd:.3g} N m)."
-            )
-    if two is not None and not two.found:
-        asked = "" if sensed.second is None else ", and two were asked for: the second force may be none"
-        out.append(f"The shapes show one contact (log evidence of a second {two.evidence:.3g}){asked}.")
-    if two is not None and two.others and sensed.second is not None:
-        pairs = " or ".join(f"s = {near:.2f} and {far:.2f}" for near, far in (two.places, *two.others))
-        out.append(
-            f"The shapes do not tell which places two contacts have: {pairs}. The forces are those of the first."
-        )
-    return [Remark("note", text) for text in out]
+            source = f"from the prior (sd {sensed.prior_sd:.3g} N)."
+            notes.append(f"The force along {' and '.join(weak)} comes in good part {source}")
+        if moment is not None and (part := float(np.nanmedian(moment.prior_share[sensed.touched]))) > FROM_PRIOR:
+            source = f"from the prior (sd {moment.prior_sd:.3g} N m)."
+            notes.append(f"The moment comes in good part ({100 * part:.0f} %) {source}")
+    return (*out, *(Remark("note", text) for text in notes))
 
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -339,50 +262,13 @@ def sense(
         raise LearningError(f"{o.source.name}: no frame shows a tag of the beam, so no force can be told")
     place = places_of(o, frames, settings) if settings.place == "known" else None
 
-    def benches(place_sds: tuple[float, ...]) -> Bench:
-        return bench_of(beam, o, stiffness, instruments, settings, place_sds)
-
     try:
-        return _told(benches, bench, frames, place, priors, settings)
+        return _sensed(search(bench, frames, place, priors), frames, priors, settings)
     except np.linalg.LinAlgError as error:
         raise LearningError(
             f"{o.source.name}: the equations of the force cannot be solved ({error}). Check that the model is of this "
             "beam and as `onebend learn` wrote it"
         ) from error
-
-
-def _told(
-    benches: Benches, bench: Bench, frames: IntArray, place: Array | None, priors: Array, settings: SenseSettings
-) -> Sensed:
-    """By one force, or by two where they are asked for or the evidence is for them."""
-    two = None
-    if settings.contacts != "1":
-        prior = float(priors[0])
-        two, sds = _compared(benches, frames, place, prior, settings)
-        if settings.contacts == "2" or two.found:
-            bench, place = benches(sds), np.tile(two.places, (len(frames), 1))
-            priors = np.full(4, prior)
-    return _sensed(search(bench, frames, place, priors), frames, priors, settings, two)
-
-
-def _compared(
-    benches: Benches, frames: IntArray, place: Array | None, prior: float, settings: SenseSettings
-) -> tuple[TwoContacts, tuple[float, float]]:
-    """One contact against two, and what is known of the places of two before the frames [m]."""
-    o = benches((0.0,)).observations
-    if place is None:
-        two = two_sought(benches, frames, prior)
-        near, far = (o.length * min(max(STRIDE, 3.0 * sd), PLACE_PRIOR[1]) for sd in two.place_sds)
-        return two, (near, far)
-    assert settings.second_s is not None
-    place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
-    said = np.array([float(np.median(place)), settings.second_s])
-    if abs(said[1] - said[0]) < APART:
-        raise LearningError(
-            f"{o.source.name}: two contacts at s = {said[0]:.3g} and {said[1]:.3g} are nearer to each other than "
-            f"{APART:g}: no shape tells them apart. Ask for one"
-        )
-    return two_said(benches, frames, said, (place_sd, place_sd), prior), (place_sd, place_sd)
 
 
 def priors_of(beam: Beam, settings: SenseSettings) -> Array:
@@ -411,20 +297,19 @@ def bench_of(
     stiffness: UncertainStiffness | None,
     instruments: Instruments | None,
     settings: SenseSettings,
-    place_sds: tuple[float, ...] | None = None,
 ) -> Bench:
-    """The bench as the beam at rest leaves it; `place_sds`: m, of the place of each contact, None: as the settings and
-    the recording have it for one.
+    """The bench as the beam at rest leaves it.
 
     Raises:
         LearningError: as `sense`.
     """
-    check_settings(settings, o.source.name, o.length)
-    check_recording(beam, o)
+    check_settings(settings, o.length)
+    model.check_recording(beam, o)
     place_sd = o.stated.place_sd if settings.at_sd is None else settings.at_sd
-    sds = place_sds if place_sds is not None else (0.0 if settings.place == "unknown" else place_sd,)
+    if settings.place == "unknown":
+        place_sd = 0.0
     as_learned = settings.tags == "learned"
-    prior = shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=sds)
+    prior = model.shared_prior(o, stiffness, instruments, tags_as_learned=as_learned, place_sd=place_sd)
     return rested(Bench(beam, stiffness, prior, o, prior.mean, prior.root))
 
 
@@ -441,9 +326,7 @@ def places_of(o: Observations, frames: IntArray, settings: SenseSettings) -> Arr
     return np.where(np.isfinite(said), said, np.nanmedian(said))
 
 
-def _sensed(
-    searched: Searched, frames: IntArray, priors: Array, settings: SenseSettings, two: TwoContacts | None
-) -> Sensed:
+def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: SenseSettings) -> Sensed:
     bench, found, other, prior = searched.bench, searched.found, searched.other_place, float(priors[0])
     n = len(priors)
     o, axes = bench.observations, bench.axes_of_loads(n)
@@ -453,7 +336,7 @@ def _sensed(
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance[:, :2, :2]))
     touched = touches(found)
     contacts, smooth = _over_time(searched, frames, touched, priors, settings)
-    place, place_sd = _places(searched, n, settings, two, known)
+    place, place_sd = _places(searched, settings, known)
     share = np.einsum("tcc->tc", covariance) / priors**2
     out = Sensed(
         name=o.source.name,
@@ -477,49 +360,26 @@ def _sensed(
         logged=logged_forces(o)[frames],
         common=(axes @ found.common)[:, :2],
         smoothed=None if smooth is None else smooth.turned(bench.axes),
-        two=two,
     )
     if n == 3:
-        moment = ToldMoment(
+        moment = ContactMoment(
             load[:, 2], np.sqrt(covariance[:, 2, 2]), covariance[:, :2, 2], float(priors[2]), share[:, 2]
         )
         out = replace(out, moment=moment)
-    if n == 4:
-        out = replace(out, second=_second(load, covariance, share, searched, two))
-    out = replace(out, sensor=None if n > 3 or not out.explained else _judged(out, o, frames))
+    out = replace(out, sensor=_judged(out, o, frames) if out.explained else None)
     return replace(out, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
 
 
-def _places(
-    searched: Searched, n: int, settings: SenseSettings, two: TwoContacts | None, known: BoolArray
-) -> tuple[Array, Array]:
-    """(T,) s of the first force and one sd each; NaN where it was sought and not found."""
+def _places(searched: Searched, settings: SenseSettings, known: BoolArray) -> tuple[Array, Array]:
+    """(T,) s of the force and one sd each; NaN where it was sought and not found."""
     bench, found = searched.bench, searched.found
-    sought = settings.place == "unknown"
-    if sought and n != 4:
-        place_sd = np.sqrt(found.covariance[:, -1, -1])
-        told = known & (place_sd < _PLACE_KNOWN) & np.isnan(searched.other_place)
-        return np.where(told, found.place, np.nan), np.where(known, place_sd, np.nan)
-    place_sd = np.full(len(known), bench.place_sd / bench.observations.length)
-    place = bench.placed(found.place).reshape(len(known), -1)[:, 0]
-    told = known & (not sought or (two is not None and not two.others)) & (place_sd < _PLACE_KNOWN)
-    return np.where(told, place, np.nan), np.where(known, place_sd, np.nan)
-
-
-def _second(load: Array, covariance: Array, share: Array, searched: Searched, two: TwoContacts | None) -> SecondForce:
-    bench = searched.bench
-    place_sd = float(np.linalg.norm(bench.root[bench.parts["place"]][1])) / bench.observations.length
-    told = place_sd < _PLACE_KNOWN and not (two is not None and two.others)
-    place = float(np.nanmedian(bench.placed(searched.found.place)[:, 1]))
-    return SecondForce(
-        force=load[:, 2:],
-        covariance=covariance[:, 2:, 2:],
-        with_first=covariance[:, :2, 2:],
-        prior_share=share[:, 2:],
-        place=place if told else math.nan,
-        place_sd=place_sd,
-        touched=both_touch(searched.found)[1],
-    )
+    if settings.place == "unknown":
+        place, place_sd = found.place, np.sqrt(found.covariance[:, -1, -1])
+        told = known & np.isnan(searched.other_place)
+    else:
+        place, place_sd = bench.placed(found.place), np.full(len(known), bench.place_sd / bench.observations.length)
+        told = known
+    return np.where(told & (place_sd < _PLACE_KNOWN), place, np.nan), np.where(known, place_sd, np.nan)
 
 
 def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | None:
@@ -530,7 +390,7 @@ def _judged(out: Sensed, o: Observations, frames: IntArray) -> SensorCheck | Non
     force, covariance = np.where(bare[:, None], 0.0, out.force), out.covariance.copy()
     covariance[bare] = (_NOTHING * out.prior_sd) ** 2 * np.eye(2)
     common = np.where(bare[:, None, None], 0.0, out.common)
-    told = ToldForces(out.time, force, covariance, common, out.prior_sd)
+    told = SensedForces(out.time, force, covariance, common, out.prior_sd)
     clock_sd = 0.0 if o.source.clock is None else o.source.clock.sd
     return check_sensor(told, out.logged, force_error(o, out.time), o.source.clean_force, clock_sd)
 
@@ -545,7 +405,7 @@ def _over_time(
         return (), smoothed(time, searched.found, [], prior, 1.0) if settings.smooth else None
     found, inside = searched.found.take(some), within(runs, len(frames))[some]
     force = np.where(inside[:, None] | np.isnan(found.force), found.force, 0.0)
-    seek_place = settings.place == "unknown" and len(priors) < 4
+    seek_place = settings.place == "unknown"
     readings = read(searched.bench, frames[some], force, found.place, priors, seek_place=seek_place)
     bench = searched.bench
     every = ended(bending(bench.beam, bench.observations).take(frames), runs, readings.widened)
@@ -558,11 +418,8 @@ def _over_time(
     return contacts, smoothed(time, searched.found, runs, prior, readings.widened)
 
 
-# The force on a learned beam while it is being pushed: a frame in, a force out.
-#
-# A frame begins at the force and the shape of the one before: one or two Gauss-Newton steps, each an equilibrium from
-# near by. What the frames share is integrated out as it counts there: near a buckling load that changes much from
-# frame to frame.
+# One frame after the other, each from the force and shape of the one before. Errors that frames share are integrated
+# out as they count at this force: near a buckling load that changes much from frame to frame.
 
 _STEPS = 8
 _CLOSE = 0.3  # posterior sds: a step this small is the last, and taken to first order
@@ -619,30 +476,24 @@ class OnlineSense:
         self._bench = bench_of(beam, o, stiffness, instruments, settings)
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
-        self._sd = np.array([prior_of(beam, settings)] * 2 + [PLACE_PRIOR[1]])
-        self._mean = np.array([0.0, 0.0, PLACE_PRIOR[0]])
-        if self._place is not None:
-            self._sd, self._mean = self._sd[:2], self._mean[:2]
+        self._force_sd = np.full(2, prior_of(beam, settings))
         self._shape: _Shape | None = None
 
     @one_blas_thread
     def add(self, time: float, xy: Array, angle: Array, covariance: Array) -> LiveForce:
         """The force in a frame at `time` [s]: tags at `xy` (m, 2) [m], `angle` (m,) [rad], with their covariance
         (m, 3, 3); NaN where a tag was not seen."""
-        seen = np.concatenate([xy, angle[:, None]], axis=1)
         if np.sum(np.isfinite(xy)) < 2:
-            none = np.full((2, 2), np.nan)
-            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan)
-        whiten = whitening(seen, covariance)
-        count = int(np.sum(np.isfinite(seen)))
-        shape = self._shape if self._shape is not None else self._anew(time, seen, covariance)
-        found = self._follow(shape, seen, whiten)
-        if found is None or found[3] > _LOST * count:
-            again = self._follow(self._anew(time, seen, covariance), seen, whiten)
+            return _no_force(time, np.nan)
+        frame = self._frame(time, xy, angle, covariance)
+        most = _LOST * int(np.sum(np.isfinite(frame.seen)))
+        found = self._follow(self._shape if self._shape is not None else self._anew(frame), frame)
+        if found is None or found[3] > most:
+            again = self._follow(self._anew(frame), frame)
             found = again if found is None or (again is not None and again[3] < found[3]) else found
-        if found is None or not found[3] <= _LOST * count:
-            self._shape, none = None, np.full((2, 2), np.nan)
-            return LiveForce(time, none[0], none, np.nan, np.nan, False, np.nan if found is None else found[3])
+        if found is None or not found[3] <= most:
+            self._shape = None
+            return _no_force(time, np.nan if found is None else found[3])
         self._shape, unknown, spread, chi2 = found
         axes = self._bench.axes
         force, part = axes @ unknown[:2], axes @ spread[:2, :2] @ axes.T
@@ -653,16 +504,14 @@ class OnlineSense:
         touched = bool(force @ np.linalg.solve(part, force) > TOUCH)
         return LiveForce(time, force, part, place, place_sd, touched, chi2)
 
-    def _follow(self, shape: _Shape, seen: Array, whiten: Array) -> tuple[_Shape, Array, Array, float] | None:
+    def _follow(self, shape: _Shape, frame: FrameModel) -> tuple[_Shape, Array, Array, float] | None:
         """Shape, unknowns (d,), their covariance and the squared residuals; None where the beam does not stand."""
         for number in range(_STEPS):
-            slopes, residual = self._whitened(shape, seen, whiten)
+            slopes, residual = self._whitened(shape, frame)
             left, told, turn = np.linalg.svd(slopes, full_matrices=False)
-            z = (shape.unknown - self._mean) / self._sd
+            z = (shape.unknown - frame.mean) / frame.sd
             step = turn.T @ ((told * (left.T @ residual) - turn @ z) / (1.0 + told**2))
-            unknown = shape.unknown + self._sd * step
-            if self._place is None:
-                unknown[2] = np.clip(unknown[2], INNERMOST, 1.0)
+            unknown = frame.inside(shape.unknown[None] + frame.sd * step)[0]
             moved = np.linalg.norm(np.hypot(1.0, told) * (turn @ step))
             if number and moved < _CLOSE:
                 break
@@ -670,22 +519,17 @@ class OnlineSense:
             if now is None:
                 return None
             shape = now
-        slopes, residual = self._whitened(shape, seen, whiten)
+        slopes, residual = self._whitened(shape, frame)
         _, told, turn = np.linalg.svd(slopes, full_matrices=False)
-        root = self._sd[:, None] * turn.T / np.hypot(1.0, told)
-        left_over = residual - slopes @ ((unknown - shape.unknown) / self._sd)
+        root = frame.sd[:, None] * turn.T / np.hypot(1.0, told)
+        left_over = residual - slopes @ ((unknown - shape.unknown) / frame.sd)
         return shape, unknown, root @ root.T, float(left_over @ left_over)
 
-    def _whitened(self, shape: _Shape, seen: Array, whiten: Array) -> tuple[Array, Array]:
+    def _whitened(self, shape: _Shape, frame: FrameModel) -> tuple[Array, Array]:
         """(3 m, d) slopes over the priors' sds, and (3 m,) residuals, in units of all noise."""
-        tags, count = shape.tags, seen.size
-        shared = (whiten @ shape.noise).reshape(count, -1)
-        own = tags.by_load[0]
-        if self._place is None:
-            own = np.concatenate([own, self._bench.observations.length * tags.by_place[0]], axis=-1)
-        both = np.concatenate([own * self._sd, np.nan_to_num(seen - tags.pose[0])[..., None]], axis=-1)
-        root = np.linalg.cholesky(np.eye(count) + shared @ shared.T)
-        out = np.linalg.solve(root, (whiten @ both).reshape(count, -1))
+        shared, tags = frame.flat(shape.noise[None])[0], shape.tags
+        both = np.column_stack([frame.own_slopes(tags)[0], frame.away(tags.pose)[0]])
+        out = np.linalg.solve(np.linalg.cholesky(np.eye(len(both)) + shared @ shared.T), both)
         return out[:, :-1], out[:, -1]
 
     def _solved(self, unknown: Array, near: _Shape) -> _Shape | None:
@@ -693,15 +537,15 @@ class OnlineSense:
         if self._place is None and abs(unknown[2] - edge) > _SLID:
             edge = float(unknown[2])
         bench, at = self._at(unknown, edge)
-        problem = problem_of(bench, _ONE, at)
+        problem = model.problem_of(bench, _ONE, at)
         q = near.tags.solved.q
         start = q if q.shape[1] == problem.grid.nodes.shape[-1] else None
-        solved = solve(bench, problem, unknown[None, :2], at, start)
+        solved = model.solve(bench, problem, unknown[None, :2], at, start)
         if start is not None and not solved.converged[0]:
-            solved = solve(bench, problem, unknown[None, :2], at, None)
+            solved = model.solve(bench, problem, unknown[None, :2], at, None)
         if not solved.converged[0]:
             return None
-        tags = tags_of(bench, _ONE, solved, unknown[None, :2], at)
+        tags = model.tags_of(bench, _ONE, solved, unknown[None, :2], at)
         return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
 
     def _at(self, unknown: Array, edge: float) -> tuple[Bench, Array]:
@@ -712,27 +556,37 @@ class OnlineSense:
         mean[self._bench.parts["place"]] = (unknown[2] - edge) * self._bench.observations.length
         return replace(self._bench, mean=mean), np.array([edge])
 
-    def _anew(self, time: float, seen: Array, covariance: Array) -> _Shape:
-        """As a recording's frame is sought that has none before it."""
+    def _frame(self, time: float, xy: Array, angle: Array, covariance: Array) -> FrameModel:
         o = self._bench.observations
         alone = replace(
             o,
             time=np.array([time]),
             frame=_ONE,
-            xy=seen[None, :, :2],
-            angle=seen[None, :, 2],
+            xy=xy[None],
+            angle=angle[None],
             covariance=covariance[None],
             force=np.zeros((1, 2)),
             push_s=np.full(1, np.nan),
             loaded=np.ones(1, dtype=bool),
             gravity=o.gravity[:1],
         )
-        bench = replace(self._bench, observations=alone)
-        place = None if self._place is None else np.array([self._place])
-        found, _ = first(bench, _ONE, place, self._sd[:2])
-        unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(self._sd)]
+        bench, place = (
+            replace(self._bench, observations=alone),
+            np.full(1, np.nan if self._place is None else self._place),
+        )
+        return FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
+
+    def _anew(self, frame: FrameModel) -> _Shape:
+        """The frame as one of a recording, with none before it."""
+        found, _ = first(frame.bench, _ONE, None if frame.seek_place else frame.place, self._force_sd)
+        unknown = np.append(np.nan_to_num(found.force[0]), found.place[0])[: len(frame.sd)]
         edge = self._place if self._place is not None else float(found.place[0])
         here, at = self._at(unknown, edge)
-        solved = solve(here, problem_of(here, _ONE, at), unknown[None, :2], at, None)
-        tags = tags_of(here, _ONE, solved, unknown[None, :2], at)
+        solved = model.solve(here, model.problem_of(here, _ONE, at), unknown[None, :2], at, None)
+        tags = model.tags_of(here, _ONE, solved, unknown[None, :2], at)
         return _Shape(unknown, edge, tags, tags.by_shared[0] @ here.root)
+
+
+def _no_force(time: float, chi2: float) -> LiveForce:
+    none = np.full((2, 2), np.nan)
+    return LiveForce(time, none[0], none, np.nan, np.nan, False, chi2)

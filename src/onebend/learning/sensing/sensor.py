@@ -1,16 +1,9 @@
-"""The force log beside the film, judged by the force that the shape tells: gain, direction, bias, drift and delay.
+"""The force log, compared with the force from the shape: gain, direction, bias, drift and delay.
 
-The log is taken to be `(1 + g) R(d) F(t - tau) + b + c (t - t0) + w(t)`. The force F that the shape tells has errors
-`S_t e`, which the frames have in common, e normal of sd one, and one of each frame. The log's own error w is that of
-the fit of k(s) (`model/force_error.py`): coloured noise behind the low-pass, a walk, and what comes with the load; the
-sizes of its parts are drawn from their posterior: of a log with few changes of the load nobody knows them well, and
-the numbers are as unsure as a mixture over them. A slow error of a few hundredths of the force looks like axes that
-are turned, so it must not be taken for noise that averages out over the frames. Gauss-Newton for the seven numbers,
-e and w being integrated out. The clock on which the delay counts was found by the same log, whose error moves both:
-what is unknown of the clock is unknown of the delay.
-
-The told forces are means of a posterior, drawn towards a prior of mean zero, alike in all frames: that prior is divided
-out first.
+The log is taken to be `(1 + g) R(d) F(t - tau) + b + c (t - t0) + w(t)`. The force F from the shape has errors that
+frames share and errors of each frame. The log's own error w is that of the fit of k(s) (`learning.force_error`); the
+sizes of its parts are drawn from their posterior. Gauss-Newton for the seven numbers, with all errors integrated out.
+The prior of the forces is divided out first.
 """
 
 from __future__ import annotations
@@ -61,7 +54,7 @@ class SensorCheck:
 
 
 @dataclass(frozen=True)
-class ToldForces:
+class SensedForces:
     """The force in T frames as the shape tells it, beam's frame."""
 
     time: Array  # (T,) s
@@ -70,8 +63,7 @@ class ToldForces:
     common: Array  # (T, 2, r) N, of it what one sd of each error does that the frames have in common
     prior_sd: float  # N, of each component before the shape was seen, mean zero
 
-    def take(self, rows: IntArray) -> ToldForces:
-        """Of some frames."""
+    def take(self, rows: IntArray) -> SensedForces:
         return replace(
             self,
             time=self.time[rows],
@@ -80,7 +72,7 @@ class ToldForces:
             common=self.common[rows],
         )
 
-    def without_prior(self) -> ToldForces:
+    def without_prior(self) -> SensedForces:
         """As the data alone tell it, each frame by itself; where they tell nothing the covariance is large."""
         information = np.linalg.inv(self.covariance)
         size, way = np.linalg.eigh(information)
@@ -96,7 +88,7 @@ class ToldForces:
 
 
 def check_sensor(
-    told: ToldForces, logged: Array, error: ForceError, clean: CleanForce | None, clock_sd: float = 0.0
+    told: SensedForces, logged: Array, error: ForceError, clean: CleanForce | None, clock_sd: float = 0.0
 ) -> SensorCheck | None:
     """Of the log (T, 2) [N] at the frames of `told`, with the `error` that is expected of it at these T frames, on a
     clock that is known to `clock_sd` [s]; None where too few frames have both."""
@@ -136,7 +128,7 @@ class _Check:
     shape tells there is noise, and noise in a slope counts as information.
     """
 
-    def __init__(self, told: ToldForces, logged: Array, error: ForceError, weights: Array) -> None:
+    def __init__(self, told: SensedForces, logged: Array, error: ForceError, weights: Array) -> None:
         data = told.without_prior()
         self.force, self.common, self.logged = data.force, data.common, logged
         size, way = np.linalg.eigh(data.covariance - data.common @ np.swapaxes(data.common, 1, 2))

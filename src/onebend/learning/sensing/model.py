@@ -1,9 +1,8 @@
-"""What all frames of a recording share when the force is told from the shape: the beam, the place of the contact, how
-the tags sit, the clamp, the rest shape, the picture; as it is known by now, and the beam of it in each frame.
+"""The beam under an unknown load: what all frames share (k(s), tags, clamp, rest shape, picture, place of the contact),
+equilibria, and poses of the tags with derivatives.
 
 The unknowns a frame has of its own are its load and, where it is asked for, the place of the force. A load is the two
-components [N] of one force, or of two one after the other; after those of one may stand the moment [N m] that acts at
-the same place.
+components [N] of a force, and may be followed by the moment [N m] that acts at the same place.
 """
 
 from __future__ import annotations
@@ -30,8 +29,6 @@ from onebend.learning.parameters import NEEDS_MASS, Priors, clamp_sd, curvature_
 from onebend.learning.prediction import TagRide, tag_blocks
 from onebend.learning.static_poses import RESOLUTION
 from onebend.records import Array, IntArray, Observations
-
-# What all frames of a recording share when the force is told from the shape, as it is known before they are seen.
 
 LEARNED = ("curvature", "along", "across", "turn")  # what the beam's recordings have in common, beside k(s)
 _PLACES = 401
@@ -73,10 +70,10 @@ def shared_prior(
     instruments: Instruments | None,
     *,
     tags_as_learned: bool,
-    place_sd: float | tuple[float, ...],
+    place_sd: float,
 ) -> SharedPrior:
-    """As the recording states it, with the discrepancy of `instruments`, and the place of the contact, or of each, to
-    `place_sd` [m]; with `tags_as_learned`, rest curvature and tags are those that were learned, with what their errors
+    """As the recording states it, with the discrepancy of `instruments`, and the place of the contact to `place_sd`
+    [m]; with `tags_as_learned`, rest curvature and tags are those that were learned, with what their errors
     have in common with those of k(s)."""
     o, priors = observations, Priors()
     m, stated = len(o.marker_s), o.stated
@@ -95,7 +92,7 @@ def shared_prior(
         "scale": np.full(1, scale_sd(o, priors)),
         "discrepancy": np.concatenate([np.full(2 * m, place), np.full(m, angle)]),
         "picture": picture_sd,
-        "place": np.atleast_1d(np.asarray(place_sd, dtype=float)),
+        "place": np.full(1, place_sd),
     }
     ends = np.cumsum([0, *(len(sd) for sd in sds.values())]).tolist()
     parts = {name: slice(a, b) for name, a, b in zip(sds, ends[:-1], ends[1:], strict=True)}
@@ -177,7 +174,6 @@ class Bench:
 
     @property
     def parts(self) -> dict[str, slice]:
-        """Where each part stands."""
         return self.prior.parts
 
     def value(self, part: str) -> float:
@@ -186,8 +182,8 @@ class Bench:
 
     @property
     def place_sd(self) -> float:
-        """m, of the contact's place where it is said; of two, the first."""
-        return float(np.linalg.norm(self.root[self.parts["place"]][0]))
+        """m, of the contact's place where it is known beforehand."""
+        return float(np.linalg.norm(self.root[self.parts["place"]]))
 
     @property
     def axes(self) -> Array:
@@ -198,8 +194,7 @@ class Bench:
     def axes_of_loads(self, n: int) -> Array:
         """(n, n): the same for a load."""
         out = np.eye(n)
-        for c in range(0, n - 1, 2):
-            out[c : c + 2, c : c + 2] = self.axes
+        out[:2, :2] = self.axes
         return out
 
     @property
@@ -209,15 +204,13 @@ class Bench:
         return np.where(np.isfinite(o.rest_xy), o.rest_xy, o.length * o.marker_s[:, None] * np.array([1.0, 0.0]))
 
     def placed(self, place: Array) -> Array:
-        """(F,) or (F, 2) s where the forces act that are said to act at `place`, as many."""
-        off = self.mean[self.parts["place"]] / self.observations.length
-        return np.clip(place + (off if place.ndim > 1 else off[0]), INNERMOST, 1.0)
+        """(F,) s where the force acts that is stated to act at `place` (F,)."""
+        return np.clip(place + self.value("place") / self.observations.length, INNERMOST, 1.0)
 
-    def beyond(self, problem: Problem, place: Array, which: int = 0) -> Array:
-        """(F, Q) share of the force at `place` (F,) that acts beyond each node, with what that place is off by;
-        `which`: 1 of the second of two forces."""
+    def beyond(self, problem: Problem, place: Array) -> Array:
+        """(F, Q) share of the force at `place` (F,) that acts beyond each node, with the error of that place."""
         here = np.asarray(problem.grid.nodes < place[:, None], dtype=float)
-        off = float(self.mean[self.parts["place"]][which])
+        off = self.value("place")
         return here if off == 0.0 else here + off * share_farther(problem, place)
 
 
@@ -242,7 +235,7 @@ def check_recording(beam: Beam, o: Observations) -> None:
 
 def problem_of(bench: Bench, frames: IntArray, place: Array) -> Problem:
     """The beam in `frames` (F,) under all that acts but the force that is sought, on a grid with an edge at its `place`
-    (F,) or (F, 2)."""
+    (F,)."""
     return _on_grid(bench, bench.observations, frames, place, len(frames))
 
 
@@ -259,14 +252,11 @@ def rest_problem(bench: Bench) -> Problem:
 
 
 def solve(bench: Bench, problem: Problem, load: Array, place: Array, start: Array | None) -> Equilibrium:
-    """Equilibria under `load` (F, n) at `place` (F,) or (F, 2) besides; with the curvatures `start` (F, Q) by Newton's
+    """Equilibria under `load` (F, n) at `place` (F,) besides; with the curvatures `start` (F, Q) by Newton's
     method from there alone: frames where it goes astray, or to what does not stand, have not converged."""
-    force, moment = problem.dead_force, problem.moment
-    for which, at in enumerate(places_in(place)):
-        beyond = bench.beyond(problem, at, which)
-        force = force + beyond[..., None] * load[:, None, 2 * which : 2 * which + 2]
-        if load.shape[1] % 2:
-            moment = moment + beyond * load[:, -1:]
+    beyond = bench.beyond(problem, place)
+    force = problem.dead_force + beyond[..., None] * load[:, None, :2]
+    moment = problem.moment + beyond * load[:, 2:] if load.shape[1] > 2 else problem.moment
     loaded = replace(problem, dead_force=force, moment=moment)
     if start is None:
         return follow(loaded)
@@ -277,15 +267,8 @@ def solve(bench: Bench, problem: Problem, load: Array, place: Array, start: Arra
     return Equilibrium(loaded, q, near, near.copy(), np.where(near, 1.0, np.nan), never, np.zeros_like(near), count)
 
 
-def places_in(place: Array) -> list[Array]:
-    """Those of each force, (F,): of (F,) or (F, 2)."""
-    return [place] if place.ndim == 1 else list(place.T)
-
-
 def _on_grid(bench: Bench, o: Observations, rows: IntArray, at: Array, count: int) -> Problem:
-    loads, *more = (push(np.zeros((len(rows), 2)), one) for one in places_in(at))
-    for one in more:
-        loads = loads + one
+    loads = push(np.zeros((len(rows), 2)), at)
     if o.known_loads is not None:
         loads = loads + known_loads(o, np.ones(len(o.time), dtype=bool)).take(rows)
     if np.any(o.gravity[rows] != 0.0):
@@ -321,7 +304,7 @@ class Tags:
     solved: Equilibrium
     pose: Array  # (F, m, 3)
     by_load: Array  # (F, m, 3, n) per N, and per N m
-    by_place: Array  # (F, m, 3, c) per metre that the force, or each of both, acts farther out
+    by_place: Array  # (F, m, 3, 1) per metre that the force acts farther out
     by_shared: Array  # (F, m, 3, n) per unit of what the frames share
 
 
@@ -341,7 +324,7 @@ def poses_of(bench: Bench, frames: IntArray, solved: Equilibrium) -> tuple[Array
 def tags_of(
     bench: Bench, frames: IntArray, solved: Equilibrium, load: Array, place: Array, *, shared: bool = True
 ) -> Tags:
-    """Of `frames` (F,) under `load` (F, n) at `place` (F,) or (F, 2), the equilibria being `solved`; without `shared`,
+    """Of `frames` (F,) under `load` (F, n) at `place` (F,), the equilibria being `solved`; without `shared`,
     the derivatives with what the frames share are left out.
 
     Forces are of the clamp's axes: they turn with the clamp.
@@ -361,9 +344,8 @@ def tags_of(
     changes = changes + of_rest_curvature(problem, REST_MODES.curvature(nodes))
     moved = ride.carry(respond(solved, changes).poses(s))
     turned = bench.parts["clamp"].start + ends
-    for x in range(0, n - 1, 2):
-        moved[..., turned] += moved[..., x + 1] * load[:, x, None, None]
-        moved[..., turned] -= moved[..., x] * load[:, x + 1, None, None]
+    moved[..., turned] += moved[..., 1] * load[:, 0, None, None]
+    moved[..., turned] -= moved[..., 0] * load[:, 1, None, None]
     xy = ride.offset + solved.xy(s)
     bend = np.where(ride.over <= 0.0, apply(problem.grid.value_at(s), solved.q) / bench.observations.length, 0.0)
     riding = tag_blocks(ride.motion(xy, bend))
@@ -372,35 +354,17 @@ def tags_of(
     return Tags(solved, pose, moved[..., :n], moved[..., n:ends], np.concatenate(blocks, axis=-1))
 
 
-def by_forces_at(bench: Bench, frames: IntArray, solved: Equilibrium, place: Array) -> Array:
-    """(F, m, 3, P, 2) m, m, rad per N: by how much the components of a force at each of the places (P,) move the tags
-    of `frames` (F,), wherever the grid has its nodes."""
-    _, ride, s = poses_of(bench, frames, solved)
-    problem = solved.problem
-    nodes, weights = (np.asarray(each).reshape(-1) for each in (problem.grid.nodes, problem.weights))
-    beyond = np.asarray(nodes < place[:, None], dtype=float)
-    short = place - beyond @ weights  # of s from the last node's share of the beam to the place
-    beyond = beyond + float(problem.length) * short[:, None] * share_farther(problem, place)
-    force = np.einsum("pq,cd->qcpd", beyond, np.eye(2)).reshape(1, len(nodes), 2, -1)
-    changes = Perturbation(force, None, None, np.zeros(2 * len(place)))
-    moved = ride.carry(respond(solved, changes).poses(s))
-    return moved.reshape(*moved.shape[:3], len(place), 2)
-
-
 def _of_own(bench: Bench, problem: Problem, load: Array, place: Array) -> Perturbation:
-    """n of the load, and as many as there are places of these."""
-    every, (count, n) = places_in(place), load.shape
-    size = n + len(every)
+    count, n = load.shape
     shape = (count, problem.to_nodes.shape[-1])
-    force, moment = np.zeros((*shape, 2, size)), np.zeros((*shape, size))
-    for which, at in enumerate(every):
-        beyond, farther = bench.beyond(problem, at, which), share_farther(problem, at)
-        for c in range(2):
-            force[..., c, 2 * which + c] = beyond
-            force[..., c, n + which] = farther * load[:, 2 * which + c, None]
-        if n % 2:
-            moment[..., n - 1], moment[..., n] = beyond, farther * load[:, -1:]
-    return Perturbation(force, moment if n % 2 else None, None, np.zeros(size))
+    force, moment = np.zeros((*shape, 2, n + 1)), np.zeros((*shape, n + 1))
+    beyond, farther = bench.beyond(problem, place), share_farther(problem, place)
+    for c in range(2):
+        force[..., c, c] = beyond
+        force[..., c, n] = farther * load[:, c, None]
+    if n > 2:
+        moment[..., 2], moment[..., n] = beyond, farther * load[:, 2:]
+    return Perturbation(force, moment if n > 2 else None, None, np.zeros(n + 1))
 
 
 def _left(bench: Bench, xy: Array) -> Array:
@@ -414,11 +378,8 @@ def _left(bench: Bench, xy: Array) -> Array:
     return out.reshape(frames, m, 3, 3 * m)
 
 
-# Where the search for a frame's force begins: the force that balances the curvature that the tags show best.
-#
-# Inverse kinematics (22) gives a shape of few modes. Under one force F at `s_a` it would have `k (q - q0) = (r(s_a) -
-# r(s)) x F` below `s_a`, which is linear in F: least squares of the curvature over places, with the force's prior. So
-# it is with a second force, and with a moment.
+# The search begins at the load that balances the curvature from inverse kinematics (22), `k (q - q0) = (r(s_a) - r(s))
+# x F` below `s_a`: linear least squares over places, with the load's prior.
 
 _MODES = 4
 _NODES = 0.05 + 0.9 * (np.arange(24) + 0.5) / 24  # of the way to the force
@@ -426,25 +387,21 @@ _CURVATURE_SD = 0.3  # rad, of such a shape's curvature
 
 
 def first_forces(bench: Bench, frames: IntArray, place: Array, prior_sd: Array) -> Array:
-    """(F, n) loads in `frames` (F,) at `place` (F,) or (F, 2) of s; `prior_sd` (n,) of each number."""
+    """(F, n) loads in `frames` (F,) at `place` (F,) of s; `prior_sd` (n,) of each number."""
     beam, every = bench.beam, bench.observations
     o = at_frames(every, np.isin(np.arange(len(every.time)), frames))
     states = solve_states(o, min(_MODES, 2 * len(o.marker_s)))
     theta = np.nan_to_num(states.theta)
     out = np.zeros((len(frames), len(prior_sd)))
-    place = bench.placed(place).reshape(len(frames), -1)
-    for at in np.unique(place, axis=0):
-        rows = np.flatnonzero(np.all(place == at, axis=1))
-        s = np.max(at) * _NODES
-        on = places(o.length, Modes(theta.shape[1]), np.concatenate([s, at]))
+    place = bench.placed(place)
+    for at in np.unique(place):
+        rows = np.flatnonzero(place == at)
+        s = at * _NODES
+        on = places(o.length, Modes(theta.shape[1]), np.append(s, at))
         xy = positions(on, theta[rows])
         bent = on.modes.curvature(s) @ theta[rows].T - np.asarray(beam.rest_curvature(s))[:, None]
-        by = np.zeros((len(rows), len(s), len(prior_sd)))
-        for which, one in enumerate(at):
-            lever = np.where((s < one)[:, None], xy[:, len(s) + which, None] - xy[:, : len(s)], 0.0)
-            by[..., 2 * which], by[..., 2 * which + 1] = -lever[..., 1], lever[..., 0]
-        if len(prior_sd) % 2:
-            by[..., -1] = 1.0
+        by, lever = np.ones((len(rows), len(s), len(prior_sd))), xy[:, -1:] - xy[:, :-1]
+        by[..., 0], by[..., 1] = -lever[..., 1], lever[..., 0]
         weight = np.sqrt(theta.shape[1] / len(s)) / _CURVATURE_SD
         by = weight * prior_sd * by / np.asarray(beam.stiffness(s))[:, None]
         right = np.einsum("fsi,sf->fi", by, weight * bent)
