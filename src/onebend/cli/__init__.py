@@ -166,13 +166,16 @@ class Command(TyperCommand):
 
     def loaded(self) -> Any:
         """The command itself. It works with one BLAS thread."""
-        module = import_module(self.place.module)
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
-        single.command(self.name, epilog="\n\n".join(lines))(
-            one_blas_thread(remembered(getattr(module, self.place.function)))
-        )
+        single.command(self.name, epilog="\n\n".join(lines))(one_blas_thread(remembered(self.function())))
         return typer.main.get_command(single)
+
+    def function(self) -> Callable[..., None]:
+        """The command's function, with a parameter for each option."""
+        from onebend.options import expanded  # here: `--help` does without
+
+        return expanded(getattr(import_module(self.place.module), self.place.function))
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         return self.loaded().make_context(*args, **kwargs)

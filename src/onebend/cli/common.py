@@ -35,7 +35,9 @@ from rich.text import Text
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError, RecordingError, reference
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
+from onebend.options import POSITIVE, Only
 from onebend.progress import Progress, Silent
+from onebend.recording.observe import ObserveSettings
 from onebend.records import Array, Remark
 from onebend.report.pictures import Pictures
 from onebend.report.wording import significant
@@ -44,7 +46,7 @@ from onebend.text_files import printable, to_json
 
 # Options that several commands take. Names and helps are the user's manual; docs/cli.md says more.
 
-LEAST, MOST = 1e-6, 1e9  # of what must be positive; beyond it, numbers are no measures of a beam
+LEAST, MOST = POSITIVE
 
 PushAt = Annotated[
     float,
@@ -68,9 +70,7 @@ Recording = Annotated[
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
-Threads = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
-]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,7 +18,6 @@ from onebend.beam.model import Beam
 from onebend.cli import BY
 from onebend.cli.common import (
     LEAST,
-    MOST,
     NO_BAND,
     Goal,
     Gravity,
@@ -30,7 +30,6 @@ from onebend.cli.common import (
     clean_errors,
     facts_table,
     force_words,
-    or_unlimited,
     print_summary,
     put_in_place,
     say_written,
@@ -41,13 +40,14 @@ from onebend.cli.models import gravity_on, read_trusted
 from onebend.control.goals import Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
 from onebend.control.loop_simulation import SETTLED, LoopTrial
-from onebend.control.path import FollowedPath, PathSettings, PathSpread, RateLimits, by_force, follow_goals, path_spread
+from onebend.control.path import FollowedPath, PathSettings, PathSpread, by_force, follow_goals, path_spread
 from onebend.control.reach import SURE, PredictedError, Reach, ReachSettings, predicted_error, reach as solve_reach
 from onebend.control.reach_set import ReachableSet, reachable
 from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shape as solve_shape
 from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.extras import installed
+from onebend.options import POSITIVE, option
 from onebend.report.pictures import draw
 from onebend.report.wording import length_words, significant
 from onebend.results.control_files import (
@@ -95,25 +95,6 @@ GoalAngle = Annotated[
     float | None,
     typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
 ]
-ReachMethod = Annotated[
-    Literal["newton", "paper"],
-    typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
-]
-ReachMaxForce = Annotated[
-    float | None,
-    typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force; default: no bound."),
-]
-MaxCurvature = Annotated[
-    float | None,
-    typer.Option(
-        "--max-curvature-per-m", min=LEAST, max=MOST, metavar="1/M", help="The beam bends no more than this from rest."
-    ),
-]
-Direction = Annotated[
-    float | None,
-    typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
-]
-Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
 def reach(
@@ -123,11 +104,7 @@ def reach(
     push_at: PushAt = 1.0,
     point: Point = 1.0,
     goal_angle: GoalAngle = None,
-    method: ReachMethod = "newton",
-    max_force: ReachMaxForce = None,
-    max_curvature: MaxCurvature = None,
-    direction: Direction = None,
-    moment: Moment = False,
+    settings: ReachSettings,
     gravity: Gravity = (0.0, 0.0),
     output: Output = None,
     overwrite: Overwrite = False,
@@ -136,9 +113,7 @@ def reach(
     """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
     with clean_errors():
         stored = read_trusted(model)
-        way = None if direction is None else math.radians(direction)
-        weight = gravity_on(stored.beam, gravity)
-        settings = ReachSettings(method, max_force, max_curvature, direction=way, moment=moment, gravity=weight)
+        settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
         found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
         if not found.converged:
@@ -245,50 +220,8 @@ TargetsFile = Annotated[
 GoalsFile = Annotated[
     Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
 ]
-Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
-PushPlaces = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--push-at",
-        min=LEAST,
-        max=1.0,
-        metavar="S",
-        help="A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
-    ),
-]
 GoalPoint = Annotated[
     float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
-]
-HandMaxForce = Annotated[
-    float | None,
-    typer.Option(
-        "--max-force-N", min=LEAST, max=MOST, metavar="N", help="Of every push and of the gripper; default: no bound."
-    ),
-]
-HandMaxMoment = Annotated[
-    float | None,
-    typer.Option("--max-moment-N-m", min=LEAST, max=MOST, metavar="N_M", help="Of the gripper; default: no bound."),
-]
-Arm = Annotated[
-    float | None,
-    typer.Option(
-        "--arm-m", min=0.0, max=MOST, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
-    ),
-]
-SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
-MaxForceRate = Annotated[
-    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, max=MOST, metavar="N/S", help="Of every push.")
-]
-MaxSpeed = Annotated[
-    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, max=MOST, metavar="M/S", help="Of the gripper.")
-]
-MaxTurnRate = Annotated[
-    float | None,
-    typer.Option("--max-turn-rate-deg-per-s", min=LEAST, max=MOST, metavar="DEG/S", help="Of the gripper."),
-]
-TooFast = Annotated[
-    Literal["stretch", "refuse"],
-    typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
 ]
 BetweenGoals = Annotated[
     Literal["force", "smooth", "monotone", "linear"] | None,
@@ -300,6 +233,40 @@ BetweenGoals = Annotated[
 ]
 FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
 
+
+@dataclass(frozen=True)
+class Hands:
+    """What pushes and holds a beam."""
+
+    grip: bool = option("--grip", False, "A gripper holds the end s = 1 at a position and an angle.")
+    push_at: tuple[float, ...] = option(
+        "--push-at",
+        (),
+        "A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
+        metavar="S",
+        within=(LEAST, 1.0),
+    )
+    max_force: float = option(
+        "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", metavar="N", within=POSITIVE
+    )
+    max_moment: float = option(
+        "--max-moment-N-m", math.inf, "Of the gripper; default: no bound.", metavar="N_M", within=POSITIVE
+    )
+
+    def actuators(self) -> tuple[tuple[Pusher, ...], Grip | None]:
+        """Pushes and grip: without a word a push at the tip, with a grip only the pushes that are named."""
+        self.refuse_idle({"--max-moment-N-m": self.max_moment})
+        places = self.push_at or (() if self.grip else (1.0,))
+        pushes = tuple(Pusher(place, self.max_force) for place in places)
+        return pushes, Grip(self.max_force, self.max_moment) if self.grip else None
+
+    def refuse_idle(self, limits: Mapping[str, float]) -> None:
+        """Raises `ControlError` for a limit of a gripper that is not there."""
+        for name, limit in limits.items():
+            if math.isfinite(limit) and not self.grip:
+                raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
+
+
 FAR = 0.5  # of the length, rms from the targets: no shape to be of use
 
 
@@ -307,11 +274,8 @@ def shape(
     model: Model,
     *,
     targets: TargetsFile,
-    grip: Gripped = False,
-    push_at: PushPlaces = None,
-    max_force: HandMaxForce = None,
-    max_moment: HandMaxMoment = None,
-    arm: Arm = None,
+    hands: Hands,
+    settings: ShapeSettings,
     gravity: Gravity = (0.0, 0.0),
     output: Output = None,
     overwrite: Overwrite = False,
@@ -320,7 +284,7 @@ def shape(
     """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
     with clean_errors():
         stored = read_trusted(model)
-        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
+        pushes, holding = hands.actuators()
         wanted = read_targets(targets, stored.beam.length)
         found = solve_shape(
             stored.beam,
@@ -329,7 +293,7 @@ def shape(
             grip=holding,
             gravity=gravity_on(stored.beam, gravity),
             uncertain=stored.uncertain,
-            settings=ShapeSettings(arm=arm),
+            settings=settings,
         )
         if found.rms > FAR * stored.beam.length:
             raise ControlError(
@@ -355,17 +319,9 @@ def path(
     *,
     goals: GoalsFile,
     point: GoalPoint = 1.0,
-    grip: Gripped = False,
-    push_at: PushPlaces = None,
-    max_force: HandMaxForce = None,
-    max_moment: HandMaxMoment = None,
-    rate: SampleRate = 1000.0,
-    max_force_rate: MaxForceRate = None,
-    max_speed: MaxSpeed = None,
-    max_turn_rate: MaxTurnRate = None,
-    too_fast: TooFast = "stretch",
+    hands: Hands,
+    settings: PathSettings,
     between: BetweenGoals = None,
-    arm: Arm = None,
     gravity: Gravity = (0.0, 0.0),
     frame: FrameName = FRAME,
     output: Output = None,
@@ -377,15 +333,13 @@ def path(
         stored = read_trusted(model)
         if not frame or not frame.isprintable():
             raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
-        _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
-        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
-        if not pushes and max_force_rate is not None:
+        limits = settings.limits
+        hands.refuse_idle({"--max-speed-m-per-s": limits.speed, "--max-turn-rate-deg-per-s": limits.turning})
+        pushes, holding = hands.actuators()
+        if not pushes and math.isfinite(limits.force):
             raise ControlError(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
             )
-        turning = math.radians(or_unlimited(max_turn_rate))
-        limits = RateLimits(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
-        settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
         weight = gravity_on(stored.beam, gravity)
         by_points: Between = "smooth" if between is None or between == "force" else between
         wanted = read_goals(goals, point_s=point, between=by_points)
@@ -419,23 +373,6 @@ def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None
     [one] = pushes
     limit = one.max_force if math.isfinite(one.max_force) else None
     return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
-
-
-def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
-    """A limit of a gripper that is not there would be kept by nobody."""
-    for name, limit in limits.items():
-        if limit is not None and not grip:
-            raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
-
-
-def _actuators(
-    grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
-) -> tuple[tuple[Pusher, ...], Grip | None]:
-    """Without a word a push at the tip; with a grip only the pushes that are named."""
-    _no_idle_limit(grip, {"--max-moment-N-m": max_moment})
-    places = push_at if push_at is not None else ([] if grip else [1.0])
-    pushes = tuple(Pusher(place, or_unlimited(max_force)) for place in places)
-    return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None
 
 
 # What `onebend loop` says.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,15 +18,14 @@ from rich.text import Text
 import onebend
 from onebend.cli import BY
 from onebend.cli.common import (
-    LEAST,
     MOST,
     Json,
     LogAxis,
     Model,
+    Observing,
     Output,
     Overwrite,
     Quiet,
-    Threads,
     clean_errors,
     made_from_files,
     open_in_browser,
@@ -38,16 +37,14 @@ from onebend.cli.common import (
 )
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_run, show_times, show_validation
-from onebend.learning.design import Limits, Plan, PlanSettings, Proposal, direction_words, identified_words
+from onebend.learning.design import Plan, PlanSettings, Proposal, direction_words, identified_words
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings
-from onebend.learning.parameters import Priors
 from onebend.pipeline import Run, compare, learn as learn_from, plan_next
 from onebend.progress import Progress
 from onebend.recording.folder import folder_of
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import KeptFrames
-from onebend.records import CLAMP_SD
 from onebend.report.pictures import Pictures, draw
 from onebend.report.wording import significant
 from onebend.results.detection_cache import detection_cache
@@ -122,20 +119,10 @@ Method = Annotated[
         "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
     ),
 ]
-Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
-Width = Annotated[
-    float | None,
-    typer.Option(
-        min=0.001, max=MOST, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."
-    ),
-]
-Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
 ]
 OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
-Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
-Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
 Epsilon = Annotated[
     float | None,
     typer.Option(
@@ -144,32 +131,6 @@ Epsilon = Annotated[
         max=MOST,
         metavar="SECONDS",
         help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
-    ),
-]
-MaxForce = Annotated[
-    float | None,
-    typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="Default: twice the largest so far."),
-]
-MaxTipAngle = Annotated[
-    float | None,
-    typer.Option(
-        "--max-tip-angle-deg",
-        min=1.0,
-        max=180.0,
-        metavar="DEG",
-        help="Default: 90, and at most 1.25 times the largest curvature so far.",
-    ),
-]
-Count = Annotated[int, typer.Option(min=1, metavar="N", help="How many proposals.")]
-ClampSd = Annotated[
-    float | None,
-    typer.Option(
-        "--clamp-sd-deg",
-        min=0.0,
-        max=MOST,
-        metavar="DEG",
-        help=f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
-        f"{math.degrees(CLAMP_SD):.2g}. It trades off against k.",
     ),
 ]
 Verbose = Annotated[
@@ -184,14 +145,10 @@ def learn(
     output: Output = None,
     validate_on: ValidateOn = None,
     method: Method = "fit",
-    family: Family = "gaussians",
-    width: Width = None,
-    bic: Bic = "textbook",
-    n: Modes = None,
-    m: Functions = None,
-    clamp_sd: ClampSd = None,
+    settings: RegressionSettings,
+    fitting: FitSettings,
+    observing: Observing,
     epsilon: Epsilon = None,
-    threads: Threads = None,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     log: LogAxis = False,
@@ -205,9 +162,9 @@ def learn(
     The tags of a film are looked for once and kept for the next run (`onebend cache`).
     """
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
-    regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
-    settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
-    fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
+    settings = replace(settings, method="paper" if method == "paper" else "regression")
+    observing = _paired(observing, epsilon)
+    fit = fitting if method == "fit" else None
     if no_report and open_report:
         raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
     frames = KeptFrames()
@@ -217,7 +174,7 @@ def learn(
             run = learn_from(
                 *recordings,
                 settings=settings,
-                fitting=fitting,
+                fitting=fit,
                 observing=observing,
                 validate_on=validate_on or (),
                 detect=detection_cache(onebend.__version__, place.work, frames.keep).detect,
@@ -226,7 +183,7 @@ def learn(
             )
         began = time.perf_counter()
         summary = summary_of(run, written_by=BY)
-        settled = {"fit": fitting, "regression": settings, "observing": observing}
+        settled = {"fit": fit, "regression": settings, "observing": observing}
         tables = tables_writer(run, version=onebend.__version__)
 
         def put(pictures: Pictures | None) -> None:
@@ -265,7 +222,7 @@ def validate(
     *,
     output: Output = None,
     epsilon: Epsilon = None,
-    threads: Threads = None,
+    observing: Observing,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -280,7 +237,7 @@ def validate(
             recordings,
             learned_from=known,
             stiffness=stored.uncertain,
-            observing=_observing(threads, epsilon),
+            observing=_paired(observing, epsilon),
         )
         beam = stored.beam
         if output is None:
@@ -305,15 +262,11 @@ def validate(
 def plan(
     model: Model,
     *,
-    max_force: MaxForce = None,
-    max_tip_angle: MaxTipAngle = None,
-    count: Count = 8,
+    settings: PlanSettings,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Say which push to make next: what each would leave of the band on k(s)."""
-    turn = None if max_tip_angle is None else math.radians(max_tip_angle)
-    settings = PlanSettings(limits=Limits(force=max_force, tip_turn=turn), count=count)
     with clean_errors(), progress_of(quiet) as progress:
         read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
@@ -323,13 +276,5 @@ def plan(
         show_plan(screen(), found)
 
 
-def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:
-    if epsilon is None:
-        return ObserveSettings(threads=threads)
-    return ObserveSettings(threads=threads, pairing="nearest", epsilon=epsilon)
-
-
-def _fitting(clamp_sd: float | None) -> FitSettings:
-    if clamp_sd is None:
-        return FitSettings()
-    return FitSettings(priors=Priors(clamp=math.radians(clamp_sd)))
+def _paired(observing: ObserveSettings, epsilon: float | None) -> ObserveSettings:
+    return observing if epsilon is None else replace(observing, pairing="nearest", epsilon=epsilon)

@@ -15,10 +15,10 @@ from onebend.cli.common import (
     Json,
     LogAxis,
     Model,
+    Observing,
     Overwrite,
     Quiet,
     Recording,
-    Threads,
     clean_errors,
     print_json,
     progress_of,
@@ -32,7 +32,6 @@ from onebend.export.rerun_file import write_rerun
 from onebend.files.single_file import fresh_file, write_file
 from onebend.pipeline import compare
 from onebend.recording.folder import folder_of, read_recording
-from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.detection_cache import detection_cache
 from onebend.results.model import StoredModel, model_file, read_model
@@ -151,7 +150,7 @@ def rerun_command(
     *,
     output: RerunFile = None,
     every: Every = 2,
-    threads: Threads = None,
+    observing: Observing,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
@@ -160,13 +159,12 @@ def rerun_command(
         stored = read_trusted(model)
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")
         with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
-            observing, detect = ObserveSettings(threads=threads), detection_cache(onebend.__version__).detect
             [(found, seen)] = compare(
                 stored.beam,
                 [recording],
                 stiffness=stored.uncertain,
                 observing=observing,
-                detect=detect,
+                detect=detection_cache(onebend.__version__).detect,
                 progress=progress,
             )
             video = read_recording(recording).video

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -13,14 +13,13 @@ import onebend
 from onebend.cli import BY
 from onebend.cli.common import (
     LEAST,
-    MOST,
     Json,
     Model,
+    Observing,
     Output,
     Overwrite,
     Quiet,
     Recording,
-    Threads,
     clean_errors,
     print_json,
     print_summary,
@@ -48,74 +47,10 @@ from onebend.results.model import StoredModel, model_file, model_text
 from onebend.results.provenance import inputs_of, recording_files
 from onebend.results.sensing import SENSE_FORMAT, force_bag, sense_summary, sense_writer
 
-FromS = Annotated[
-    float | None,
-    typer.Option(
-        "--from-s", metavar="SECONDS", help="The beam swings freely from here on in the film; default: found."
-    ),
-]
-ToS = Annotated[
-    float | None, typer.Option("--to-s", metavar="SECONDS", help="And to here in the film; default: to the end.")
-]
-MassAlong = Annotated[
-    Literal["even", "width"],
-    typer.Option(
-        help="How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
-        "the width in the plane of bending varies."
-    ),
-]
 ModelFile = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
 ]
 
-ContactPlace = Annotated[
-    Literal["known", "unknown"],
-    typer.Option("--place", help="known: the force acts where the recording or --push-at says. unknown: it is sought."),
-]
-ContactAt = Annotated[
-    float | None,
-    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts; default: as written."),
-]
-ContactSd = Annotated[
-    float | None,
-    typer.Option("--push-sd-m", min=0.0, max=MOST, metavar="M", help="One sd of that place; default: as written."),
-]
-TagsNow = Annotated[
-    Literal["learned", "anew"],
-    typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
-]
-AskMoment = Annotated[bool, typer.Option("--moment", help="The contact transmits a moment besides, as a gripper does.")]
-MomentPrior = Annotated[
-    float | None,
-    typer.Option(
-        "--moment-prior-Nm",
-        min=LEAST,
-        max=MOST,
-        metavar="NM",
-        help="One sd of the moment before; default: the force's times L.",
-    ),
-]
-Contacts = Annotated[
-    Literal["1", "2", "auto"],
-    typer.Option(help="How many forces act at once. auto: two where the evidence is for it."),
-]
-SecondAt = Annotated[
-    float | None,
-    typer.Option("--second-at", min=LEAST, max=1.0, metavar="S", help="Where the second of two forces acts."),
-]
-Smooth = Annotated[
-    bool, typer.Option("--smooth", help="Besides, the force as a process over the frames: what neighbours say counts.")
-]
-ForcePrior = Annotated[
-    float | None,
-    typer.Option(
-        "--force-prior-N",
-        min=LEAST,
-        max=MOST,
-        metavar="N",
-        help="One sd of each component of the force before any shape is seen; default: three times k/L.",
-    ),
-]
 Bag = Annotated[bool, typer.Option("--bag", help="Write force.mcap too: the force and its covariance as a ROS 2 bag.")]
 
 
@@ -143,19 +78,18 @@ MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", he
 def frequencies(
     source: Swinging,
     *,
-    begin: FromS = None,
-    end: ToS = None,
+    part: FilmPart,
     slowed: Slowed = 1.0,
     most: MostModes = 4,
-    threads: Threads = None,
+    observing: Observing,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Find the natural frequencies in a free swing, to be written in recording.toml."""
     with clean_errors(), progress_of(quiet) as progress:
         detect = detection_cache(onebend.__version__).detect
-        signals = swing_signals(source, threads=threads, detect=detect, progress=progress)
-        found = frequencies_of(signals.time, signals.value, FilmPart(begin, end), most=most, name=signals.name)
+        signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
+        found = frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
     if as_json:
         print_json({**frequencies_summary(str(source), found, written_by=BY)})
@@ -167,11 +101,10 @@ def damp(
     model: Model,
     recording: Recording,
     *,
-    begin: FromS = None,
-    end: ToS = None,
-    mass_along: MassAlong = "even",
+    part: FilmPart,
+    settings: DampingSettings,
     output: ModelFile = None,
-    threads: Threads = None,
+    observing: Observing,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -182,13 +115,13 @@ def damp(
         if output is not None:
             check_name_free(output, overwrite=overwrite)
         with progress_of(quiet) as progress:
-            seen = _observed(stored, recording, threads, progress)
+            seen = _observed(stored, recording, observing, progress)
             fit = learn_damping(
                 stored.beam,
                 seen,
                 uncertain=stored.uncertain,
-                part=FilmPart(begin, end),
-                settings=DampingSettings(mass_along=mass_along),
+                part=part,
+                settings=settings,
                 progress=progress,
             )
         if output is not None:
@@ -206,19 +139,10 @@ def sense(
     model: Model,
     recording: Recording,
     *,
-    place: ContactPlace = "known",
-    at: ContactAt = None,
-    at_sd: ContactSd = None,
-    force_prior: ForcePrior = None,
-    tags: TagsNow = "learned",
-    moment: AskMoment = False,
-    moment_prior: MomentPrior = None,
-    contacts: Contacts = "1",
-    second_at: SecondAt = None,
-    smooth: Smooth = False,
+    settings: SenseSettings,
     bag: Bag = False,
     output: Output = None,
-    threads: Threads = None,
+    observing: Observing,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -228,10 +152,9 @@ def sense(
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        settings = SenseSettings(place, at, at_sd, force_prior, tags, moment, moment_prior, contacts, second_at, smooth)
         with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
             with progress_of(quiet) as progress:
-                seen = _observed(stored, recording, threads, progress)
+                seen = _observed(stored, recording, observing, progress)
             found = sense_force(
                 stored.beam,
                 seen,
@@ -248,12 +171,12 @@ def sense(
         show_sensed(screen(), found, output, bag=bag)
 
 
-def _observed(stored: StoredModel, recording: Path, threads: int | None, progress: Progress) -> Observations:
+def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:
     """A recording of the learned beam."""
     files = read_recording(recording)
     check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect
-    return observe(files, settings=ObserveSettings(threads=threads), detect=detect, progress=progress)
+    return observe(files, settings=observing, detect=detect, progress=progress)
 
 
 def _write(

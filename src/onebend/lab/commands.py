@@ -24,7 +24,6 @@ from onebend.cli.common import (
     Overwrite,
     Quiet,
     clean_errors,
-    or_nan,
     print_json,
     progress_of,
     put_in_place,
@@ -69,10 +68,7 @@ from onebend.lab.filming import Filming, check, check_trackable, film as make_fi
 from onebend.lab.random_bench import (
     LABORATORY,
     BenchRanges,
-    CameraName,
     FilmRequest,
-    PushName,
-    SensorName,
     design_with_effects,
     filming_of,
     random_bench,
@@ -97,50 +93,6 @@ Design = Annotated[
 FilmFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
 ]
-PushKind = Annotated[
-    PushName,
-    typer.Option(
-        "--push", help="slow: at the tip. s08, s06: slow, there. fast: the beam swings. free: released at once."
-    ),
-]
-PushAt = Annotated[
-    float | None, typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam.")
-]
-Force = Annotated[
-    float | None, typer.Option("--force-N", min=1e-6, max=MOST, metavar="N", help="Peak; default: by --bend-deg.")
-]
-Bend = Annotated[
-    float, typer.Option("--bend-deg", min=1.0, max=150.0, metavar="DEG", help="How far the pushed place turns.")
-]
-Direction = Annotated[
-    float | None,
-    typer.Option("--direction-deg", metavar="DEG", help="Of the push against the beam's x axis; default: 100."),
-]
-Seconds = Annotated[
-    float | None, typer.Option("--seconds", min=0.05, max=600.0, metavar="S", help="From first to last contact.")
-]
-Camera = Annotated[CameraName, typer.Option("--camera", help="Its picture, rate, lens and tilt.")]
-Fps = Annotated[float | None, typer.Option("--fps", min=1.0, max=240.0, metavar="HZ", help="Default: the camera's.")]
-Tilt = Annotated[
-    float | None, typer.Option("--tilt-deg", min=-45.0, max=45.0, metavar="DEG", help="Default: the camera's.")
-]
-Distance = Annotated[
-    float | None,
-    typer.Option(
-        "--distance-m", min=0.05, max=MOST, metavar="M", help="Of the camera; default: as near as shows the push."
-    ),
-]
-Sensor = Annotated[
-    SensorName, typer.Option("--sensor", help="A robot's own estimate, a six-axis sensor, or one without errors.")
-]
-Gravity = Annotated[
-    float,
-    typer.Option("--gravity-m-s2", min=0.0, max=MOST, metavar="G", help="In the plane of bending; 0: across it."),
-]
-BaseAngle = Annotated[
-    float, typer.Option("--base-angle-deg", metavar="DEG", help="The beam's x axis in the room; -90: it hangs.")
-]
-Uncalibrated = Annotated[bool, typer.Option("--uncalibrated", help="Do not tell the camera's calibration.")]
 Effects = Annotated[
     bool, typer.Option("--effects", help="What real benches do beside bending, all drawn at random: stretch, creep ...")
 ]
@@ -166,20 +118,7 @@ def film(
     design: Design,
     *,
     output: FilmFolder = None,
-    push: PushKind = "slow",
-    push_at: PushAt = None,
-    force: Force = None,
-    bend: Bend = 65.0,
-    direction: Direction = None,
-    seconds: Seconds = None,
-    camera: Camera = "hd",
-    fps: Fps = None,
-    tilt: Tilt = None,
-    distance: Distance = None,
-    sensor: Sensor = "franka",
-    gravity: Gravity = 0.0,
-    base_angle: BaseAngle = 0.0,
-    uncalibrated: Uncalibrated = False,
+    request: FilmRequest,
     effects: Effects = False,
     effect: Effect = None,
     markers: Markers = False,
@@ -188,20 +127,6 @@ def film(
     quiet: Quiet = False,
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
-    seen = FilmRequest(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
-    request = replace(
-        seen,
-        push=push,
-        at_s=or_nan(push_at),
-        force=or_nan(force),
-        bend=math.radians(bend),
-        direction=math.radians(or_nan(direction)),
-        seconds=or_nan(seconds),
-        sensor=sensor,
-        gravity=gravity,
-        base_angle=math.radians(base_angle),
-        calibrated=not uncalibrated,
-    )
     with clean_errors(), progress_of(quiet) as progress:
         filming, folder = _filming(design, request, seed, output, effects)
         if effect:
@@ -358,21 +283,6 @@ ModelFile = Annotated[
     Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
 ]
 PartsOutput = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the parts.")]
-Kind = Annotated[Literal["open", "halves"], typer.Option("--kind", help="One open tray, or two halves.")]
-Wall = Annotated[
-    float, typer.Option("--wall-mm", min=0.4, max=MOST, metavar="MM", help="Thickness of walls and floor.")
-]
-Draft = Annotated[float, typer.Option("--draft-deg", min=0.0, max=10.0, metavar="DEG", help="Lean of the walls.")]
-Shrinkage = Annotated[
-    float, typer.Option("--shrinkage-percent", min=0.0, max=9.9, metavar="P", help="How much the silicone shrinks.")
-]
-TagSize = Annotated[
-    float, typer.Option("--size-mm", min=0.5, max=MOST, metavar="MM", help="Side of a tag's black square.")
-]
-TagsAt = Annotated[
-    list[float] | None,
-    typer.Option("--tag-at", min=0.0, max=1.0, metavar="S", help="Place of a tag on the beam; may be repeated."),
-]
 Shape = Annotated[Literal["stl", "3mf"], typer.Option("--as", help="Kind of file.")]
 StripOf = Annotated[
     Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
@@ -430,12 +340,8 @@ def mould(
     name: DesignOf,
     *,
     output: PartsOutput,
-    kind: Kind = "open",
-    wall: Wall = 4.0,
-    draft: Draft = 0.0,
-    shrinkage: Shrinkage = 0.0,
-    size: TagSize = 12.0,
-    tag_at: TagsAt = None,
+    settings: MouldSettings,
+    seat: TagSeat,
     shape: Shape = "stl",
     picture: Picture = None,
     overwrite: Overwrite = False,
@@ -445,15 +351,7 @@ def mould(
     with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
         if picture is not None:
             check_name_free(picture, overwrite=overwrite)
-        settings = MouldSettings(
-            kind=kind,
-            wall=1e-3 * wall,
-            draft=math.radians(draft),
-            shrinkage=1e-2 * shrinkage,
-            tag_places=tuple(tag_at) if tag_at else MouldSettings().tag_places,
-        )
         made = make_mould(find_design(name), settings)
-        seat = TagSeat(1e-3 * size)
         others = (*clamp(made.design, settings, seat), carriers(made.design, settings, seat))
         parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
         summary = parts_summary(made, parts, written_by=BY)

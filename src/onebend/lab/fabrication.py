@@ -18,6 +18,7 @@ from onebend.errors import MechanicsError
 from onebend.extras import package
 from onebend.files.publish import write_summary
 from onebend.lab.designs import Design
+from onebend.options import option
 from onebend.records import Array
 from onebend.report.style import BLUE, INK, blank, styled
 from onebend.results.tables import PLACES, csv_rows
@@ -143,14 +144,24 @@ GROOVE_WIDE, GROOVE_DEEP = 0.4, 0.2  # mm, in the cast, at the tags' places
 class MouldSettings:
     """How a mould is made. Sizes in m, as everywhere outside the meshes."""
 
-    kind: Literal["open", "halves"] = "open"  # one tray, or two halves that part along the beam's middle plane
-    wall: float = 0.004  # m, thinnest, also of the floor
-    draft: float = 0.0  # rad, by which walls open towards the top; the width is the design's at half the depth
+    kind: Literal["open", "halves"] = option("--kind", "open", "One open tray, or two halves.")
+    wall: float = option("--wall-mm", 0.004, "Thickness of walls and floor.", metavar="MM", within=(0.4, 1e9))
+    draft: float = option(  # the width is the design's at half the depth
+        "--draft-deg", 0.0, "Lean of the walls.", metavar="DEG", within=(0.0, 10.0)
+    )
     foot: float = 0.020  # m, length of the foot that the clamp holds
     shoulder: float = 0.004  # m, by which the foot is wider than the beam's base, on either side
     neck: float = 0.003  # m, of the beam's base width, inside the clamp's front wall
-    shrinkage: float = 0.0  # part by which the silicone is smaller when cured (0.001 = 0.1 %)
-    tag_places: tuple[float, ...] = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # s where fine grooves mark the tags; none: ()
+    shrinkage: float = option(  # a share
+        "--shrinkage-percent", 0.0, "How much the silicone shrinks.", metavar="P", within=(0.0, 9.9)
+    )
+    tag_places: tuple[float, ...] = option(  # fine grooves mark them; none: ()
+        "--tag-at",
+        (1.0 / 3.0, 2.0 / 3.0, 1.0),
+        "Place of a tag on the beam; may be repeated.",
+        metavar="S",
+        within=(0.0, 1.0),
+    )
 
     def __post_init__(self) -> None:
         for name in ("wall", "foot", "shoulder", "neck"):
@@ -288,7 +299,7 @@ BETWEEN = 4.0  # mm between carriers on the print bed
 class TagSeat:
     """The tags as they are cut out."""
 
-    size: float = 0.012  # m, side of the black square
+    size: float = option("--size-mm", 0.012, "Side of a tag's black square.", metavar="MM", within=(0.5, 1e9))
     cells: float = 10.0 / 8.0  # side of what is cut out, as a multiple of it (with one cell of white: 10/8)
 
     def __post_init__(self) -> None:

@@ -43,6 +43,7 @@ from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.parameters import Spline
+from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.camera import project
@@ -61,6 +62,28 @@ FEWEST_FRAMES = 20  # of a push
 
 
 @dataclass(frozen=True)
+class Tolerances:
+    """How well a setup is known; one sd each."""
+
+    gain_sd: float = option(
+        "--gain-sd", nan, "Of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
+    )
+    placement_sd: float = option(
+        "--placement-mm", 5e-4, "How well the tags are placed, one sd.", metavar="MM", within=(1e-3, 1e9)
+    )
+    turn_sd: float = option(
+        "--turn-deg", TURN_SD, "How well the tags are turned, one sd.", metavar="DEG", within=(1e-3, 1e9)
+    )
+    clock_sd: float = option(
+        "--clock-sd-s",
+        nan,
+        "How well the clocks agree; 0: one clock; default: found from the data.",
+        metavar="S",
+        within=NOT_NEGATIVE,
+    )
+
+
+@dataclass(frozen=True)
 class Setup:
     """One or more pushes of a known beam, as they would be filmed and logged. Errors are one sd."""
 
@@ -71,8 +94,8 @@ class Setup:
     sensor: ForceSensor = FRANKA
     noise: TagNoise = field(default_factory=TagNoise)
     fps: float = 30.0
-    placement_sd: float = 5e-4  # m, a tag's place along and across
-    turn_sd: float = TURN_SD  # rad, a tag's turn on the beam
+    placement_sd: float = Tolerances.placement_sd  # m, a tag's place along and across
+    turn_sd: float = Tolerances.turn_sd  # rad, a tag's turn on the beam
     clock_sd: float = nan  # s, how well the two clocks are known; 0: one clock; NaN: found from the data
 
     def __post_init__(self) -> None:
@@ -168,10 +191,7 @@ def setup_of(
     requests: Sequence[FilmRequest],
     *,
     tags: Sequence[float] = (),
-    gain_sd: float = nan,
-    placement_sd: float = Setup.placement_sd,
-    turn_sd: float = Setup.turn_sd,
-    clock_sd: float = nan,
+    known_to: Tolerances = Tolerances(),
 ) -> Setup:
     """The setup that is asked for; camera, frame rate and sensor are those of the first request.
 
@@ -187,10 +207,11 @@ def setup_of(
             )
     camera, fps = camera_of(first)
     sensor = SENSORS[check_name(first.sensor, SensorName, "sensor")][0]
-    sensor = sensor if isnan(gain_sd) else replace(sensor, gain_sd=gain_sd)
+    sensor = sensor if isnan(known_to.gain_sd) else replace(sensor, gain_sd=known_to.gain_sd)
     places = tuple(sorted(float(s) for s in tags)) or known.tags
     pushes = tuple(push_of(request, known.beam) for request in requests)
-    setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, placement_sd, turn_sd, clock_sd)
+    sds = known_to.placement_sd, known_to.turn_sd, known_to.clock_sd
+    setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, *sds)
     for push in pushes:
         if push.peak < 1e-9:
             raise MechanicsError(f"the beam buckles under any push at s = {push.at_s:g} in this direction")

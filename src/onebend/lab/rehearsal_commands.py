@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -19,8 +19,6 @@ import onebend
 from onebend.beam.stiffness import half_width_words
 from onebend.cli import BY
 from onebend.cli.common import (
-    LEAST,
-    MOST,
     Goal,
     Gravity,
     Json,
@@ -32,8 +30,6 @@ from onebend.cli.common import (
     Quiet,
     clean_errors,
     made_from_files,
-    or_nan,
-    or_unlimited,
     print_json,
     print_summary,
     progress_of,
@@ -54,9 +50,8 @@ from onebend.control.loop_simulation import (
     wrong_beams,
 )
 from onebend.errors import RecordingError
-from onebend.lab.commands import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
-from onebend.lab.forecast import BudgetEntry, Setup, known_beam, setup_of
-from onebend.lab.random_bench import FilmRequest, PushName
+from onebend.lab.forecast import BudgetEntry, Tolerances, known_beam, setup_of
+from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import (
     MEDIAN,
     NINETY,
@@ -69,7 +64,8 @@ from onebend.lab.rehearsal import (
     summary_of,
     writer_of,
 )
-from onebend.lab.study import SensorKind, StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
+from onebend.lab.sensed_force import FeltBy, felt_by
+from onebend.lab.study import StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
 from onebend.lab.study_report import (
     REPRODUCE_FORMAT,
     below_printed,
@@ -78,6 +74,7 @@ from onebend.lab.study_report import (
     writer,
 )
 from onebend.learning.design import PLACES, identified_words
+from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
 from onebend.report.pictures import draw
 from onebend.report.wording import UNKNOWN, millimetres, significant
@@ -87,75 +84,40 @@ from onebend.results.provenance import inputs_of
 
 # Commands that bend a learned beam, or rehearse to.
 
-KError = Annotated[
-    float,
-    typer.Option(
+
+@dataclass(frozen=True)
+class LoopRehearsal:
+    """The beams, the robot and the sensor that a loop is rehearsed with."""
+
+    k_error: float = option(
         "--k-error",
-        min=0.0,
-        max=0.95,
+        0.3,
+        "Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
         metavar="SHARE",
-        help="Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
-    ),
-]
-
-
-Draws = Annotated[
-    int | None,
-    typer.Option(
-        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band of k(s) instead."
-    ),
-]
-
-
-Noise = Annotated[
-    float,
-    typer.Option("--noise-mm", min=0.0, max=1e3, metavar="MM", help="Of each coordinate the camera sees, one sd."),
-]
-
-
-Delay = Annotated[
-    float,
-    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
-]
-
-
-Rate = Annotated[
-    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
-]
-
-
-Duration = Annotated[
-    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
-]
-
-
-LoopMaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force.")
-]
-
-
-Feeling = Annotated[
-    Literal["nothing", "log", "shape"],
-    typer.Option(
-        "--felt",
-        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
-    ),
-]
-
-
-ForceOff = Annotated[
-    float,
-    typer.Option(
-        "--force-off-N",
-        min=0.0,
-        max=1000.0,
+        within=(0.0, 0.95),
+    )
+    draws: int | None = option(
+        "--draws",
+        None,
+        "Rehearse on N beams drawn from the band of k(s) instead.",
         metavar="N",
-        help="By so much the robot's force is off, across it, and the log of --felt log, along it.",
-    ),
-]
-
-
-Hidden = Annotated[bool, typer.Option("--hidden", help="The camera never sees the point, nor a tag on it.")]
+        within=(1, MOST_DRAWN),
+    )
+    max_force: float = option("--max-force-N", math.inf, "No larger force.", metavar="N", within=POSITIVE)
+    felt: FeltBy = option(
+        "--felt",
+        "nothing",
+        "What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+    )
+    force_off: float = option(
+        "--force-off-N",
+        0.0,
+        "By so much the robot's force is off, across it, and the log of --felt log, along it.",
+        metavar="N",
+        within=(0.0, 1000.0),
+    )
+    hidden: bool = option("--hidden", False, "The camera never sees the point, nor a tag on it.")
+    duration: float = option("--duration-s", 8.0, "Of each rehearsal; at least two.", metavar="S", within=(2.0, 600.0))
 
 
 def loop(
@@ -164,44 +126,40 @@ def loop(
     goal: Goal,
     push_at: PushAt = 1.0,
     point: Point = 1.0,
-    k_error: KError = 0.3,
-    draws: Draws = None,
-    delay_ms: Delay = 50.0,
-    fps: Rate = 30.0,
-    noise_mm: Noise = 0.05,
-    max_force: LoopMaxForce = None,
     gravity: Gravity = (0.0, 0.0),
-    felt: Feeling = "nothing",
-    force_off: ForceOff = 0.0,
-    hidden: Hidden = False,
-    duration: Duration = 8.0,
+    camera: LoopCamera,
+    asked: LoopRehearsal,
     output: Output = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
-    from onebend.lab.sensed_force import felt_by  # here: learning and lab, which `reach` does without
-
     with clean_errors():
         stored = read_trusted(model)
-        beam, delay = stored.beam, 1e-3 * delay_ms
-        beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
-        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
+        beam = stored.beam
+        beams = (
+            wrong_beams(beam, asked.k_error)
+            if asked.draws is None
+            else drawn_beams(beam, stored.uncertain, asked.draws)
+        )
+        settings = trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
         feel = felt_by(
-            felt,
+            asked.felt,
             control,
             stiffness=stored.uncertain,
             instruments=stored.bench,
-            force_off=force_off,
-            hidden=hidden,
+            force_off=asked.force_off,
+            hidden=asked.hidden,
         )
-        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm, hidden=((0.0, math.inf),) if hidden else ())
-        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration, force_off=force_off, feel=feel))
+        eye = replace(camera, hidden=((0.0, math.inf),)) if asked.hidden else camera
+        trials = tuple(
+            simulate_trials(control, beams, eye=eye, duration=asked.duration, force_off=asked.force_off, feel=feel)
+        )
         known = control.margins()
-        rehearsed: dict[str, object] = {"felt": felt, "force_off_N": force_off, "hidden": hidden}
+        rehearsed = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
         summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
@@ -316,7 +274,7 @@ def _percent(log_error: float) -> str:
     return f"{100.0 * np.expm1(log_error):.2g}" if log_error < 1.0 else f"x {np.exp(log_error):.2g}"
 
 
-TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
+SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # by all pushes
 
 Rehearsed = Annotated[
     str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
@@ -327,7 +285,6 @@ TagPlaces = Annotated[
         "--tags", metavar="S,S,...", help="Where the tags sit along the beam; default: thirds, or the model's."
     ),
 ]
-SlowPush = Annotated[PushName, typer.Option("--push", help="slow: at the tip. s08, s06: slow, there.")]
 PushesAt = Annotated[
     list[float] | None,
     typer.Option(
@@ -340,27 +297,6 @@ Forces = Annotated[
 Directions = Annotated[
     list[float] | None,
     typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
-]
-GainSd = Annotated[
-    float | None,
-    typer.Option("--gain-sd", min=0.0, max=0.5, metavar="SD", help="Of the force's scale; default: the sensor's."),
-]
-PlacementSd = Annotated[
-    float,
-    typer.Option("--placement-mm", min=1e-3, max=MOST, metavar="MM", help="How well the tags are placed, one sd."),
-]
-TurnSd = Annotated[
-    float, typer.Option("--turn-deg", min=1e-3, max=MOST, metavar="DEG", help="How well the tags are turned, one sd.")
-]
-ClockSd = Annotated[
-    float | None,
-    typer.Option(
-        "--clock-sd-s",
-        min=0.0,
-        max=MOST,
-        metavar="S",
-        help="How well the clocks agree; 0: one clock; default: found from the data.",
-    ),
 ]
 Runs = Annotated[
     int,
@@ -381,21 +317,11 @@ def rehearse(
     *,
     output: RehearsalFolder = None,
     tags: TagPlaces = None,
-    push: SlowPush = "slow",
     push_at: PushesAt = None,
     force: Forces = None,
-    bend: Bend = 65.0,
     direction: Directions = None,
-    seconds: Seconds = None,
-    sensor: Sensor = "franka",
-    gain_sd: GainSd = None,
-    camera: Camera = "hd",
-    fps: Fps = None,
-    tilt: Tilt = None,
-    distance: Distance = None,
-    placement: PlacementSd = 1e3 * Setup.placement_sd,
-    turn: TurnSd = TURN_DEG,
-    clock_sd: ClockSd = None,
+    push: Annotated[FilmRequest, SHARED],
+    known_to: Tolerances,
     runs: Runs = 24,
     seed: RunSeed = 0,
     jobs: Jobs = None,
@@ -406,16 +332,11 @@ def rehearse(
 ) -> None:
     """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
     with clean_errors():
-        first = FilmRequest(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
-        first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
         setup = setup_of(
             known_beam(design),
-            wishes_of(first, push_at or [], force or [], direction or []),
+            wishes_of(push, push_at or [], force or [], direction or []),
             tags=places_of(tags),
-            gain_sd=or_nan(gain_sd),
-            placement_sd=1e-3 * placement,
-            turn_sd=math.radians(turn),
-            clock_sd=or_nan(clock_sd),
+            known_to=known_to,
         )
         work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
         found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
@@ -516,23 +437,6 @@ ReproduceOut = Annotated[
 ]
 
 
-Quick = Annotated[bool, typer.Option("--quick", help="Shorter pushes, 12 frames/s: a third of the time.")]
-
-
-WithoutVideo = Annotated[
-    bool, typer.Option("--without-video", help="Tags' poses with a camera's noise instead of films: a minute.")
-]
-
-
-ReproduceSensor = Annotated[
-    SensorKind,
-    typer.Option("--sensor", help="paper: errors as large as the paper's. franka: as measured on such a robot."),
-]
-
-
-ReproduceSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of all that is drawn.")]
-
-
 Processes = Annotated[
     int | None, typer.Option("--processes", min=1, metavar="N", help="That work at once; default: one a core.")
 ]
@@ -541,10 +445,7 @@ Processes = Annotated[
 def reproduce(
     *,
     output: ReproduceOut,
-    quick: Quick = False,
-    without_video: WithoutVideo = False,
-    sensor: ReproduceSensor = "paper",
-    seed: ReproduceSeed = 0,
+    setting: StudySettings,
     processes: Processes = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -552,7 +453,6 @@ def reproduce(
 ) -> None:
     """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
     with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-        setting = StudySettings(seed=seed, quick=quick, video=not without_video, sensor=sensor)
         found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
         pictures = draw_figures(found, progress=progress)
         summary = study_summary_of(found, written_by=BY)

@@ -32,6 +32,7 @@ from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks, fitted_rms
+from onebend.options import option
 from onebend.progress import (
     Progress,
     Silent,
@@ -84,10 +85,12 @@ STRATEGIES = (
 class StudySettings:
     """Settings of one study. With the version they determine its results."""
 
-    seed: int = 0
-    quick: bool = False  # shorter pushes and fewer frames/s
-    video: bool = True  # False: the tags' poses with a camera's noise, no picture
-    sensor: SensorKind = "paper"
+    quick: bool = option("--quick", False, "Shorter pushes, 12 frames/s: a third of the time.")
+    video: bool = option("--without-video", True, "Tags' poses with a camera's noise instead of films: a minute.")
+    sensor: SensorKind = option(
+        "--sensor", "paper", "paper: errors as large as the paper's. franka: as measured on such a robot."
+    )
+    seed: int = option("--seed", 0, "Of all that is drawn.", metavar="N", within=(0, None))
 
     def __post_init__(self) -> None:
         if self.seed < 0:

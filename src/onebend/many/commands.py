@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,6 @@ from rich.table import Table
 import onebend
 from onebend.cli import BY
 from onebend.cli.common import (
-    MOST,
     Json,
     Overwrite,
     Quiet,
@@ -158,22 +158,10 @@ def batch(
 
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
-By = Annotated[str, typer.Option("--by", metavar="COLUMN", help="Of recordings.parquet, that names the group.")]
-Object = Annotated[
-    str | None,
-    typer.Option("--object", metavar="COLUMN", help="That names the object; default: every recording has its own."),
-]
 PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
-Band = Annotated[
-    float, typer.Option("--band", min=0.01, max=MOST, metavar="PERCENT", help="Wished half band of the means, of k.")
-]
 ToleranceFile = Annotated[
     Path | None,
     typer.Option("--tolerance", metavar="CSV", help="With s, low_N_m, high_N_m: objects pass or fail against it."),
-]
-Passes = Annotated[
-    float,
-    typer.Option("--pass-from", min=0.01, max=0.99, metavar="P", help="Probability of lying inside that passes."),
 ]
 
 
@@ -181,11 +169,8 @@ def population(
     results: Batch,
     *,
     output: PopulationOut,
-    by: By = "group",
-    same: Object = None,
-    band: Band = 5.0,
+    setting: PopulationSettings,
     tolerance: ToleranceFile = None,
-    passes: Passes = 0.5,
     overwrite: Overwrite = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -196,10 +181,9 @@ def population(
         workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
         progress_of(quiet) as progress,
     ):
-        limits = None if tolerance is None else read_tolerance(tolerance)
-        setting = PopulationSettings(by, same, band / 100.0, limits, passes)
+        setting = replace(setting, tolerance=None if tolerance is None else read_tolerance(tolerance))
         inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
-        found = outcome_of(read_batch(results, by, same), setting)
+        found = outcome_of(read_batch(results, setting.by, setting.same), setting)
         pictures = draw_figures_of(found, progress=progress)
         summary = populations.summary_of(found, written_by=BY)
         write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)

@@ -40,6 +40,7 @@ from onebend.many.population import (
     shrunken,
     within,
 )
+from onebend.options import option
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray
 from onebend.report.page import render
@@ -48,7 +49,6 @@ from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
 from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import figure_text, one_line
 
-WISHED = 0.05  # half band of a group's mean, as a share of k
 MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with the first
 
 
@@ -56,11 +56,22 @@ MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with th
 class PopulationSettings:
     """What is asked."""
 
-    by: str = "group"
-    same: str | None = None  # column that names the object
-    wished: float = WISHED  # half band of the groups' means, as a share of k
+    by: str = option("--by", "group", "Of recordings.parquet, that names the group.", metavar="COLUMN")
+    same: str | None = option(
+        "--object", None, "That names the object; default: every recording has its own.", metavar="COLUMN"
+    )
+    wished: float = option(
+        "--band",
+        0.05,
+        "Wished half band of the means, of k.",
+        metavar="PERCENT",
+        within=(0.01, 1e9),
+        scale=0.01,
+    )
     tolerance: Tolerance | None = None
-    passes: float = 0.5  # probability of lying inside, from which an object passes
+    passes: float = option(
+        "--pass-from", 0.5, "Probability of lying inside that passes.", metavar="P", within=(0.01, 0.99)
+    )
 
 
 @dataclass(frozen=True)
