@@ -22,6 +22,7 @@ from onebend.control.reach_set import DragAnswer, DraggedPoint, HeldEnd, ReachMa
 from onebend.errors import ControlError, StudioError
 from onebend.records import Array
 from onebend.results.model import StoredModel, read_model
+from onebend.studio.jobs import asked_number
 from onebend.studio.places import hand_line, reach_line
 
 # What takes longer than a frame, in a process of its own: the map of the reachable set, the hand's edge, the ellipse.
@@ -98,8 +99,6 @@ def ellipse_of(
 
 PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
 Mode = Literal["point", "hand"]
-_NEAREST = 1e-6  # s: nearer to the clamp a force bends nothing
-_STRONGEST = 1e6  # N
 _SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # of the force, and N: so near the shown command comes to it
 _SAME_PLACE = 1e-10  # m: about as near as a place that `onebend reach` finds on its own grid is to the one here
 
@@ -167,10 +166,8 @@ class Bending:
         mode: Mode = "point" if wanted.get("rest") is True else wanted.get("mode", self.mode)
         if mode not in ("point", "hand"):
             raise StudioError("a beam is bent at a point or by a hand")
-        push_s, point_s = _place(wanted.get("push_s", self.push_s)), _place(wanted.get("point_s", self.point_s))
-        max_force = float(wanted.get("max_force_N", self.max_force))
-        if not 0.0 < max_force <= _STRONGEST:
-            raise StudioError(f"the largest force must be positive, and at most {_STRONGEST:g} N")
+        push_s, point_s = (asked_number(wanted, name, 1e-6, 1.0, getattr(self, name)) for name in ("push_s", "point_s"))
+        max_force = asked_number(wanted, "max_force_N", 1e-9, 1e6, self.max_force)
         if mode == "hand":
             push_s = point_s = 1.0
         same = (push_s, point_s, max_force) == (self.push_s, self.point_s, self.max_force)
@@ -271,13 +268,6 @@ def outline_of(found: ReachMap) -> dict[str, Any]:
     corners = found.triangles
     points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
     return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
-
-
-def _place(value: Any) -> float:
-    place = float(value)
-    if not _NEAREST <= place <= 1.0:
-        raise StudioError(f"a place lies between {_NEAREST:g} and 1, the tip")
-    return place
 
 
 def _round(force: float) -> float:
