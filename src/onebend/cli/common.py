@@ -331,11 +331,7 @@ def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
 
 
 def percent(text: str | None) -> float:
-    """A share, of text such as `5%`; NaN of none.
-
-    Raises:
-        RecordingError: no number above 0 and up to 100.
-    """
+    """A share, of text such as `5%`; NaN of none. Raises `RecordingError`: no number above 0 and up to 100."""
     if text is None:
         return math.nan
     try:

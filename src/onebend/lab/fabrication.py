@@ -56,11 +56,8 @@ def across(x: float, z: float, low: float, high: float, diameter: float) -> Mani
 
 
 def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
-    """A body that is symmetric about y = 0: stations (n, 2) of x and half width at its bottom and at its top.
-
-    Raises:
-        MechanicsError: stations whose x does not rise, or a width that is not positive.
-    """
+    """A body that is symmetric about y = 0: stations (n, 2) of x and half width at its bottom and at its top. Raises
+    `MechanicsError`: stations whose x does not rise, or a width that is not positive."""
     for stations in (lower, upper):
         if np.any(np.diff(stations[:, 0]) <= 0.0) or np.any(stations[:, 1] <= 0.0):
             raise MechanicsError("the part has no thickness somewhere: take less draft, or a wider beam")
@@ -89,11 +86,8 @@ def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
 
 
 def mesh_of(solid: Manifold) -> Any:
-    """The surface of a solid as a `trimesh.Trimesh`, checked.
-
-    Raises:
-        MechanicsError: the solid is empty or its surface is not watertight.
-    """
+    """The surface of a solid as a `trimesh.Trimesh`, checked. Raises `MechanicsError`: the solid is empty or its
+    surface is not watertight."""
     found = solid.to_mesh64()
     mesh = package("trimesh", "make").Trimesh(
         np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts, dtype=np.int64), process=False
@@ -104,11 +98,7 @@ def mesh_of(solid: Manifold) -> Any:
 
 
 def write_mesh(path: Path, mesh: Any) -> None:
-    """Write a `trimesh.Trimesh` as STL or 3MF, in mm.
-
-    Raises:
-        MechanicsError: a file name that ends in neither.
-    """
+    """Write a `trimesh.Trimesh` as STL or 3MF, in mm. Raises `MechanicsError`: a file name that ends in neither."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MechanicsError(f"{path}: parts are written as {' or '.join(MESH_SUFFIXES)}. Name the file so.")
     mesh.units = "mm"
@@ -204,11 +194,7 @@ class Mould:
 
 
 def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
-    """The mould of a design.
-
-    Raises:
-        MechanicsError: a draft that closes the cavity, or walls too thin to be a solid.
-    """
+    """The mould of a design. Raises `MechanicsError`: a draft closes the cavity, or walls are too thin to be a solid."""
     body, grow = cast_body(design, settings), (1.0 / (1.0 - settings.shrinkage),) * 3
     grown = body.scale(grow)
     tray = _block(grown, settings) - cast_body(design, settings, over=OVER).scale(grow)
@@ -338,10 +324,8 @@ def carriers(design: Design, settings: MouldSettings = MouldSettings(), seat: Ta
     """A plate for every tag on the beam, in a row as they are printed: on their faces' backs, stems up.
 
     A stem is glued across the beam at the tag's place; the plate above touches nothing, so that a tag does not stiffen
-    the beam over its own length.
-
-    Raises:
-        MechanicsError: tags so near to each other that their plates meet, or no tag at all.
+    the beam over its own length. Raises `MechanicsError`: tags so near to each other that their plates meet, or no tag
+    at all.
     """
     if not settings.tag_places:
         raise MechanicsError("there are no tags to carry: give their places along the beam")

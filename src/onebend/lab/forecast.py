@@ -168,11 +168,8 @@ class KnownBeam:
 
 
 def known_beam(name_or_path: str) -> KnownBeam:
-    """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one.
-
-    Raises:
-        MechanicsError, ResultsError: there is none, or it cannot be read.
-    """
+    """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one. Raises
+    `MechanicsError`, `ResultsError`: there is none, or it cannot be read."""
     path = Path(name_or_path)
     if path.suffix == ".json" or (path.is_dir() and (path / FILE_NAME).is_file()):
         stored = read_model(path)
@@ -193,12 +190,9 @@ def setup_of(
     tags: Sequence[float] = (),
     known_to: Tolerances = Tolerances(),
 ) -> Setup:
-    """The setup that is asked for; camera, frame rate and sensor are those of the first request.
-
-    Raises:
-        RecordingError: a number that cannot be, or a push in which the beam swings.
-        MechanicsError: the beam snaps through under a push.
-    """
+    """The setup that is asked for; camera, frame rate and sensor are those of the first request. Raises
+    `RecordingError`: a number that cannot be, or a push in which the beam swings. Raises `MechanicsError`: the beam
+    snaps through under a push."""
     first = requests[0]
     for request in requests:
         if request.push in SWINGING:
@@ -237,10 +231,8 @@ def check_bending(setup: Setup) -> None:
 def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
     """What a camera that shows the whole push makes of a tag's corners: `CORNER_SD` in its pixels.
 
-    A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal.
-
-    Raises:
-        MechanicsError: the beam snaps through under a push.
+    A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal. Raises `MechanicsError`:
+    the beam snaps through under a push.
     """
     edge = 0.75 * TAG_SHARE * setup.beam.length  # from a tag's middle to the edge of its paper
     places = [np.zeros((1, 2))]
@@ -416,22 +408,15 @@ class BudgetEntry:
 
 @one_blas_thread
 def predict(setup: Setup) -> PredictedBand:
-    """The band and the errors to expect.
-
-    Raises:
-        MechanicsError: the beam buckles or snaps through under a push.
-    """
+    """The band and the errors to expect. Raises `MechanicsError`: the beam buckles or snaps through under a push."""
     used = instruments(setup)
     return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
 
 
 @one_blas_thread
 def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEntry, ...]:
-    """For every nuisance the band with it known exactly and all else as it is; the most costly first.
-
-    Raises:
-        MechanicsError: as `predict`.
-    """
+    """For every nuisance the band with it known exactly and all else as it is; the most costly first. Raises
+    `MechanicsError`: as `predict`."""
     used = instruments(setup)
     along_pushes = derivatives(setup, used)
     now = predicted.quality.mean_width
@@ -594,11 +579,8 @@ class SetupChange:
 def advise(
     setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
 ) -> tuple[SetupChange, ...]:
-    """The changes that narrow the band most, best first; at most two of each kind.
-
-    Raises:
-        MechanicsError: the setup's own push has no stable equilibrium.
-    """
+    """The changes that narrow the band most, best first; at most two of each kind. Raises `MechanicsError`: the setup's
+    own push has no stable equilibrium."""
     if count < 1:
         return ()
     thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]

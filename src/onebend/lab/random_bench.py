@@ -69,11 +69,7 @@ RELAXATION_TIME = Chance(1.0, 0.3, 30.0)  # s
 
 
 def only(*names: str, ranges: EffectRanges = LABORATORY) -> EffectRanges:
-    """The effects `names` for certain, and no other one.
-
-    Raises:
-        RecordingError: a name that is not one of `EFFECTS`.
-    """
+    """The effects `names` for certain, and no other. Raises `RecordingError`: a name that is not one of `EFFECTS`."""
     unknown = [name for name in names if name not in EFFECTS]
     if unknown:
         raise RecordingError(f"there is no effect {unknown[0]!r}. Take of {', '.join(EFFECTS)}.")
@@ -215,11 +211,8 @@ class FilmRequest:
 
 
 def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
-    """The push that is asked for, with a peak that bends this beam as far.
-
-    Raises:
-        RecordingError: a time, place or force that cannot be.
-    """
+    """The push that is asked for, with a peak that bends this beam as far. Raises `RecordingError`: a time, place or
+    force that cannot be."""
     push = PUSHES[check_name(request.push, PushName, "push")]
     if not isnan(request.at_s):
         push = replace(push, at_s=request.at_s)
@@ -252,10 +245,7 @@ def camera_of(request: FilmRequest) -> tuple[Camera, float]:
 
 def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
-
-    Raises:
-        RecordingError: a name that is not known, or a number that cannot be.
-    """
+    Raises `RecordingError`: a name that is not known, or a number that cannot be."""
     beam = design.beam()
     camera, fps = camera_of(request)
     sensor, called = SENSORS[check_name(request.sensor, SensorName, "sensor")]

@@ -299,12 +299,10 @@ def rehearse(
 ) -> Rehearsal:
     """How well k(s) would be known from a setup: by its Fisher information, and from `runs` simulated recordings.
 
-    Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each
-    run is kept there as it ends, and work that was interrupted goes on from it.
-
-    Raises:
-        LearningError: a number of runs or processes that cannot be.
-        MechanicsError: the beam buckles or snaps through under a push, hardly bends, or bends too far.
+    Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each run
+    is kept there as it ends, and work that was interrupted goes on from it. Raises `LearningError`: a number of runs or
+    processes that cannot be. Raises `MechanicsError`: the beam buckles or snaps through under a push, hardly bends, or
+    bends too far.
     """
     if runs < 0 or jobs < 1 or seed < 0:
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")

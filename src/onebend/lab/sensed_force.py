@@ -100,11 +100,8 @@ class SensedForce:
         instruments: Instruments | None = None,
         seed: int = 0,
     ) -> None:
-        """`truth` is the beam that moves, `model` what is thought of it, with its band `stiffness`.
-
-        Raises:
-            LearningError: as `sense`.
-        """
+        """`truth` is the beam that moves, `model` what is thought of it, with its band `stiffness`. Raises
+        `LearningError`: as `sense`."""
         self._bench = VirtualBench(truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base)
         self._seen, self._rng = seen, np.random.default_rng(seed)
         rest = truth.equilibrium((0.0, 0.0))

@@ -269,11 +269,8 @@ def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
 
 
 def make_recording(job: FilmJob) -> FilmJob:
-    """Film and find the tags, unless that was done; a file is either complete or absent.
-
-    Raises:
-        RecordingError, ObservationError: as for a real recording.
-    """
+    """Film and find the tags, unless that was done; a file is either complete or absent. Raises `RecordingError`,
+    `ObservationError`: as for a real recording."""
     if job.observed.exists():
         return job
     observations = _filmed(job) if job.setting.video else _without_video(job)
@@ -333,11 +330,7 @@ class LearnJob:
 
 
 def learn_beam(job: LearnJob) -> LearnJob:
-    """Learn, unless that was done.
-
-    Raises:
-        LearningError: the push does not determine a beam.
-    """
+    """Learn, unless that was done. Raises `LearningError`: the push does not determine a beam."""
     if not (job.folder / FACTS_FILE).exists():
         observations = load_observations(job.training)
         job.folder.mkdir(parents=True, exist_ok=True)
@@ -494,11 +487,9 @@ def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Tas
 def true_place(beam: Beam, force: Array, s: float) -> Array:
     """(2,) m: where `force` at `s` puts the point `s` of a beam that is straight at rest, by a solver of its own.
 
-    SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`,
-    from no force to the whole of it; it shares nothing with the statics that the force was found by.
-
-    Raises:
-        MechanicsError: the solver finds no shape.
+    SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`, from
+    no force to the whole of it; it shares nothing with the statics that the force was found by. Raises
+    `MechanicsError`: the solver finds no shape.
     """
     length = beam.length
     t, guess = np.linspace(0.0, 1.0, 101), np.zeros((4, 101))

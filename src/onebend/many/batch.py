@@ -258,10 +258,7 @@ AT = (0, 25, 50, 75, 100)  # of PLACES: where the table of recordings has k
 
 def recordings_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording: its name, group and the list's own columns; k at five places with its band; the verdict.
-
-    Raises:
-        RecordingError: a column of the list has the name of one of ours.
-    """
+    Raises `RecordingError`: a column of the list has the name of one of ours."""
     ours = _columns(outcome)
     labels = _labels(outcome)
     both = [name for name in labels if name in ours]
@@ -473,12 +470,8 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
 
 
 def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str) -> None:
-    """Tables, page and summary into the results folder, in place of earlier ones.
-
-    Raises:
-        RecordingError: a column of the list has the name of one of the results'.
-        ResultsError: a file cannot be written.
-    """
+    """Tables, page and summary into the results folder, in place of earlier ones. Raises `RecordingError`: a column of
+    the list has the name of one of the results'. Raises `ResultsError`: a file cannot be written."""
     made: dict[str, str | bytes] = {
         "recordings.parquet": as_parquet(recordings_table(outcome)),
         "curves.parquet": as_parquet(curves_table(outcome)),

@@ -686,11 +686,8 @@ class Judgement:
 
 
 def read_tolerance(path: Path) -> Tolerance:
-    """The band of a CSV with the columns `s, low_N_m, high_N_m`.
-
-    Raises:
-        ResultsError: it cannot be read, or is no band; the message names the line.
-    """
+    """The band of a CSV with the columns `s, low_N_m, high_N_m`. Raises `ResultsError`: it cannot be read, or is no
+    band; the message names the line."""
     rows = list(csv_rows(path, ResultsError))
     header = [name.strip() for name in rows[0][1]] if rows else []
     if absent := [name for name in COLUMNS if name not in header]:

@@ -97,11 +97,7 @@ class PopulationOutcome:
 
 
 def population(named: Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
-    """Learn the population from its objects.
-
-    Raises:
-        ResultsError: a number that was asked for makes no sense.
-    """
+    """Learn the population from its objects. Raises `ResultsError`: a number that was asked for makes no sense."""
     if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
         raise ResultsError("a wished band is above 0, and a probability between 0 and 1. Correct it")
     trial, found = named.trial, fit(named.trial)

@@ -59,11 +59,8 @@ class Item:
 
 def items_of(source: Path, out: Path) -> tuple[Item, ...]:
     """The recordings of `source`: a CSV with a column `path`, or a folder with recordings in it at any depth, without
-    those in `out`.
-
-    Raises:
-        RecordingError: there is none, two have one name, or a column or a cell of the list cannot be used.
-    """
+    those in `out`. Raises `RecordingError`: there is none, two have one name, or a column or a cell of the list cannot
+    be used."""
     if source.is_dir():
         found = _in_folder(source.resolve(), out.resolve())
         if not found:
@@ -125,10 +122,7 @@ def _item(
 
 def _key(column: str, path: Path) -> tuple[str, str] | None:
     """Table and key of recording.toml that a column states, as `length_m` or `beam.length_m`; None: it is a label.
-
-    Raises:
-        RecordingError: several tables know the key.
-    """
+    Raises `RecordingError`: several tables know the key."""
     table, dot, name = column.partition(".")
     if dot:
         return (table, name) if table in HOMES.get(name, ()) else None
@@ -191,10 +185,7 @@ class Record:
 
 def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
     """SHA-256 over the content of the files, their names, and what they are learned with; the same on every machine.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
+    Raises `OSError`: a file cannot be read."""
     entries = sorted((path.name, sha256_of(path)) for path in dict.fromkeys(files))
     text = json.dumps({"files": entries, "with": made_with}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
@@ -416,11 +407,7 @@ def distributed() -> Any:
 @contextmanager
 def cluster(address: str | None = None, workers: int | None = None, *, processes: bool = True) -> Iterator[Any]:
     """A client of the scheduler at `address`, or of one here with `workers` of one thread each (default: one a core).
-
-    Raises:
-        MissingPackageError: Dask is not installed.
-        ResultsError: nobody answers at the address.
-    """
+    Raises `MissingPackageError`: Dask is not installed. Raises `ResultsError`: nobody answers at the address."""
     library = distributed()
     if address is not None:
         try:
@@ -469,11 +456,8 @@ def here(item: Item, settings: TaskSettings) -> ItemResult:
 def results_of(
     client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
 ) -> Iterator[tuple[int, ItemResult]]:
-    """Every item's number and result, as they come. A task whose worker is lost goes to another one.
-
-    Raises:
-        ResultsError: the scheduler is lost.
-    """
+    """Every item's number and result, as they come. A task whose worker is lost goes to another one. Raises
+    `ResultsError`: the scheduler is lost."""
     library, batch = distributed(), uuid4().hex
     futures = {}
     try:

@@ -258,11 +258,8 @@ def opened_socket(port: int) -> socket.socket:
 
 
 def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
-    """Serve until interrupted; `ready` is given the address, with its token, when the page is there.
-
-    Raises:
-        StudioError: no such folder, or the port is taken.
-    """
+    """Serve until interrupted; `ready` is given the address, with its token, when the page is there. Raises
+    `StudioError`: no such folder, or the port is taken."""
     import uvicorn  # here: the application itself is made and tested without
 
     places = StudioFolder.of(folder)
