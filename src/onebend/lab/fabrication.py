@@ -194,7 +194,7 @@ class Mould:
 
 
 def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
-    """The mould of a design. Raises `MechanicsError`: a draft closes the cavity, or walls are too thin to be a solid."""
+    """The mould of a design. Raises `MechanicsError`: a draft closes the cavity, or walls are too thin."""
     body, grow = cast_body(design, settings), (1.0 / (1.0 - settings.shrinkage),) * 3
     grown = body.scale(grow)
     tray = _block(grown, settings) - cast_body(design, settings, over=OVER).scale(grow)
