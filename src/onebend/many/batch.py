@@ -146,6 +146,12 @@ class BatchOutcome:
         return tuple((item, one.reason) for item, one in zip(self.items, self.records, strict=True) if one.reason)
 
     @property
+    def learned(self) -> tuple[tuple[str, Record], ...]:
+        """Recordings with k(s), by name."""
+        rows = zip(self.items, self.records, strict=True)
+        return tuple((item.name, one) for item, one in rows if one.k is not None)
+
+    @property
     def outliers(self) -> tuple[tuple[Item, str], ...]:
         """Recordings unlike the others of their group, each with its reason."""
         return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
@@ -270,7 +276,7 @@ def recordings_table(outcome: BatchOutcome) -> pa.Table:
 
 def curves_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and place: `name, s, k_N_m, k_lo_N_m, k_hi_N_m, identified`, at 101 places."""
-    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
+    there = outcome.learned
 
     def joined(name: str, kind: type) -> np.ndarray:
         return np.concatenate([np.zeros(0, kind), *(getattr(one, name) for _, one in there)]).astype(kind)
@@ -292,8 +298,7 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
     `with_0` to `with_1`, and the part of it that comes from the prior, `prior_with_0` to `prior_with_1`; what the force
     sensor's scale does to all of k is apart (`gain_sd`).
     """
-    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
-    places = PLACES[::EVERY]
+    there, places = outcome.learned, PLACES[::EVERY]
     columns: dict[str, Any] = {
         "name": pa.array([name for name, _ in there for _ in places], pa.string()),
         "s": np.tile(places, len(there)),
@@ -306,31 +311,29 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
 
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
-    rows = [
-        (item.name, *values)
-        for item, one in zip(outcome.items, outcome.records, strict=True)
-        for values in one.nuisances
-    ]
-    columns = list(zip(*rows, strict=True)) if rows else [()] * 6
-    kinds = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.float64(), pa.float64())
-    names = ("name", "nuisance", "unit", "value", "sd", "prior_sd")
-    return pa.table({name: pa.array(values, kind) for name, values, kind in zip(names, columns, kinds, strict=True)})
+    rows = [(name, one) for name, record in outcome.learned for one in record.nuisances]
+    text, number = pa.string(), pa.float64()
+    columns = {"name": pa.array([name for name, _ in rows], text)}
+    for name, field, kind in (
+        *(("nuisance", "name", text), ("unit", "unit", text)),
+        *(("value", "value", number), ("sd", "sd", number), ("prior_sd", "prior_sd", number)),
+    ):
+        columns[name] = pa.array([getattr(one, field) for _, one in rows], kind)
+    return pa.table(columns)
 
 
 def _columns(outcome: BatchOutcome) -> dict[str, Any]:
     records, text = outcome.records, pa.string()
     found: dict[str, Any] = {
-        "name": pa.array([item.name for item in outcome.items], text),
-        "group": pa.array([item.group for item in outcome.items], text),
-        "reason": pa.array([one.reason for one in records], text),
-        "grade": pa.array([one.grade for one in records], text),
-        "doubts": pa.array(["; ".join(one.doubts) for one in records], text),
-        "warnings": pa.array(["; ".join(one.warnings) for one in records], text),
+        **{name: pa.array([getattr(one, name) for one in outcome.items], text) for name in ("name", "group")},
+        **{name: pa.array([getattr(one, name) for one in records], text) for name in ("reason", "grade")},
+        **{name: pa.array(["; ".join(getattr(one, name)) for one in records], text) for name in ("doubts", "warnings")},
         LENGTH: np.array([one.length for one in records]),
     }
     for i in AT:
         for name, field in (("k", "k"), ("k_lo", "low"), ("k_hi", "high")):
-            found[f"{name}_at_{PLACES[i]:g}_N_m"] = np.array([_at(one, field, i) for one in records])
+            curves = [getattr(one, field) for one in records]
+            found[f"{name}_at_{PLACES[i]:g}_N_m"] = np.array([np.nan if one is None else one[i] for one in curves])
     return found | {
         "identified": np.array([np.nan if one.identified is None else one.identified.mean() for one in records]),
         "gain_sd": np.array([one.gain_sd for one in records]),
@@ -344,11 +347,6 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
         "hash": pa.array([one.hash for one in records], text),
         "path": pa.array([str(item.folder) for item in outcome.items], text),
     }
-
-
-def _at(record: Record, field: str, i: int) -> float:
-    curve = getattr(record, field)
-    return float("nan") if curve is None else float(curve[i])
 
 
 def _labels(outcome: BatchOutcome) -> dict[str, pa.Array]:
@@ -393,10 +391,9 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
 
 
 def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
-    learned = [one for one in outcome.records if one.k is not None]
-    doubted = sum(bool(one.doubts) for one in learned)
+    doubted = sum(bool(one.doubts) for _, one in outcome.learned)
     return [
-        {"what": "learned", "value": f"{len(learned)} of {len(outcome.records)}", "note": "recordings"},
+        {"what": "learned", "value": f"{len(outcome.learned)} of {len(outcome.records)}", "note": "recordings"},
         {"what": "in doubt", "value": str(doubted), "note": "with a doubt as to all of k(s)"},
         {"what": "unlike the others", "value": str(len(outcome.outliers)), "note": "of their group"},
     ]
@@ -461,7 +458,7 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
         "format": BATCH_FORMAT,
         "written_by": written_by,
         "recordings": len(outcome.items),
-        "learned": sum(one.k is not None for one in outcome.records),
+        "learned": len(outcome.learned),
         "worked_on_now": outcome.learned_now,
         "failed": [{"name": item.name, "reason": why} for item, why in outcome.failed],
         "in_doubt": [item.name for item, one in zip(outcome.items, outcome.records, strict=True) if one.doubts],

@@ -30,15 +30,16 @@ from onebend.many import batch as batches, population_report as populations
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
 from onebend.many.population_report import (
-    SPREAD,
     PopulationOutcome,
     PopulationSettings,
     count_words,
     draw_figures as draw_figures_of,
     group_name,
+    group_rows,
     judged_words,
     percent,
     population as outcome_of,
+    spread_rows,
 )
 from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
@@ -51,10 +52,9 @@ MOST_ROWS = 20  # rows of each kind that are shown of a batch
 
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
     """How many were learned, which were not and why, and which are unlike the others."""
-    learned = sum(one.k is not None for one in outcome.records)
     there = len(outcome.items) - outcome.learned_now
     before = f", {there} of them before" if there else ""
-    console.print(f"{learned} of {len(outcome.items)} recordings learned{before}.", markup=False)
+    console.print(f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}.", markup=False)
     doubted = sum(bool(one.doubts) for one in outcome.records)
     if doubted:
         console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
@@ -79,19 +79,15 @@ def show_population(console: Console, outcome: PopulationOutcome, output: Path) 
     table.add_column("group")
     for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
         table.add_column(head, justify="right")
-    for i, name in enumerate(named.groups):
-        curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
+    curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
+    for i, row in enumerate(group_rows(outcome)):
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]
-        count = str(int(np.sum(named.trial.group_of == i)))
-        half = percent(float(np.expm1(outcome.half[i])))
-        table.add_row(group_name(name), count, *values, half, count_words(outcome.needed[i]))
+        end = percent(row["half_band"]), count_words(row["objects_needed"])
+        table.add_row(group_name(row["group"]), str(row["objects"]), *values, *end)
     console.print(table)
-    for key, one in vars(outcome.shares).items():
-        what, of_log_k = SPREAD[key]
-        numbers = [np.expm1(value) if of_log_k else value for value in (one.value, one.low, one.high)]
-        if np.isfinite(numbers[0]):
-            text = f"{what}: {percent(numbers[0])} (95 %: {percent(numbers[1])} to {percent(numbers[2])})"
-            console.print(text, markup=False)
+    for what, (value, low, high) in spread_rows(outcome):
+        if np.isfinite(value):
+            console.print(f"{what}: {percent(value)} (95 %: {percent(low)} to {percent(high)})", markup=False)
     rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
     for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
         if shown:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -182,7 +182,7 @@ def _ratios(outcome: PopulationOutcome) -> dict[str, Any]:
 
 
 def _spread(outcome: PopulationOutcome) -> dict[str, Any]:
-    found = vars(outcome.shares)
+    found = {one.name: getattr(outcome.shares, one.name) for one in fields(Shares)}
     return {
         "quantity": _texts(found),
         **{name: np.array([getattr(one, name) for one in found.values()]) for name in ("value", "low", "high")},
@@ -348,9 +348,18 @@ def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str,
         "title": one_line(f"Population {name}"),
         "cards": _cards(outcome),
         "group_heads": ("group", "objects", "recordings", "half band of the mean", "objects for the wished band"),
-        "group_rows": _group_rows(outcome),
+        "group_rows": [
+            (
+                group_name(one["group"]),
+                str(one["objects"]),
+                str(one["recordings"]),
+                f"± {percent(one['half_band'])}",
+                count_words(one["objects_needed"]),
+            )
+            for one in group_rows(outcome)
+        ],
         "spread_heads": ("", "value", "95 % from", "to"),
-        "spread_rows": [_spread_row(*SPREAD[key], value) for key, value in vars(outcome.shares).items()],
+        "spread_rows": [(what, *map(percent, values)) for what, values in spread_rows(outcome)],
         "outliers": [(one_line(one), why) for one, why in zip(named.objects, outcome.outliers, strict=True) if why],
         "tolerance": judged_words(outcome),
         "judged_heads": ("object", "group", "probability inside", ""),
@@ -407,23 +416,19 @@ def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
     ]
 
 
-def _group_rows(outcome: PopulationOutcome) -> list[tuple[str, ...]]:
-    trial = outcome.named.trial
-    return [
-        (
-            group_name(name),
-            str(int(np.sum(trial.group_of == i))),
-            str(int(np.sum(trial.group_of[trial.object_of] == i))),
-            f"± {percent(float(np.expm1(outcome.half[i])))}",
-            count_words(outcome.needed[i]),
-        )
-        for i, name in enumerate(outcome.named.groups)
-    ]
+def group_rows(outcome: PopulationOutcome) -> list[dict[str, Any]]:
+    """The rows of the table `groups`."""
+    return [dict(one) for one in pa.table(_groups(outcome)).to_pylist()]
 
 
-def _spread_row(what: str, of_log_k: bool, one: Estimate) -> tuple[str, ...]:
-    values = np.array([one.value, one.low, one.high])
-    return (what, *(percent(float(value)) for value in (np.expm1(values) if of_log_k else values)))
+def spread_rows(outcome: PopulationOutcome) -> list[tuple[str, list[float]]]:
+    """Each spread in words, with its value and the ends of its band, as shares."""
+    rows = []
+    for key, (what, of_log_k) in SPREAD.items():
+        one: Estimate = getattr(outcome.shares, key)
+        values = np.array([one.value, one.low, one.high])
+        rows.append((what, (np.expm1(values) if of_log_k else values).tolist()))
+    return rows
 
 
 def _judged_rows(outcome: PopulationOutcome) -> list[tuple[Any, ...]]:
@@ -446,24 +451,15 @@ POPULATION_FORMAT = "onebend-population-1"
 def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]:
     """What `--json` prints and `summary.json` holds."""
     named, judged = outcome.named, outcome.judgement
-    trial = named.trial
+    told = ("group", "objects", "half_band", "objects_needed", "next_object_inside")
     return {
         "format": POPULATION_FORMAT,
         "written_by": written_by,
         "by": outcome.setting.by,
         "object": outcome.setting.same,
         "wished_half_band": outcome.setting.wished,
-        "groups": [
-            {
-                "group": name,
-                "objects": int(np.sum(trial.group_of == i)),
-                "half_band": float(np.expm1(outcome.half[i])),
-                "objects_needed": outcome.needed[i],
-                "next_object_inside": None if outcome.next_inside is None else float(outcome.next_inside[i]),
-            }
-            for i, name in enumerate(named.groups)
-        ],
-        "spread": {name: vars(one) for name, one in vars(outcome.shares).items()},
+        "groups": [{name: row[name] for name in told} for row in group_rows(outcome)],
+        "spread": asdict(outcome.shares),
         "outliers": [
             {"object": name, "reason": why} for name, why in zip(named.objects, outcome.outliers, strict=True) if why
         ],
@@ -471,7 +467,7 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
         if judged is None
         else {
             "passed": int(judged.passed.sum()),
-            "objects": trial.objects,
+            "objects": named.trial.objects,
             "false_passes": judged.false_passes,
             "false_fails": judged.false_fails,
         },

@@ -26,6 +26,7 @@ from onebend.extras import package
 from onebend.files.publish import abandon, finish, prepare, publish, read_summary, sha256_of
 from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
+from onebend.learning.posterior import Nuisance
 from onebend.pipeline import Run, learn
 from onebend.progress import available_cores, interrupts_held, leave_interrupts_to_parent
 from onebend.recording.description import HOMES
@@ -37,8 +38,9 @@ from onebend.report.pictures import Pictures
 from onebend.report.verdict import verdict_of
 from onebend.report.wording import all_remarks
 from onebend.results.learned_files import LEARN_FORMAT, learned_writer, summary_of
+from onebend.results.observations_file import fields_from, to_data
 from onebend.results.provenance import InputFile, as_data, files_of, inputs_of, provenance
-from onebend.text_files import csv_rows, quoted, to_json
+from onebend.text_files import csv_rows, quoted
 
 # Which recordings are learned: those in a folder, or the rows of a CSV, which may state what differs between them.
 
@@ -110,10 +112,8 @@ def _item(
     if len(cells) > len(header):
         raise RecordingError(f"{path}, line {line}: {len(cells)} cells under {len(header)} columns. Quote the commas.")
     by_name = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if name}
-    if not by_name.get("path"):
-        raise RecordingError(f"{path}, line {line}: the path is empty. Name the recording's folder.")
-    if "\0" in by_name["path"]:
-        raise RecordingError(f"{path}, line {line}: the path is no path.")
+    if not by_name.get("path") or "\0" in by_name["path"]:
+        raise RecordingError(f"{path}, line {line}: the path is empty or no path. Name the recording's folder.")
     folder = folder_of(path.resolve().parent / by_name["path"])
     stated = tuple((*key, _value(by_name[name])) for name, key in keys.items() if by_name.get(name))
     labels = tuple((name, by_name.get(name, "")) for name in header if name and name not in OWN)
@@ -152,7 +152,7 @@ def _value(cell: str) -> Any:
 
 # What is kept of one recording: a small JSON file, whole or not there, under the hash of all that it was made from.
 
-FORMAT = "onebend-batch-record-3"
+FORMAT = "onebend-batch-record-4"
 RECORDS = ".records"  # in the results folder
 PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
 EVERY = 5  # of PLACES: where a record has the covariance of log k
@@ -177,7 +177,7 @@ class Record:
     error: float = np.nan  # m RMS of the worst tag
     doubts: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    nuisances: tuple[tuple[str, str, float, float, float], ...] = ()  # name, unit, value, sd, prior sd
+    nuisances: tuple[Nuisance, ...] = ()
     frames: int = 0
     seconds: float = np.nan  # that reading and learning took
     finished: str = ""  # UTC, ISO 8601
@@ -210,7 +210,7 @@ def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record
         error=verdict.error,
         doubts=run.posterior.stiffness.doubts,
         warnings=tuple(remark.text for _, remark in all_remarks(run) if remark.level == "warning"),
-        nuisances=tuple((n.name, n.unit, n.value, n.sd, n.prior_sd) for n in run.posterior.nuisances()),
+        nuisances=tuple(run.posterior.nuisances()),
         frames=len(run.recordings[0].time),
         seconds=seconds,
         finished=finished,
@@ -224,7 +224,8 @@ def record_path(out: Path, hashed: str) -> Path:
 
 def write_record(out: Path, record: Record) -> None:
     """Put the record in place, whole or not at all. Raises `ResultsError` where it cannot be written."""
-    write_file(record_path(out, record.hash), to_json({"format": FORMAT, **vars(record)}) + "\n", overwrite=True)
+    text = json.dumps({"format": FORMAT, **to_data(record)})
+    write_file(record_path(out, record.hash), text + "\n", overwrite=True)
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
@@ -233,35 +234,14 @@ def read_record(out: Path, hashed: str) -> Record | None:
         data = json.loads(record_path(out, hashed).read_text(encoding="utf-8"))
         if data.pop("format") != FORMAT or data["hash"] != hashed:
             return None
-        curves = {name: _curve(data[name]) for name in ("k", "low", "high")}
-        known = None if data["identified"] is None else np.array(data["identified"], dtype=bool)
-        if any(curve is not None and curve.shape != PLACES.shape for curve in (*curves.values(), known)):
-            return None
-        squares = {n: None if data[n] is None else np.array(data[n], dtype=float) for n in ("covariance", "prior_part")}
-        if any(one is not None and one.shape != (len(PLACES[::EVERY]),) * 2 for one in squares.values()):
-            return None
-        return Record(
-            **data
-            | curves
-            | squares
-            | {name: _number(data[name]) for name in ("length", "gain_sd", "error", "seconds")}
-            | {name: tuple(data[name]) for name in ("doubts", "warnings")}
-            | {
-                "identified": known,
-                "nuisances": tuple((n, unit, *map(_number, values)) for n, unit, *values in data["nuisances"]),
-            }
-        )
+        record = Record(**fields_from(Record, data))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
-
-
-def _curve(values: Any) -> Array | None:
-    return None if values is None else np.array([_number(value) for value in values])
-
-
-def _number(value: Any) -> float:
-    """A number, which is null in JSON where it is not finite."""
-    return np.nan if value is None else float(value)
+    count = len(PLACES[::EVERY])
+    curves, squares = (record.k, record.low, record.high, record.identified), (record.covariance, record.prior_part)
+    fits = [one is None or one.shape == PLACES.shape for one in curves]
+    fits += [one is None or one.shape == (count, count) for one in squares]
+    return record if all(fits) else None
 
 
 FOLDERS = "recordings"  # in the results folder: a folder of each, where asked for
