@@ -54,7 +54,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learning_commands, "draw_all", interrupted)
-        patch.setattr(learning_commands, "_fitting", lambda _: QUICK)  # of this run only the files are looked at
+        learn = learning_commands.learn_from  # of this run only the files are looked at
+        patch.setattr(learning_commands, "learn_from", lambda *a, **k: learn(*a, **(k | {"fitting": QUICK})))
         first = CliRunner().invoke(cli.app, command)
         left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:

@@ -54,7 +54,7 @@ def test_options_fill_the_fields_in_si_units() -> None:
         *("--unfilmed", "--loud", "--length-mm", "12"),
     )
     assert name == "rod"
-    assert found.inner == Inner(pytest.approx(math.pi / 3.0), 2.0)
+    assert found.inner == Inner(math.radians(60.0), 2.0)
     assert found.places == (0.2, 0.5)
     assert (found.filmed, found.loud) == (False, True)
     assert found.length == pytest.approx(0.012)

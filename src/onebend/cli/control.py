@@ -15,27 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.model import Beam
-from onebend.cli import BY
-from onebend.cli.common import (
-    LEAST,
-    NO_BAND,
-    Goal,
-    Gravity,
-    Json,
-    Model,
-    Output,
-    Overwrite,
-    Point,
-    PushAt,
-    clean_errors,
-    facts_table,
-    force_words,
-    print_summary,
-    put_in_place,
-    say_written,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.control.goals import Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
@@ -50,17 +30,7 @@ from onebend.extras import installed
 from onebend.options import POSITIVE, option
 from onebend.report.pictures import draw
 from onebend.report.wording import length_words, significant
-from onebend.results.control_files import (
-    PATH_FORMAT,
-    REACH_FORMAT,
-    SHAPE_FORMAT,
-    path_summary,
-    path_writer,
-    reach_summary,
-    reach_writer,
-    shape_summary,
-    shape_writer,
-)
+from onebend.results import control_files
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
@@ -69,8 +39,8 @@ from onebend.results.provenance import inputs_of
 
 def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
     """The force, the point and how sure it is."""
-    table = facts_table()
-    table.add_row(f"force at s = {result.push_s:.3g}", force_words(result.force))
+    table = common.facts_table()
+    table.add_row(f"force at s = {result.push_s:.3g}", common.force_words(result.force))
     if result.settings.moment:
         table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
     x, y = 1e3 * result.reached[:2]
@@ -80,12 +50,12 @@ def show_reach(console: Console, result: Reach, error: PredictedError | None, ou
     table.add_row("sure to within", _sureness_of_goal(error))
     table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table, highlight=False)
-    say_written(console, output, "path.csv, reach.png, summary.json")
+    common.say_written(console, output, "path.csv, reach.png, summary.json")
 
 
 def _sureness_of_goal(error: PredictedError | None) -> str:
     if error is None:
-        return NO_BAND
+        return common.NO_BAND
     long, short = error.ellipse(SURE).semi_axes
     ellipse = f"± {length_words(long)} along and ± {length_words(short)} across"
     return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the band on k(s)"
@@ -98,20 +68,20 @@ GoalAngle = Annotated[
 
 
 def reach(
-    model: Model,
+    model: common.Model,
     *,
-    goal: Goal,
-    push_at: PushAt = 1.0,
-    point: Point = 1.0,
+    goal: common.Goal,
+    push_at: common.PushAt = 1.0,
+    point: common.Point = 1.0,
     goal_angle: GoalAngle = None,
     settings: ReachSettings,
-    gravity: Gravity = (0.0, 0.0),
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    gravity: common.Gravity = (0.0, 0.0),
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
@@ -119,18 +89,20 @@ def reach(
         if not found.converged:
             raise ControlError(found.reason)
         error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
-        summary = reach_summary(str(model), found, error, written_by=BY)
+        summary = control_files.reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import reaching  # here: Matplotlib is for pictures alone
 
-            with workplace(output, REACH_FORMAT, overwrite) as place:
+            with common.workplace(output, control_files.REACH_FORMAT, overwrite) as place:
                 pictures = draw({"reach": lambda: reaching(found, error, _within(found))})
                 inputs = inputs_of([model_file(model)])
-                put_in_place(place, reach_writer(found, pictures, summary), pictures, inputs=inputs)
+                common.put_in_place(
+                    place, control_files.reach_writer(found, pictures, summary), pictures, inputs=inputs
+                )
     if as_json:
-        print_summary(summary, output)
+        common.print_summary(summary, output)
     else:
-        show_reach(screen(), found, error, output)
+        show_reach(common.screen(), found, error, output)
 
 
 def _within(found: Reach) -> ReachableSet | None:
@@ -153,9 +125,9 @@ def _within(found: Reach) -> ReachableSet | None:
 
 def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
     """The actuators' loads, the residual, the distance from buckling, the uncertainty."""
-    table = facts_table()
+    table = common.facts_table()
     for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
-        table.add_row(f"force at s = {pusher.at_s:.3g}", force_words(force))
+        table.add_row(f"force at s = {pusher.at_s:.3g}", common.force_words(force))
     if result.wrench is not None:
         x, y, angle = result.pose
         table.add_row("gripper", f"[bold]({1e3 * x:.3f}, {1e3 * y:.3f}) mm at {math.degrees(angle):.2f} deg[/]")
@@ -168,7 +140,7 @@ def show_shape(console: Console, result: ShapeResult, output: Path | None) -> No
     console.print(table, highlight=False)
     for warning in result.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
-    say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
+    common.say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
 def _why(result: ShapeResult) -> str:
@@ -179,13 +151,13 @@ def _why(result: ShapeResult) -> str:
 
 def _sureness_of_shape(result: ShapeResult) -> str:
     if result.spread is None:
-        return NO_BAND
+        return common.NO_BAND
     return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
 def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None, *, bag: bool) -> None:
     """Length, stretch, forces, misses, margin; `bag`: whether a ROS 2 bag was written with the other files."""
-    table = facts_table()
+    table = common.facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
     for pusher, force in zip(way.actuators.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
@@ -201,12 +173,12 @@ def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, outp
     for warning in way.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
     messages = "YAML and bag" if bag else "YAML; for a bag: pip install 'onebend[ros]'"
-    say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
+    common.say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
 
 
 def _path_sureness(sure: PathSpread | None) -> str:
     if sure is None:
-        return NO_BAND
+        return common.NO_BAND
     worst = int(np.argmax(sure.rms))
     most = length_words(2.0 * float(sure.rms[worst]))
     return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
@@ -221,7 +193,8 @@ GoalsFile = Annotated[
     Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
 ]
 GoalPoint = Annotated[
-    float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
+    float,
+    typer.Option("--point", min=common.LEAST, max=1.0, metavar="S", help="The point led along goals without column s."),
 ]
 BetweenGoals = Annotated[
     Literal["force", "smooth", "monotone", "linear"] | None,
@@ -244,7 +217,7 @@ class Hands:
         (),
         "A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
         metavar="S",
-        within=(LEAST, 1.0),
+        within=(common.LEAST, 1.0),
     )
     max_force: float = option(
         "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", metavar="N", within=POSITIVE
@@ -271,18 +244,18 @@ FAR = 0.5  # of the length, rms from the targets: no shape to be of use
 
 
 def shape(
-    model: Model,
+    model: common.Model,
     *,
     targets: TargetsFile,
     hands: Hands,
     settings: ShapeSettings,
-    gravity: Gravity = (0.0, 0.0),
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    gravity: common.Gravity = (0.0, 0.0),
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         pushes, holding = hands.actuators()
         wanted = read_targets(targets, stored.beam.length)
@@ -300,36 +273,38 @@ def shape(
                 f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
                 f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
             )
-        summary = shape_summary(str(model), found, written_by=BY)
+        summary = control_files.shape_summary(str(model), found, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import shaping  # here: Matplotlib is for pictures alone
 
-            with workplace(output, SHAPE_FORMAT, overwrite) as place:
+            with common.workplace(output, control_files.SHAPE_FORMAT, overwrite) as place:
                 pictures = draw({"shape": lambda: shaping(stored.beam, found)})
                 inputs = inputs_of([model_file(model), targets])
-                put_in_place(place, shape_writer(found, pictures, summary), pictures, inputs=inputs)
+                common.put_in_place(
+                    place, control_files.shape_writer(found, pictures, summary), pictures, inputs=inputs
+                )
     if as_json:
-        print_summary(summary, output)
+        common.print_summary(summary, output)
     else:
-        show_shape(screen(), found, output)
+        show_shape(common.screen(), found, output)
 
 
 def path(
-    model: Model,
+    model: common.Model,
     *,
     goals: GoalsFile,
     point: GoalPoint = 1.0,
     hands: Hands,
     settings: PathSettings,
     between: BetweenGoals = None,
-    gravity: Gravity = (0.0, 0.0),
+    gravity: common.Gravity = (0.0, 0.0),
     frame: FrameName = FRAME,
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         if not frame or not frame.isprintable():
             raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
@@ -347,19 +322,24 @@ def path(
             wanted = _led(stored.beam, wanted, pushes, holding, weight)
         way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
-        summary = path_summary(str(model), way, sure, written_by=BY)
+        summary = control_files.path_summary(str(model), way, sure, written_by=BY)
         bag = installed("rosbags")
         if output is not None:
             from onebend.report.control_figures import path_figure  # here: Matplotlib is for pictures alone
 
-            with workplace(output, PATH_FORMAT, overwrite) as place:
+            with common.workplace(output, control_files.PATH_FORMAT, overwrite) as place:
                 pictures = draw({"path": lambda: path_figure(way)})
                 inputs = inputs_of([model_file(model), goals])
-                put_in_place(place, path_writer(way, pictures, summary, frame=frame, bag=bag), pictures, inputs=inputs)
+                common.put_in_place(
+                    place,
+                    control_files.path_writer(way, pictures, summary, frame=frame, bag=bag),
+                    pictures,
+                    inputs=inputs,
+                )
     if as_json:
-        print_summary(summary, output)
+        common.print_summary(summary, output)
     else:
-        show_path(screen(), way, sure, output, bag=bag)
+        show_path(common.screen(), way, sure, output, bag=bag)
 
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
@@ -387,7 +367,7 @@ def show_loop(
     rehearsed: Mapping[str, object],
 ) -> None:
     """Force, gains, margins, and how the rehearsals went; `rehearsed` as in the summary."""
-    table = facts_table()
+    table = common.facts_table()
     x, y = control.reference.ends
     table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
                   f"{control.reference.rise:.2f} s")  # fmt: skip
@@ -410,7 +390,7 @@ def show_loop(
         runs.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
     console.print(runs, highlight=False)
-    say_written(console, output, "loop.csv, loop.png, summary.json")
+    common.say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
 def trial_name(trial: LoopTrial) -> str:

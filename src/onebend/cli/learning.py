@@ -16,25 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 import onebend
-from onebend.cli import BY
-from onebend.cli.common import (
-    MOST,
-    Json,
-    LogAxis,
-    Model,
-    Observing,
-    Output,
-    Overwrite,
-    Quiet,
-    clean_errors,
-    made_from_files,
-    open_in_browser,
-    print_json,
-    progress_of,
-    put_in_place,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_run, show_times, show_validation
 from onebend.learning.design import Plan, PlanSettings, Proposal, direction_words, identified_words
@@ -47,17 +29,8 @@ from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import KeptFrames
 from onebend.report.pictures import Pictures, draw
 from onebend.report.wording import significant
+from onebend.results import learned_files
 from onebend.results.detection_cache import detection_cache
-from onebend.results.learned_files import (
-    LEARN_FORMAT,
-    PLAN_FORMAT,
-    VALIDATE_FORMAT,
-    learned_writer,
-    summary_of,
-    tables_writer,
-    validation_summary,
-    validation_writer,
-)
 from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
@@ -128,7 +101,7 @@ Epsilon = Annotated[
     typer.Option(
         "--epsilon-s",
         min=0.0,
-        max=MOST,
+        max=common.MOST,
         metavar="SECONDS",
         help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
     ),
@@ -142,20 +115,20 @@ Verbose = Annotated[
 def learn(
     recordings: Recordings,
     *,
-    output: Output = None,
+    output: common.Output = None,
     validate_on: ValidateOn = None,
     method: Method = "fit",
     settings: RegressionSettings,
     fitting: FitSettings,
-    observing: Observing,
+    observing: common.Observing,
     epsilon: Epsilon = None,
-    overwrite: Overwrite = False,
+    overwrite: common.Overwrite = False,
     verbose: Verbose = False,
-    log: LogAxis = False,
+    log: common.LogAxis = False,
     no_report: NoReport = False,
     open_report: OpenReport = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).
 
@@ -168,9 +141,9 @@ def learn(
     if no_report and open_report:
         raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
     frames = KeptFrames()
-    with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
+    with common.clean_errors(), common.workplace(out, learned_files.LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             run = learn_from(
                 *recordings,
                 settings=settings,
@@ -182,31 +155,31 @@ def learn(
                 progress=progress,
             )
         began = time.perf_counter()
-        summary = summary_of(run, written_by=BY)
+        summary = learned_files.summary_of(run, written_by=BY)
         settled = {"fit": fit, "regression": settings, "observing": observing}
-        tables = tables_writer(run, version=onebend.__version__)
+        tables = learned_files.tables_writer(run, version=onebend.__version__)
 
         def put(pictures: Pictures | None) -> None:
-            made_from = made_from_files(inputs, settled)
-            write = learned_writer(
+            made_from = common.made_from_files(inputs, settled)
+            write = learned_files.learned_writer(
                 run, pictures, summary, version=onebend.__version__, made_from=made_from, tables=tables
             )
-            put_in_place(place, write, pictures or Pictures(), made_from=made_from)
+            common.put_in_place(place, write, pictures or Pictures(), made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
         if not as_json:
-            show_run(screen(), run, out, verbose=verbose, log=log, report=not no_report)
+            show_run(common.screen(), run, out, verbose=verbose, log=log, report=not no_report)
         if not no_report:
-            with progress_of(quiet) as progress:
+            with common.progress_of(quiet) as progress:
                 pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
-        print_json({**summary, "stage_seconds": seconds, "output": str(out)})
+        common.print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     elif verbose:
-        show_times(screen(), run, seconds)
+        show_times(common.screen(), run, seconds)
     if open_report:
-        open_in_browser(out / "report.html")
+        common.open_in_browser(out / "report.html")
 
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
@@ -217,18 +190,18 @@ def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
 
 
 def validate(
-    model: Model,
+    model: common.Model,
     recordings: Recordings,
     *,
-    output: Output = None,
+    output: common.Output = None,
     epsilon: Epsilon = None,
-    observing: Observing,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    observing: common.Observing,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         known = observations_beside(model)
         work = partial(
@@ -241,39 +214,46 @@ def validate(
         )
         beam = stored.beam
         if output is None:
-            with progress_of(quiet) as progress:
+            with common.progress_of(quiet) as progress:
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)
-            summary = validation_summary(str(model), pairs, written_by=BY)
+            summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
         else:
             from onebend.report.figures import validation_figures  # here, as above
 
-            with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+            with (
+                common.workplace(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
+                common.progress_of(quiet) as progress,
+            ):
                 inputs = inputs_of([model_file(model), *recording_files(recordings)])
                 pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)
-                summary = validation_summary(str(model), pairs, written_by=BY)
+                summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
                 pictures = draw(validation_figures(beam, pairs), progress)
-                put_in_place(place, validation_writer(pairs, pictures, summary), pictures, inputs=inputs)
+                common.put_in_place(
+                    place, learned_files.validation_writer(pairs, pictures, summary), pictures, inputs=inputs
+                )
     if as_json:
-        print_json(summary)
+        common.print_json(summary)
     else:
-        show_validation(screen(), pairs, output)
+        show_validation(common.screen(), pairs, output)
 
 
 def plan(
-    model: Model,
+    model: common.Model,
     *,
     settings: PlanSettings,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Say which push to make next: what each would leave of the band on k(s)."""
-    with clean_errors(), progress_of(quiet) as progress:
+    with common.clean_errors(), common.progress_of(quiet) as progress:
         read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
     if as_json:
-        print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})
+        common.print_json(
+            {"format": learned_files.PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()}
+        )
     else:
-        show_plan(screen(), found)
+        show_plan(common.screen(), found)
 
 
 def _paired(observing: ObserveSettings, epsilon: float | None) -> ObserveSettings:

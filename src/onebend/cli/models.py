@@ -11,21 +11,7 @@ import typer
 import onebend
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass
-from onebend.cli.common import (
-    Json,
-    LogAxis,
-    Model,
-    Observing,
-    Overwrite,
-    Quiet,
-    Recording,
-    clean_errors,
-    print_json,
-    progress_of,
-    say,
-    say_warning,
-    screen,
-)
+from onebend.cli import common
 from onebend.errors import ControlError
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
@@ -39,19 +25,19 @@ from onebend.results.model import StoredModel, model_file, read_model
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
-def show(model: Model, *, log: LogAxis = False, as_json: Json = False) -> None:
+def show(model: common.Model, *, log: common.LogAxis = False, as_json: common.Json = False) -> None:
     """Draw the learned k(s) in the terminal."""
     # here: the other commands that take a model, which share what is below, do without
     from onebend.cli.screens import show_model
     from onebend.results.learned_files import model_summary
 
-    with clean_errors():
+    with common.clean_errors():
         stored = read_model(model)
         say_changed(model, stored)
     if as_json:
-        print_json(model_summary(stored))
+        common.print_json(model_summary(stored))
     else:
-        show_model(screen(), stored, log=log)
+        show_model(common.screen(), stored, log=log)
 
 
 def read_trusted(model: Path) -> StoredModel:
@@ -60,14 +46,14 @@ def read_trusted(model: Path) -> StoredModel:
     say_changed(model, stored)
     doubts = () if stored.uncertain is None else stored.uncertain.doubts
     if doubts:
-        say_warning(f"k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", about="not trusted")
+        common.say_warning(f"k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", about="not trusted")
     return stored
 
 
 def say_changed(model: Path, stored: StoredModel) -> None:
     """A warning on standard error where the file is not as it was written, or another than its folder's."""
     for words in filter(None, (stored.changed, stored.swapped)):
-        say_warning(f"{model_file(model)} {words}.", about="changed file")
+        common.say_warning(f"{model_file(model)} {words}.", about="changed file")
 
 
 def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
@@ -109,18 +95,18 @@ Every = Annotated[int, typer.Option(min=1, metavar="N", help="Keep one picture o
 
 
 def export_command(
-    model: Model,
+    model: common.Model,
     *,
     to: ExportTo,
     output: OutFile = None,
     hinges: Hinges = 40,
     mass: MassKg = None,
     damping_time: DampingTime = None,
-    overwrite: Overwrite = False,
+    overwrite: common.Overwrite = False,
 ) -> None:
     """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
     kind: Kind = to
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"beam{suffix_of(kind)}")
         content = export(
@@ -133,8 +119,8 @@ def export_command(
             sites=() if stored.origin is None else stored.origin.marker_s,
         )
         write_file(path, content, overwrite=overwrite)
-    say(f"Wrote {path}: {KINDS[kind].says}.")
-    say(KINDS[kind].use.format(path=path))
+    common.say(f"Wrote {path}: {KINDS[kind].says}.")
+    common.say(KINDS[kind].use.format(path=path))
 
 
 def _damping_time(asked: float | None, stored: StoredModel) -> float:
@@ -145,20 +131,20 @@ def _damping_time(asked: float | None, stored: StoredModel) -> float:
 
 
 def rerun_command(
-    model: Model,
-    recording: Recording,
+    model: common.Model,
+    recording: common.Recording,
     *,
     output: RerunFile = None,
     every: Every = 2,
-    observing: Observing,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    observing: common.Observing,
+    overwrite: common.Overwrite = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")
-        with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
+        with fresh_file(path, overwrite=overwrite) as beside, common.progress_of(quiet) as progress:
             [(found, seen)] = compare(
                 stored.beam,
                 [recording],
@@ -170,4 +156,4 @@ def rerun_command(
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)
-    say(f"Wrote {path}. Look at it with: rerun {path}")
+    common.say(f"Wrote {path}. Look at it with: rerun {path}")

@@ -10,24 +10,7 @@ from typing import Annotated
 import typer
 
 import onebend
-from onebend.cli import BY
-from onebend.cli.common import (
-    LEAST,
-    Json,
-    Model,
-    Observing,
-    Output,
-    Overwrite,
-    Quiet,
-    Recording,
-    clean_errors,
-    print_json,
-    print_summary,
-    progress_of,
-    put_in_place,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.errors import ResultsError
@@ -66,7 +49,7 @@ Slowed = Annotated[
     float,
     typer.Option(
         "--slowed",
-        min=LEAST,
+        min=common.LEAST,
         max=FASTEST,
         metavar="TIMES",
         help="It plays so many times slower than it was, as slow motion does.",
@@ -81,40 +64,40 @@ def frequencies(
     part: FilmPart,
     slowed: Slowed = 1.0,
     most: MostModes = 4,
-    observing: Observing,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    observing: common.Observing,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Find the natural frequencies in a free swing, to be written in recording.toml."""
-    with clean_errors(), progress_of(quiet) as progress:
+    with common.clean_errors(), common.progress_of(quiet) as progress:
         detect = detection_cache(onebend.__version__).detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
         found = frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
     if as_json:
-        print_json({**frequencies_summary(str(source), found, written_by=BY)})
+        common.print_json({**frequencies_summary(str(source), found, written_by=BY)})
     else:
-        show_frequencies(screen(), found)
+        show_frequencies(common.screen(), found)
 
 
 def damp(
-    model: Model,
-    recording: Recording,
+    model: common.Model,
+    recording: common.Recording,
     *,
     part: FilmPart,
     settings: DampingSettings,
     output: ModelFile = None,
-    observing: Observing,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    observing: common.Observing,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Learn a learned beam's damping from a recording in which it swings freely, and check k over mass."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         if output is not None:
             check_name_free(output, overwrite=overwrite)
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             seen = _observed(stored, recording, observing, progress)
             fit = learn_damping(
                 stored.beam,
@@ -130,30 +113,32 @@ def damp(
             if not (overwrite and amend(output, text.encode())):  # a file of a results folder: the folder stays whole
                 write_file(output, text, overwrite=overwrite)
     if as_json:
-        print_json({**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)})
+        common.print_json(
+            {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
+        )
     else:
-        show_damping(screen(), fit, output)
+        show_damping(common.screen(), fit, output)
 
 
 def sense(
-    model: Model,
-    recording: Recording,
+    model: common.Model,
+    recording: common.Recording,
     *,
     settings: SenseSettings,
     bag: Bag = False,
-    output: Output = None,
-    observing: Observing,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    output: common.Output = None,
+    observing: common.Observing,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
-    with clean_errors():
+    with common.clean_errors():
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
-            with progress_of(quiet) as progress:
+        with nullcontext() if output is None else common.workplace(output, SENSE_FORMAT, overwrite) as work:
+            with common.progress_of(quiet) as progress:
                 seen = _observed(stored, recording, observing, progress)
             found = sense_force(
                 stored.beam,
@@ -166,9 +151,9 @@ def sense(
             if work is not None:
                 _write(work, model, recording, found, summary, bag=bag)
     if as_json:
-        print_summary(summary, output)
+        common.print_summary(summary, output)
     else:
-        show_sensed(screen(), found, output, bag=bag)
+        show_sensed(common.screen(), found, output, bag=bag)
 
 
 def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:
@@ -187,4 +172,4 @@ def _write(
     messages = force_bag(found.time, found.force, found.covariance) if bag else None
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
     inputs = inputs_of([model_file(model), *recording_files([recording])])
-    put_in_place(work, sense_writer(found, pictures, summary, messages), pictures, inputs=inputs)
+    common.put_in_place(work, sense_writer(found, pictures, summary, messages), pictures, inputs=inputs)

@@ -17,39 +17,13 @@ from rich.table import Table
 
 import onebend
 from onebend.beam.stiffness import half_width_words
-from onebend.cli import BY
-from onebend.cli.common import (
-    Goal,
-    Gravity,
-    Json,
-    Model,
-    Output,
-    Overwrite,
-    Point,
-    PushAt,
-    Quiet,
-    clean_errors,
-    made_from_files,
-    print_json,
-    print_summary,
-    progress_of,
-    put_in_place,
-    say,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.control import show_loop
 from onebend.cli.models import gravity_on, read_trusted
+from onebend.control import loop_simulation
 from onebend.control.loop import controller
-from onebend.control.loop_simulation import (
-    MOST_DRAWN,
-    LoopCamera,
-    drawn_beams,
-    simulate_trials,
-    trial_settings,
-    wrong_beams,
-)
 from onebend.errors import RecordingError
+from onebend.lab import study_report
 from onebend.lab.forecast import BudgetEntry, Tolerances, known_beam, setup_of
 from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import (
@@ -66,13 +40,6 @@ from onebend.lab.rehearsal import (
 )
 from onebend.lab.sensed_force import FeltBy, felt_by
 from onebend.lab.study import StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
-from onebend.lab.study_report import (
-    REPRODUCE_FORMAT,
-    below_printed,
-    draw_figures,
-    summary_of as study_summary_of,
-    writer,
-)
 from onebend.learning.design import PLACES, identified_words
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
@@ -101,7 +68,7 @@ class LoopRehearsal:
         None,
         "Rehearse on N beams drawn from the band of k(s) instead.",
         metavar="N",
-        within=(1, MOST_DRAWN),
+        within=(1, loop_simulation.MOST_DRAWN),
     )
     max_force: float = option("--max-force-N", math.inf, "No larger force.", metavar="N", within=POSITIVE)
     felt: FeltBy = option(
@@ -121,28 +88,28 @@ class LoopRehearsal:
 
 
 def loop(
-    model: Model,
+    model: common.Model,
     *,
-    goal: Goal,
-    push_at: PushAt = 1.0,
-    point: Point = 1.0,
-    gravity: Gravity = (0.0, 0.0),
-    camera: LoopCamera,
+    goal: common.Goal,
+    push_at: common.PushAt = 1.0,
+    point: common.Point = 1.0,
+    gravity: common.Gravity = (0.0, 0.0),
+    camera: loop_simulation.LoopCamera,
     asked: LoopRehearsal,
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         beam = stored.beam
         beams = (
-            wrong_beams(beam, asked.k_error)
+            loop_simulation.wrong_beams(beam, asked.k_error)
             if asked.draws is None
-            else drawn_beams(beam, stored.uncertain, asked.draws)
+            else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
         )
-        settings = trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
+        settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
@@ -156,7 +123,9 @@ def loop(
         )
         eye = replace(camera, hidden=((0.0, math.inf),)) if asked.hidden else camera
         trials = tuple(
-            simulate_trials(control, beams, eye=eye, duration=asked.duration, force_off=asked.force_off, feel=feel)
+            loop_simulation.simulate_trials(
+                control, beams, eye=eye, duration=asked.duration, force_off=asked.force_off, feel=feel
+            )
         )
         known = control.margins()
         rehearsed = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
@@ -164,14 +133,14 @@ def loop(
         if output is not None:
             from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
 
-            with workplace(output, LOOP_FORMAT, overwrite) as place:
+            with common.workplace(output, LOOP_FORMAT, overwrite) as place:
                 pictures = draw({"loop": lambda: looping(control, trials)})
                 inputs = inputs_of([model_file(model)])
-                put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
+                common.put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
     if as_json:
-        print_summary(summary, output)
+        common.print_summary(summary, output)
     else:
-        show_loop(screen(), control, known, trials, output, rehearsed)
+        show_loop(common.screen(), control, known, trials, output, rehearsed)
 
 
 # What `onebend rehearse` says.
@@ -326,12 +295,12 @@ def rehearse(
     seed: RunSeed = 0,
     jobs: Jobs = None,
     count: Advices = 8,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
-    with clean_errors():
+    with common.clean_errors():
         setup = setup_of(
             known_beam(design),
             wishes_of(push, push_at or [], force or [], direction or []),
@@ -341,11 +310,11 @@ def rehearse(
         work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
         found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
     if as_json:
-        print_json(summary_of(found, written_by=BY))
+        common.print_json(summary_of(found, written_by=BY))
         return
-    show_rehearsal(screen(), found)
+    show_rehearsal(common.screen(), found)
     if output is not None:
-        say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+        common.say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
 
 
 def _carried_out(
@@ -353,13 +322,13 @@ def _carried_out(
 ) -> Rehearsal:
     """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
     if output is None:
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             return work(progress=progress)
-    with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+    with common.workplace(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
         inputs = inputs_of([source])
         found = work(keep=place.work, progress=progress)
         pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-        put_in_place(place, writer_of(found, pictures, written_by=BY), pictures, inputs=inputs)
+        common.put_in_place(place, writer_of(found, pictures, written_by=BY), pictures, inputs=inputs)
     return found
 
 
@@ -420,7 +389,7 @@ def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> No
                 millimetres(film.true.rms[-1]),
             )
     console.print(table)
-    below, known = below_printed(outcome)
+    below, known = study_report.below_printed(outcome)
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     reached = sum(done.found.converged for done in tasks)
     console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
@@ -447,18 +416,22 @@ def reproduce(
     output: ReproduceOut,
     setting: StudySettings,
     processes: Processes = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
-    with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+    with (
+        common.clean_errors(),
+        common.workplace(output, study_report.REPRODUCE_FORMAT, overwrite) as place,
+        common.progress_of(quiet) as progress,
+    ):
         found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
-        pictures = draw_figures(found, progress=progress)
-        summary = study_summary_of(found, written_by=BY)
-        write = writer(found, pictures, summary, place.work, version=onebend.__version__)
-        put_in_place(place, write, pictures, made_from=made_from_files((), {"study": setting}))
+        pictures = study_report.draw_figures(found, progress=progress)
+        summary = study_report.summary_of(found, written_by=BY)
+        write = study_report.writer(found, pictures, summary, place.work, version=onebend.__version__)
+        common.put_in_place(place, write, pictures, made_from=common.made_from_files((), {"study": setting}))
     if as_json:
-        print_json(summary | {"output": str(output)})
+        common.print_json(summary | {"output": str(output)})
     else:
-        show_reproduced(screen(), found, output)
+        show_reproduced(common.screen(), found, output)

@@ -17,21 +17,7 @@ from onebend.errors import RecordingError, ResultsError
 from onebend.extras import require
 from onebend.files.publish import check_place, enter
 from onebend.files.single_file import as_parquet, write_file
-from onebend.many.tasks import (
-    EVERY,
-    PLACES,
-    RECORDS,
-    Item,
-    ItemResult,
-    Record,
-    TaskSettings,
-    cluster,
-    dashboard_of,
-    folder_path,
-    items_of,
-    read_record,
-    results_of,
-)
+from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
 from onebend.records import Array
 from onebend.report.page import render
@@ -135,35 +121,37 @@ class BatchOutcome:
     """All recordings of a batch in the order of the list."""
 
     out: Path
-    items: tuple[Item, ...]
-    records: tuple[Record, ...]
+    items: tuple[tasks.Item, ...]
+    records: tuple[tasks.Record, ...]
     scores: Scores
     learned_now: int  # recordings that this run learned from, or tried to; the others were there
 
     @property
-    def failed(self) -> tuple[tuple[Item, str], ...]:
+    def failed(self) -> tuple[tuple[tasks.Item, str], ...]:
         """Recordings without k(s), each with its reason."""
         return tuple((item, one.reason) for item, one in zip(self.items, self.records, strict=True) if one.reason)
 
     @property
-    def learned(self) -> tuple[tuple[str, Record], ...]:
+    def learned(self) -> tuple[tuple[str, tasks.Record], ...]:
         """Recordings with k(s), by name."""
         rows = zip(self.items, self.records, strict=True)
         return tuple((item.name, one) for item, one in rows if one.k is not None)
 
     @property
-    def outliers(self) -> tuple[tuple[Item, str], ...]:
+    def outliers(self) -> tuple[tuple[tasks.Item, str], ...]:
         """Recordings unlike the others of their group, each with its reason."""
         return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
 
 
-def outcome_of(out: Path, items: Sequence[Item], records: Sequence[Record], learned_now: int) -> BatchOutcome:
+def outcome_of(
+    out: Path, items: Sequence[tasks.Item], records: Sequence[tasks.Record], learned_now: int
+) -> BatchOutcome:
     """The records, and how each is beside the others."""
-    count = len(PLACES[::EVERY])
+    count = len(tasks.PLACES[:: tasks.EVERY])
     log_k, covariance = np.full((len(records), count), np.nan), np.full((len(records), count, count), np.nan)
     for i, one in enumerate(records):
         if one.k is not None and one.covariance is not None:
-            log_k[i], covariance[i] = np.log(one.k[::EVERY]), one.covariance
+            log_k[i], covariance[i] = np.log(one.k[:: tasks.EVERY]), one.covariance
     found = scores(log_k, covariance, [item.group for item in items])
     return BatchOutcome(out, tuple(items), tuple(records), found, learned_now)
 
@@ -200,19 +188,19 @@ def run_batch(
     """
     require(("dask", "distributed"), "batch")
     target = Path(os.path.realpath(out))
-    items = items_of(Path(source), target)
+    items = tasks.items_of(Path(source), target)
     if folders:
         for item in items:
-            folder_path(item, target)
+            tasks.folder_path(item, target)
     check_place(target)
     place = enter(target, BATCH_FORMAT)
     try:
         _take(target)
-        settings = TaskSettings(target, version("onebend"), folders)
-        with cluster(scheduler, workers, processes=processes) as client:
-            began(dashboard_of(client))
+        settings = tasks.TaskSettings(target, version("onebend"), folders)
+        with tasks.cluster(scheduler, workers, processes=processes) as client:
+            began(tasks.dashboard_of(client))
             results = _all(client, items, settings, progress)
-        for left in (target / RECORDS).glob(".*.json"):
+        for left in (target / tasks.RECORDS).glob(".*.json"):
             left.unlink(missing_ok=True)  # begun by workers that were lost
     finally:
         place.remove()
@@ -230,10 +218,12 @@ def _take(out: Path) -> None:
     write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {version('onebend')}"}) + "\n")
 
 
-def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: Progress) -> list[ItemResult]:
-    found: dict[int, ItemResult] = {}
+def _all(
+    client: Any, items: Sequence[tasks.Item], settings: tasks.TaskSettings, progress: Progress
+) -> list[tasks.ItemResult]:
+    found: dict[int, tasks.ItemResult] = {}
     try:
-        for i, result in track(progress, "Recordings", results_of(client, items, settings), len(items)):
+        for i, result in track(progress, "Recordings", tasks.results_of(client, items, settings), len(items)):
             found[i] = result
     except BaseException as error:
         error.add_note(
@@ -244,10 +234,10 @@ def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: P
     return [found[i] for i in range(len(items))]
 
 
-def _record(out: Path, item: Item, result: ItemResult) -> Record:
+def _record(out: Path, item: tasks.Item, result: tasks.ItemResult) -> tasks.Record:
     if not result.hash:
-        return Record(hash="", reason=result.reason)
-    record = read_record(out, result.hash)
+        return tasks.Record(hash="", reason=result.reason)
+    record = tasks.read_record(out, result.hash)
     if record is None:
         raise ResultsError(
             f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must "
@@ -283,8 +273,8 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
 
     return pa.table(
         {
-            "name": pa.array([name for name, _ in there for _ in PLACES], pa.string()),
-            "s": np.tile(PLACES, len(there)),
+            "name": pa.array([name for name, _ in there for _ in tasks.PLACES], pa.string()),
+            "s": np.tile(tasks.PLACES, len(there)),
             "k_N_m": joined("k", float),
             "k_lo_N_m": joined("low", float),
             "k_hi_N_m": joined("high", float),
@@ -298,7 +288,7 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
     `with_0` to `with_1`, and the part of it that comes from the prior, `prior_with_0` to `prior_with_1`; what the force
     sensor's scale does to all of k is apart (`gain_sd`).
     """
-    there, places = outcome.learned, PLACES[::EVERY]
+    there, places = outcome.learned, tasks.PLACES[:: tasks.EVERY]
     columns: dict[str, Any] = {
         "name": pa.array([name for name, _ in there for _ in places], pa.string()),
         "s": np.tile(places, len(there)),
@@ -333,7 +323,9 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
     for i in AT:
         for name, field in (("k", "k"), ("k_lo", "low"), ("k_hi", "high")):
             curves = [getattr(one, field) for one in records]
-            found[f"{name}_at_{PLACES[i]:g}_N_m"] = np.array([np.nan if one is None else one[i] for one in curves])
+            found[f"{name}_at_{tasks.PLACES[i]:g}_N_m"] = np.array(
+                [np.nan if one is None else one[i] for one in curves]
+            )
     return found | {
         "identified": np.array([np.nan if one.identified is None else one.identified.mean() for one in records]),
         "gain_sd": np.array([one.gain_sd for one in records]),
@@ -419,7 +411,7 @@ def _cell(cell: Any) -> dict[str, str]:
     return {"words": str(cell) if isinstance(cell, int) else significant(cell), "value": repr(cell)}
 
 
-def _range(records: Sequence[Record]) -> tuple[float, float]:
+def _range(records: Sequence[tasks.Record]) -> tuple[float, float]:
     """The axis of k [N m] of all pictures: every curve, and no band farther away than a factor of two."""
     curves = [one.k for one in records if one.k is not None]
     if not curves:
@@ -433,7 +425,7 @@ def _group(outcome: BatchOutcome, name: str, least: float, most: float) -> dict[
     for item, one, why in zip(outcome.items, outcome.records, outcome.scores.reasons, strict=True):
         if item.group != name or one.k is None or one.low is None or one.high is None:
             continue
-        s = PLACES[::STEP]
+        s = tasks.PLACES[::STEP]
         band = [*_points(s, one.low[::STEP], least, most), *_points(s, one.high[::STEP], least, most)[::-1]]
         curve = _points(s, one.k[::STEP], least, most)
         pictures.append(

@@ -12,35 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 import onebend
-from onebend.cli import BY
-from onebend.cli.common import (
-    Json,
-    Overwrite,
-    Quiet,
-    clean_errors,
-    print_json,
-    progress_of,
-    put_in_place,
-    say,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.errors import ResultsError
-from onebend.many import batch as batches, population_report as populations
+from onebend.many import batch as batches, population_report, population_report as populations
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
-from onebend.many.population_report import (
-    PopulationOutcome,
-    PopulationSettings,
-    count_words,
-    draw_figures as draw_figures_of,
-    group_name,
-    group_rows,
-    judged_words,
-    percent,
-    population as outcome_of,
-    spread_rows,
-)
 from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
@@ -71,7 +47,7 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
     )
 
 
-def show_population(console: Console, outcome: PopulationOutcome, output: Path) -> None:
+def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
     """The groups' means, the spread, what is unlike the others, and where the report is."""
     named = outcome.named
     middle = len(named.trial.s) // 2
@@ -80,14 +56,15 @@ def show_population(console: Console, outcome: PopulationOutcome, output: Path) 
     for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
         table.add_column(head, justify="right")
     curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
-    for i, row in enumerate(group_rows(outcome)):
+    for i, row in enumerate(population_report.group_rows(outcome)):
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]
-        end = percent(row["half_band"]), count_words(row["objects_needed"])
-        table.add_row(group_name(row["group"]), str(row["objects"]), *values, *end)
+        end = population_report.percent(row["half_band"]), population_report.count_words(row["objects_needed"])
+        table.add_row(population_report.group_name(row["group"]), str(row["objects"]), *values, *end)
     console.print(table)
-    for what, (value, low, high) in spread_rows(outcome):
-        if np.isfinite(value):
-            console.print(f"{what}: {percent(value)} (95 %: {percent(low)} to {percent(high)})", markup=False)
+    for what, numbers in population_report.spread_rows(outcome):
+        value, low, high = map(population_report.percent, numbers)
+        if np.isfinite(numbers[0]):
+            console.print(f"{what}: {value} (95 %: {low} to {high})", markup=False)
     rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
     for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
         if shown:
@@ -95,7 +72,7 @@ def show_population(console: Console, outcome: PopulationOutcome, output: Path) 
             for name, why in shown[:MOST_ROWS]:
                 listed.add_row(one_line(name), one_line(why))
             console.print(listed)
-    if words := judged_words(outcome):
+    if words := population_report.judged_words(outcome):
         console.print(words, markup=False)
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
@@ -129,28 +106,28 @@ def batch(
     scheduler: Scheduler = None,
     workers: Workers = None,
     folders: Folders = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped."""
 
     def began(link: str) -> None:
         if link and not quiet:
-            say(f"The cluster's page: {link}", err=True)
+            common.say(f"The cluster's page: {link}", err=True)
 
-    with clean_errors():
+    with common.clean_errors():
         if scheduler is not None and workers is not None:
             raise ResultsError("a cluster has its own workers. Give --scheduler or --workers, not both")
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             outcome = run_batch(
                 source, output, scheduler=scheduler, workers=workers, folders=folders, progress=progress, began=began
             )
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
     if as_json:
-        print_json({**summary, "output": str(output)})
+        common.print_json({**summary, "output": str(output)})
     else:
-        show_batch(screen(), outcome)
+        show_batch(common.screen(), outcome)
 
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
@@ -165,26 +142,26 @@ def population(
     results: Batch,
     *,
     output: PopulationOut,
-    setting: PopulationSettings,
+    setting: population_report.PopulationSettings,
     tolerance: ToleranceFile = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
     with (
-        clean_errors(),
-        workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
-        progress_of(quiet) as progress,
+        common.clean_errors(),
+        common.workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
+        common.progress_of(quiet) as progress,
     ):
         setting = replace(setting, tolerance=None if tolerance is None else read_tolerance(tolerance))
         inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
-        found = outcome_of(read_batch(results, setting.by, setting.same), setting)
-        pictures = draw_figures_of(found, progress=progress)
+        found = population_report.population(read_batch(results, setting.by, setting.same), setting)
+        pictures = population_report.draw_figures(found, progress=progress)
         summary = populations.summary_of(found, written_by=BY)
         write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
-        put_in_place(place, write, pictures, inputs=inputs)
+        common.put_in_place(place, write, pictures, inputs=inputs)
     if as_json:
-        print_json(summary | {"output": str(output)})
+        common.print_json(summary | {"output": str(output)})
     else:
-        show_population(screen(), found, output)
+        show_population(common.screen(), found, output)

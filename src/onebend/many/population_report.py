@@ -16,30 +16,7 @@ from matplotlib.figure import Figure
 from onebend.errors import ResultsError
 from onebend.files.publish import write_summary
 from onebend.files.single_file import as_csv, as_parquet
-from onebend.many.population import (
-    NUMBERS,
-    Curves,
-    Estimate,
-    Judgement,
-    Named,
-    Objects,
-    Shares,
-    Tolerance,
-    banded,
-    differences,
-    fit,
-    foretold,
-    group_means,
-    half_band,
-    inside_of,
-    judge,
-    needed,
-    next_object,
-    outliers,
-    shares,
-    shrunken,
-    within,
-)
+from onebend.many import population as model
 from onebend.options import option
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray
@@ -68,7 +45,7 @@ class PopulationSettings:
         within=(0.01, 1e9),
         scale=0.01,
     )
-    tolerance: Tolerance | None = None
+    tolerance: model.Tolerance | None = None
     passes: float = option(
         "--pass-from", 0.5, "Probability of lying inside that passes.", metavar="P", within=(0.01, 0.99)
     )
@@ -79,52 +56,59 @@ class PopulationOutcome:
     """The answers, with the trial that they are from."""
 
     setting: PopulationSettings
-    named: Named
-    means: Curves  # of log k, G
+    named: model.Named
+    means: model.Curves  # of log k, G
     told: BoolArray  # (G, S) where the data of half the recordings or more tell k
     pairs: tuple[tuple[int, int], ...]  # of groups
-    ratios: Curves  # of the logarithm, a pair each
-    objects: Objects
-    curves: Curves  # of log k, O
+    ratios: model.Curves  # of the logarithm, a pair each
+    objects: model.Objects
+    curves: model.Curves  # of log k, O
     within: Array  # (S,) sd of log k within groups
-    shares: Shares
+    shares: model.Shares
     outliers: tuple[str, ...]  # O reasons
     half: tuple[float, ...]  # G half bands of log k, the median over the places that are told
     bands: Array  # (G, len(NUMBERS)) the same for that many objects
     needed: tuple[float, ...]  # G objects for the wished band; inf: no number gives it
-    judgement: Judgement | None
+    judgement: model.Judgement | None
     next_inside: Array | None  # (G,) probability that one more object of the group lies inside the tolerance
 
 
-def population(named: Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
+def population(named: model.Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
     """Learn the population from its objects. Raises `ResultsError`: a number that was asked for makes no sense."""
     if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
         raise ResultsError("a wished band is above 0, and a probability between 0 and 1. Correct it")
-    trial, found = named.trial, fit(named.trial)
-    means, told = group_means(found), named.identified >= 0.5
+    trial, found = named.trial, model.fit(named.trial)
+    means, told = model.group_means(found), named.identified >= 0.5
     groups = range(trial.groups)
     pairs = list(combinations(groups, 2))
     if trial.groups > MOST_COMPARED:
         pairs = [(i, 0) for i in groups if i]
-    objects, tolerance = shrunken(found), setting.tolerance
-    bands = [foretold(found, means, i, told[i]) if told[i].any() else np.full(NUMBERS[-1], np.nan) for i in groups]
+    objects, tolerance = model.shrunken(found), setting.tolerance
+    bands = [
+        model.foretold(found, means, i, told[i]) if told[i].any() else np.full(model.NUMBERS[-1], np.nan)
+        for i in groups
+    ]
     return PopulationOutcome(
         setting=setting,
         named=named,
         means=means,
         told=told,
         pairs=tuple(pairs),
-        ratios=differences(found, pairs) if pairs else Curves(*[np.zeros((0, len(trial.s)))] * 3),
+        ratios=model.differences(found, pairs) if pairs else model.Curves(*[np.zeros((0, len(trial.s)))] * 3),
         objects=objects,
-        curves=banded(objects, trial.common_sd),
-        within=within(found),
-        shares=shares(found),
-        outliers=outliers(found),
-        half=tuple(half_band(means, i, told[i]) for i in groups),
-        bands=np.array([one[np.array(NUMBERS) - 1] for one in bands]),
-        needed=tuple(needed(one, float(np.log1p(setting.wished))) for one in bands),
-        judgement=None if tolerance is None else judge(objects, trial.s, trial.common_sd, tolerance, setting.passes),
-        next_inside=None if tolerance is None else inside_of(next_object(found), trial.s, trial.common_sd, tolerance),
+        curves=model.banded(objects, trial.common_sd),
+        within=model.within(found),
+        shares=model.shares(found),
+        outliers=model.outliers(found),
+        half=tuple(model.half_band(means, i, told[i]) for i in groups),
+        bands=np.array([one[np.array(model.NUMBERS) - 1] for one in bands]),
+        needed=tuple(model.needed(one, float(np.log1p(setting.wished))) for one in bands),
+        judgement=None
+        if tolerance is None
+        else model.judge(objects, trial.s, trial.common_sd, tolerance, setting.passes),
+        next_inside=None
+        if tolerance is None
+        else model.inside_of(model.next_object(found), trial.s, trial.common_sd, tolerance),
     )
 
 
@@ -182,7 +166,7 @@ def _ratios(outcome: PopulationOutcome) -> dict[str, Any]:
 
 
 def _spread(outcome: PopulationOutcome) -> dict[str, Any]:
-    found = {one.name: getattr(outcome.shares, one.name) for one in fields(Shares)}
+    found = {one.name: getattr(outcome.shares, one.name) for one in fields(model.Shares)}
     return {
         "quantity": _texts(found),
         **{name: np.array([getattr(one, name) for one in found.values()]) for name in ("value", "low", "high")},
@@ -218,8 +202,8 @@ def _curves(outcome: PopulationOutcome) -> dict[str, Any]:
 
 def _needed(outcome: PopulationOutcome) -> dict[str, Any]:
     return {
-        "group": _texts([name for name in outcome.named.groups for _ in NUMBERS]),
-        "objects": np.tile(NUMBERS, len(outcome.named.groups)),
+        "group": _texts([name for name in outcome.named.groups for _ in model.NUMBERS]),
+        "objects": np.tile(model.NUMBERS, len(outcome.named.groups)),
         "half_band": np.expm1(outcome.bands).ravel(),
     }
 
@@ -238,7 +222,7 @@ def _each(names: Any, outcome: PopulationOutcome) -> pa.Array:
     return _texts(name for name in names for _ in outcome.named.trial.s)
 
 
-def _curve(curves: Curves, outcome: PopulationOutcome, name: str, unit: str) -> dict[str, Any]:
+def _curve(curves: model.Curves, outcome: PopulationOutcome, name: str, unit: str) -> dict[str, Any]:
     return {
         "s": np.tile(outcome.named.trial.s, len(curves.mean)),
         f"{name}{unit}": np.exp(curves.mean).ravel(),
@@ -321,7 +305,7 @@ def bands(outcome: PopulationOutcome) -> Figure:
     count = min(len(outcome.named.groups), MOST)
     for i in range(count):
         name = figure_text(outcome.named.groups[i] or "all")
-        axes.plot(NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
+        axes.plot(model.NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
     axes.axhline(100.0 * outcome.setting.wished, color=INK, linestyle="--", linewidth=1.0)
     axes.set(xlabel="objects of the group", ylabel="half band of its mean [%]", xscale="log", yscale="log")
     axes.legend(ncols=4)
@@ -425,7 +409,7 @@ def spread_rows(outcome: PopulationOutcome) -> list[tuple[str, list[float]]]:
     """Each spread in words, with its value and the ends of its band, as shares."""
     rows = []
     for key, (what, of_log_k) in SPREAD.items():
-        one: Estimate = getattr(outcome.shares, key)
+        one: model.Estimate = getattr(outcome.shares, key)
         values = np.array([one.value, one.low, one.high])
         rows.append((what, (np.expm1(values) if of_log_k else values).tolist()))
     return rows

@@ -24,18 +24,8 @@ from typing import Any, BinaryIO
 
 from PIL import Image
 
+from onebend import live
 from onebend.errors import OnebendError
-from onebend.live import (
-    CaptureOutcome,
-    CaptureSettings,
-    CaptureState,
-    PlayedClock,
-    camera_of,
-    copy_description,
-    force_of,
-    outcome_data,
-    record,
-)
 from onebend.live.commands import STAGE_NAMES
 from onebend.recording.folder import read_recording
 from onebend.recording.video import Picture
@@ -54,7 +44,7 @@ class Talk:
 
     def __init__(self, out: BinaryIO) -> None:
         self._out, self._one = out, threading.Lock()
-        self._newest: CaptureState | None = None
+        self._newest: live.CaptureState | None = None
         self._new, self._over = threading.Event(), False
         self._thread = threading.Thread(target=self._tell_states, daemon=True)
         self._thread.start()
@@ -65,7 +55,7 @@ class Talk:
             self._out.write((to_json(data, ascii_only=True, readable=False) + "\n").encode())
             self._out.flush()
 
-    def watch(self, state: CaptureState) -> None:
+    def watch(self, state: live.CaptureState) -> None:
         """What is known now; of states that come faster than they are told, the newest counts."""
         self._newest = state
         self._new.set()
@@ -77,7 +67,7 @@ class Talk:
         self._thread.join(_PATIENCE)
 
     def _tell_states(self) -> None:
-        told: CaptureState | None = None
+        told: live.CaptureState | None = None
         while True:
             self._new.wait()
             self._new.clear()
@@ -90,7 +80,7 @@ class Talk:
             time.sleep(OFTEN)
 
 
-def _said(state: CaptureState, before: CaptureState | None) -> dict[str, Any]:
+def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[str, Any]:
     """A state as a line; its picture and its curve only where they are new."""
     said: dict[str, Any] = {"state": state_data(state)}
     if state.picture is not None and (before is None or state.picture is not before.picture):
@@ -100,7 +90,7 @@ def _said(state: CaptureState, before: CaptureState | None) -> dict[str, Any]:
     return said
 
 
-def state_data(state: CaptureState) -> dict[str, Any]:
+def state_data(state: live.CaptureState) -> dict[str, Any]:
     """What is known while a push is recorded, for the page."""
     order = list(STAGE_NAMES)
     tags = [
@@ -141,10 +131,10 @@ def small_jpeg(picture: Picture) -> bytes:
     return memory.getvalue()
 
 
-def settings_of(wanted: Mapping[str, Any]) -> CaptureSettings:
+def settings_of(wanted: Mapping[str, Any]) -> live.CaptureSettings:
     """How the page wants it."""
     until = wanted["until_percent"]
-    return CaptureSettings(
+    return live.CaptureSettings(
         until=math.nan if until is None else until / 100.0,
         begin_at_once=wanted["now"],
         follow=not wanted["no_learning"],
@@ -154,17 +144,17 @@ def settings_of(wanted: Mapping[str, Any]) -> CaptureSettings:
     )
 
 
-def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: threading.Event) -> CaptureOutcome:
+def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: threading.Event) -> live.CaptureOutcome:
     """Record, as `onebend record` does. Raises `OnebendError` where nothing could be recorded."""
     try:
-        force = force_of(wanted["force"]) if wanted["force"] else None
-        camera = camera_of(wanted["camera"])
+        force = live.force_of(wanted["force"]) if wanted["force"] else None
+        camera = live.camera_of(wanted["camera"])
         if wanted["like"]:
-            copy_description(Path(wanted["like"]), Path(wanted["out"]))
+            live.copy_description(Path(wanted["like"]), Path(wanted["out"]))
         talk.tell({"length_m": read_recording(wanted["out"], filmed=False).beam.length})
-        clock = PlayedClock() if wanted["fast"] else None
+        clock = live.PlayedClock() if wanted["fast"] else None
         settings = settings_of(wanted)
-        return record(wanted["out"], camera, force, settings, talk.watch, stop, begin=begin, clock=clock)
+        return live.record(wanted["out"], camera, force, settings, talk.watch, stop, begin=begin, clock=clock)
     finally:
         talk.end()
 
@@ -210,7 +200,7 @@ def main() -> int:
     except OnebendError as error:
         talk.tell({"error": str(error)})
         return 2
-    talk.tell({"outcome": outcome_data(outcome) | {"fault": outcome.fault, "begun": outcome.film is not None}})
+    talk.tell({"outcome": live.outcome_data(outcome) | {"fault": outcome.fault, "begun": outcome.film is not None}})
     if outcome.film is not None and not gone.is_set():
         talk.tell({"check": check_data(outcome.folder)})
     return 2 if outcome.film is None or outcome.fault else 0
