@@ -235,6 +235,6 @@ def test_the_first_picture_does_without_the_recorder() -> None:
     done = subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True)
     found = {name for name in done.stdout.split() if name.partition(".")[0] in ("onebend", "av", "scipy", "PIL")}
     assert {name.split(".")[1] for name in found if name.startswith("onebend.")} <= {
-        "crash", "errors", "escaping", "files", "lazy", "strict_json", "studio", "workers",
+        "crash", "errors", "files", "lazy", "progress", "studio", "text_files",
     }  # fmt: skip
     assert not found & {"av", "scipy", "PIL"}

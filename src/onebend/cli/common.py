@@ -294,16 +294,6 @@ def print_summary(summary: dict[str, Any], output: Path | None) -> None:
     print_json(summary if output is None else {**summary, "output": str(output)})
 
 
-def or_nan(value: float | None) -> float:
-    """An option that was not given as a number that is not known."""
-    return math.nan if value is None else value
-
-
-def or_unlimited(limit: float | None) -> float:
-    """A limit, or infinity where none was given."""
-    return math.inf if limit is None else limit
-
-
 @contextmanager
 def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
     """Events that Ctrl-C and the Enter key set: to end the film, and to begin it. A second Ctrl-C interrupts."""

@@ -81,12 +81,6 @@ class RealBench:
         sizes = (self.thickness, self.relaxation, self.clamp_compliance, self.slide, self.push_off)
         return any(sizes) or any(self.rest_turn) or self.patch_factor != 1.0 or self.inertia
 
-    @property
-    def pictured(self) -> bool:
-        """Whether the picture shows anything that an ideal one does not."""
-        sizes = (self.base_height, self.droop, self.shake, self.drift, self.readout)
-        return any(sizes) or any(self.tag_heights) or any(any(tilt) for tilt in self.tag_tilts)
-
 
 def effects_named(named: Sequence[str], before: RealBench = RealBench()) -> RealBench:
     """`before` with effects given as NAME=SIZE: those that are one number, in the units of `RealBench`. Raises

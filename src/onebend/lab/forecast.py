@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import isfinite, isnan, nan
 from pathlib import Path
 
@@ -572,7 +572,7 @@ class SetupChange:
         """For JSON."""
         pushes = [{"at_s": p.at_s, "direction_rad": p.direction, "peak_N": p.peak} for p in self.setup.pushes]
         done = {"tags_s": list(self.setup.tags), "pushes": pushes}
-        return {"kind": self.kind, "text": self.text, "removes": self.share, "after": vars(self.quality), **done}
+        return {"kind": self.kind, "text": self.text, "removes": self.share, "after": asdict(self.quality), **done}
 
 
 @one_blas_thread

@@ -9,7 +9,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ class SimulatedRun:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, sizes to five digits."""
         numbers = {name: [float(f"{v:.5g}") for v in getattr(self, name)] for name in ("error", "sd")}
-        return vars(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
+        return asdict(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> SimulatedRun:
@@ -261,15 +261,9 @@ class Rehearsal:
             "setup": {**asked, **tolerances, "clock_sd_s": s.clock_sd, "fps": s.fps},
             "seed": self.seed,
             "s": PLACES.tolist(),
-            "predicted": {
-                **said,
-                "identified": forecast.ranges(p.identified),
-                "band": vars(p.quality),
-            },
-            "obtained": None
-            if o is None
-            else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
-            "uncertainty_budget": [vars(entry) for entry in self.budget],
+            "predicted": {**said, "identified": forecast.ranges(p.identified), "band": asdict(p.quality)},
+            "obtained": None if o is None else asdict(o),
+            "uncertainty_budget": [asdict(entry) for entry in self.budget],
             "advice": [change.as_dict() for change in self.advice],
         }
 

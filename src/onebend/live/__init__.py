@@ -81,8 +81,7 @@ else:
 
 COMMANDS = {
     "record": Place(
-        "onebend.live.commands",
-        "record",
+        "onebend.live.commands:record",
         "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
         "out/my-push --play examples/linear-beam/train",
     ),

@@ -130,7 +130,7 @@ class Bending:
         beam = stored.beam
         force = bending_force(beam)
         text = json.dumps(beam.as_dict(), sort_keys=True)
-        one = Bending(model, stored, text, _round(LARGEST_TIMES * force))
+        one = Bending(model, stored, text, float(f"{LARGEST_TIMES * force:.2g}"))
         one.point.under((0.0, 0.5 * BEGIN_TURN * force))
         return one
 
@@ -145,20 +145,15 @@ class Bending:
     def opened(self) -> dict[str, Any]:
         """What the page draws beside the answers: the beam itself, and how it is held."""
         beam, known = self.stored.beam, self.stored.uncertain
-        rest = self._line(self.pushed.start.q)
         return {
-            "model": self.model,
+            **{name: getattr(self, name) for name in ("model", "push_s", "point_s", "mode", "version")},
             "length_m": beam.length,
-            "rest_m": rest.tolist(),
+            "rest_m": self._line(self.pushed.start.q).tolist(),
             "places": PLACES.tolist(),
-            "push_s": self.push_s,
-            "point_s": self.point_s,
             "max_force_N": self.max_force,
             "largest_first_N": self.largest_first,
-            "mode": self.mode,
             "doubts": [] if known is None else list(known.doubts),
             "band": known is not None,
-            "version": self.version,
         }
 
     def change(self, wanted: dict[str, Any]) -> None:
@@ -211,9 +206,6 @@ class Bending:
     def shown(self, answer: DragAnswer, began: float) -> dict[str, Any]:
         """An answer for the page."""
         state, pose, known = answer.state, answer.pose, self.stored.uncertain
-        ellipse = None
-        if known is not None and self.hand is None:
-            ellipse = ellipse_of(self.pushed, known, state)
         return {
             "goal_m": answer.goal[:2].tolist(),
             "pose": pose.tolist(),
@@ -221,7 +213,7 @@ class Bending:
             "moment_N_m": float(state.load[2]),
             "push_m": self._at(state.q, self.push_s).tolist(),
             "line_m": np.round(self._line(state.q), 6).tolist(),
-            "ellipse": ellipse,
+            "ellipse": None if known is None or self.hand is not None else ellipse_of(self.pushed, known, state),
             "limit": answer.limit,
             "turned_away_rad": float(pose[2] - answer.goal[2]) if len(answer.goal) == 3 else 0.0,
             "away_m": float(np.hypot(*(pose[:2] - answer.goal[:2]))),
@@ -268,8 +260,3 @@ def outline_of(found: ReachMap) -> dict[str, Any]:
     corners = found.triangles
     points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
     return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
-
-
-def _round(force: float) -> float:
-    """To two digits."""
-    return float(f"{force:.2g}")

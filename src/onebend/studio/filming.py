@@ -8,7 +8,7 @@ import contextlib
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -31,7 +31,7 @@ class MadeRecording:
     """One recording that is being made, or was."""
 
     wanted: dict[str, Any]
-    length: float = 0.0  # m, of the beam
+    length_m: float = 0.0  # of the beam
     phase: str = "starting"  # recording, stopping, checking, done, failed
     state: dict[str, Any] = field(default_factory=dict)  # as `recorder.state_data` says
     curve: dict[str, Any] | None = None  # k(s) so far
@@ -46,18 +46,8 @@ class MadeRecording:
 
     def shown(self) -> dict[str, Any]:
         """For the page."""
-        return {
-            "out": self.wanted["out"],
-            "length_m": self.length,
-            "command": self.wanted["command"],
-            "phase": self.phase,
-            "state": self.state,
-            "curve": self.curve,
-            "picture": self.picture,
-            "outcome": self.outcome,
-            "check": self.check,
-            "error": self.error,
-        }
+        own = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "wanted"}
+        return {"out": self.wanted["out"], "command": self.wanted["command"], **own}
 
 
 class RecorderProcess:
@@ -150,7 +140,7 @@ class RecorderProcess:
             made.state, made.curve = said["state"], said.get("curve", made.curve)
             if made.phase == "starting":
                 made.phase = "recording"
-        made.length = said.get("length_m", made.length)
+        made.length_m = said.get("length_m", made.length_m)
         if "outcome" in said:
             made.outcome = said["outcome"]
             made.phase = "checking" if made.outcome["begun"] else made.phase

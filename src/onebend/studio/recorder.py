@@ -36,6 +36,10 @@ from onebend.text_files import to_json
 OFTEN = 0.2  # s between two pictures
 WIDEST = 800  # px of a picture that is shown
 QUALITY = 60  # of JPEG
+_AS_THEY_ARE = (
+    *("advice", "displacement", "largest", "half_width", "until", "seconds", "frames", "drops", "samples"),
+    *("lost_samples", "bytes", "disk_left"),
+)
 _PATIENCE = 3.0  # s for what is still to be said at the end
 
 
@@ -100,25 +104,14 @@ def state_data(state: live.CaptureState) -> dict[str, Any]:
     return {
         "stages": list(STAGE_NAMES.values()),
         "stage": order.index(state.stage),
-        "advice": state.advice,
         "size_px": None if state.picture is None else state.picture.shape[::-1],
         "tags": tags,
         "tag_s": sorted({tag.s for tag in state.tags if not tag.on_base}),
         "force_N": state.force,
         "tare_N": state.tare,
-        "displacement": state.displacement,
-        "largest": state.largest,
-        "half_width": state.half_width,
-        "until": state.until,
         "k_says": "" if state.live is None else state.live.verdict.headline,
-        "seconds": state.seconds,
-        "frames": state.frames,
-        "drops": state.drops,
-        "samples": state.samples,
-        "lost_samples": state.lost_samples,
         "clock_sd_s": state.clock_sd,
-        "bytes": state.bytes,
-        "disk_left": state.disk_left,
+        **{name: getattr(state, name) for name in _AS_THEY_ARE},
     }
 
 

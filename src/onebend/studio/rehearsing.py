@@ -118,15 +118,9 @@ def work(wanted: Mapping[str, Any]) -> None:
 def control_data(control: Controller) -> dict[str, Any]:
     """Force, gains and margins; infinite where there is no limit."""
     known = control.margins()
-    return {
-        "force_N": control.reference.ends.tolist(),
-        "rise_s": control.reference.rise,
-        "rate_per_s": control.gains.rate,
-        "gain": known.gain,
-        "phase_rad": known.phase,
-        "delay_s": known.delay,
-        "softest": known.softest,
-    }
+    margins = {"gain": known.gain, "phase_rad": known.phase, "delay_s": known.delay, "softest": known.softest}
+    reference = {"force_N": control.reference.ends.tolist(), "rise_s": control.reference.rise}
+    return {**reference, "rate_per_s": control.gains.rate, **margins}
 
 
 def trial_data(trial: loop_simulation.LoopTrial) -> dict[str, Any]:
