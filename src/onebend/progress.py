@@ -16,10 +16,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache, wraps
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 Item = TypeVar("Item")
 
@@ -134,6 +135,8 @@ def in_own_pages(array: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     if array.nbytes < _WORTH_PAGES:
         return array
+    import numpy as np  # here: `--help` does without
+
     rows = array.T if array.flags.f_contiguous else array
     out = np.frombuffer(_pages(array.nbytes), dtype=array.dtype).reshape(rows.shape)
     out[...] = rows

@@ -35,9 +35,8 @@ from rich.text import Text
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError, RecordingError, reference
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
-from onebend.options import POSITIVE, Only
+from onebend.options import POSITIVE
 from onebend.progress import Progress, Silent
-from onebend.recording.observe import ObserveSettings
 from onebend.records import Array, Remark
 from onebend.report.pictures import Pictures
 from onebend.report.wording import significant
@@ -70,7 +69,6 @@ Recording = Annotated[
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
-Observing = Annotated[ObserveSettings, Only(("threads",))]
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
@@ -341,6 +339,14 @@ NO_BAND = "not known: the model has no band on k(s)"
 def facts_table() -> Table:
     """An empty table of what something is (first column) and its value."""
     return Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+
+
+def listing(title: str, *columns: str) -> Table:
+    """An empty table; a column whose head begins with `<` is aligned to the left, the others to the right."""
+    table = Table(title=title, title_justify="left", box=None)
+    for name in columns:
+        table.add_column(escape(name.removeprefix("<")), justify="left" if name.startswith("<") else "right")
+    return table
 
 
 def force_words(force: Array) -> str:

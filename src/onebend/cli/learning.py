@@ -22,6 +22,7 @@ from onebend.cli.screens import show_run, show_times, show_validation
 from onebend.learning.design import Plan, PlanSettings, Proposal, direction_words, identified_words
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings
+from onebend.options import Only
 from onebend.pipeline import Run, compare, learn as learn_from, plan_next
 from onebend.progress import Progress
 from onebend.recording.folder import folder_of
@@ -40,13 +41,8 @@ from onebend.results.provenance import inputs_of, recording_files
 
 def plan_table(plan: Plan) -> Table:
     """The proposals of a plan: what costs nothing first."""
-    table = Table(
-        title="What to do next: what costs nothing first, then by how well k(s) would be known on average",
-        title_justify="left",
-        box=None,
-    )
-    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "k(s) then"):
-        table.add_column(name, justify="left" if name in ("force", "needs") else "right")
+    title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
+    table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
         needs = proposal.needs or ("the same once more" if proposal.repeats else "nothing new")
         cells = (
@@ -92,6 +88,7 @@ Method = Annotated[
         "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
     ),
 ]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
 ]
@@ -120,7 +117,7 @@ def learn(
     method: Method = "fit",
     settings: RegressionSettings,
     fitting: FitSettings,
-    observing: common.Observing,
+    observing: Observing,
     epsilon: Epsilon = None,
     overwrite: common.Overwrite = False,
     verbose: Verbose = False,
@@ -195,7 +192,7 @@ def validate(
     *,
     output: common.Output = None,
     epsilon: Epsilon = None,
-    observing: common.Observing,
+    observing: Observing,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,

@@ -16,8 +16,10 @@ from onebend.errors import ControlError
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
 from onebend.files.single_file import fresh_file, write_file
+from onebend.options import Only
 from onebend.pipeline import compare
 from onebend.recording.folder import folder_of, read_recording
+from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.detection_cache import detection_cache
 from onebend.results.model import StoredModel, model_file, read_model
@@ -87,6 +89,7 @@ DampingTime = Annotated[
         help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
     ),
 ]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 RerunFile = Annotated[
     Path | None,
     typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: the recording's name.rrd."),
@@ -136,7 +139,7 @@ def rerun_command(
     *,
     output: RerunFile = None,
     every: Every = 2,
-    observing: common.Observing,
+    observing: Observing,
     overwrite: common.Overwrite = False,
     quiet: common.Quiet = False,
 ) -> None:

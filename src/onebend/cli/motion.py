@@ -19,6 +19,7 @@ from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import Sensed, SenseSettings, sense as sense_force
 from onebend.learning.swing import DampingSettings, FilmPart, learn_damping
 from onebend.learning.swing_frequencies import frequencies_of
+from onebend.options import Only
 from onebend.progress import Progress
 from onebend.recording.folder import check_same_length, read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
@@ -44,6 +45,7 @@ Swinging = Annotated[
         help="A recording (film or tracks) with a free swing, or a CSV with time_s and a column for each signal.",
     ),
 ]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 FASTEST = 1e5  # frames a second over frames a second: no camera slows a swing down by more
 Slowed = Annotated[
     float,
@@ -64,7 +66,7 @@ def frequencies(
     part: FilmPart,
     slowed: Slowed = 1.0,
     most: MostModes = 4,
-    observing: common.Observing,
+    observing: Observing,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
@@ -87,7 +89,7 @@ def damp(
     part: FilmPart,
     settings: DampingSettings,
     output: ModelFile = None,
-    observing: common.Observing,
+    observing: Observing,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,
@@ -127,7 +129,7 @@ def sense(
     settings: SenseSettings,
     bag: Bag = False,
     output: common.Output = None,
-    observing: common.Observing,
+    observing: Observing,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
     quiet: common.Quiet = False,

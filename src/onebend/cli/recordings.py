@@ -249,9 +249,7 @@ def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:
     """All that `onebend calibrate` says."""
-    table = Table(title="The camera", title_justify="left", box=None)
-    for name in ("", "value", "sd"):
-        table.add_column(name, justify="right" if name else "left")
+    table = common.listing("The camera", "<", "value", "sd")
     for name, value, sd in zip(NAMES, calibration.values, calibration.sd, strict=True):
         if name != "k3" or value != 0.0:
             unit = " \\[px]" if name in NAMES[:4] else ""

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
-from onebend.cli.common import facts_table, force_words, remarks_list, say_written, warnings_list
+from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written, warnings_list
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.swing import Damping, SwingFit
@@ -176,10 +176,7 @@ def allowance_table(posterior: Posterior) -> Table:
 
 def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     """Time of every stage, and its share of the video's length."""
-    table = Table(title=f"Time (the video plays {video_seconds:.1f} s)", title_justify="left", box=None)
-    table.add_column("stage")
-    table.add_column("s", justify="right")
-    table.add_column("of the video", justify="right")
+    table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
     *stages, total = wording.stage_rows(seconds)
     for name, value in stages:
         table.add_row(escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
@@ -276,9 +273,7 @@ def damping_words(damping: Damping) -> str:
 
 def swing_table(fit: SwingFit) -> Table:
     """What the swing says, one quantity a row."""
-    table = Table(title="From the free swing", title_justify="left", box=None)
-    for name in ("", "value", "sd"):
-        table.add_column(name, justify="left" if not name else "right")
+    table = listing("From the free swing", "<", "value", "sd")
     damping = fit.damping
     table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
     table.add_row("natural frequency \\[Hz]", f"{damping.frequency[0]:.5g}", f"{damping.frequency_sd:.2g}")
@@ -299,10 +294,7 @@ def swing_table(fit: SwingFit) -> Table:
 
 def frequency_table(found: FoundFrequencies) -> Table:
     """One mode a row."""
-    table = Table(title="Frequencies of the free swing", title_justify="left", box=None)
-    for name in ("Hz", "sd", "damping ratio", "sd", "size"):
-        table.add_column(name, justify="right")
-    table.add_column("")
+    table = listing("Frequencies of the free swing", "Hz", "sd", "damping ratio", "sd", "size", "<")
     for one in found.modes:
         said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
         cells = (f"{one.damping_ratio:.3g}", f"{one.damping_ratio_sd:.2g}", f"{100 * one.share:.3g} %", said)

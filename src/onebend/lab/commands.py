@@ -32,7 +32,6 @@ from onebend.lab.random_bench import (
     random_bench,
 )
 from onebend.lab.sheet import Sheet, files_of, strip_page, tag_pages
-from onebend.progress import Progress
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
@@ -88,11 +87,19 @@ def film(
     with common.clean_errors(), common.progress_of(quiet) as progress:
         filming, folder = _filming(design, request, seed, output, effects)
         if effect:
-            filming = _with_effects(filming, effect, effects)
+            bench, patch = filming.bench, PATCH_OVER_TAG * filming.tag_size
+            before = bench.effects if effects else replace(bench.effects, patch_length=patch)
+            filming = replace(filming, bench=replace(bench, effects=effects_named(effect, before)))
         check(filming, folder)
         if markers:
             check_trackable(filming)
-        make = partial(_make, filming, markers=markers, seed=seed, progress=progress)
+
+        def make(folder: Path) -> None:
+            if markers:
+                marker_recording(filming.bench, folder, seed=seed)
+            else:
+                make_film(filming, folder, seed=seed, progress=progress)
+
         with common.workplace(folder, FILM_FORMAT, overwrite=False) as place:
             common.put_in_place(place, make)
     bench = filming.bench
@@ -104,20 +111,6 @@ def film(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
         f"s = {bench.push.at_s:g}. Learn from it with: onebend learn {folder}"
     )
-
-
-def _make(filming: Filming, folder: Path, *, markers: bool, seed: int, progress: Progress) -> None:
-    if markers:
-        marker_recording(filming.bench, folder, seed=seed)
-        return
-    make_film(filming, folder, seed=seed, progress=progress)
-
-
-def _with_effects(filming: Filming, named: list[str], drawn: bool) -> Filming:
-    """What is filmed, with effects that are named beside those that are drawn."""
-    bench = filming.bench
-    before = bench.effects if drawn else replace(bench.effects, patch_length=PATCH_OVER_TAG * filming.tag_size)
-    return replace(filming, bench=replace(bench, effects=effects_named(named, before)))
 
 
 def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, effects: bool) -> tuple[Filming, Path]:
@@ -156,20 +149,19 @@ def design_table(expected: designs.Expected) -> Table:
     """What the beam is, and what it does by itself."""
     design = expected.design
     width, bending = 1e3 * np.asarray(design.width(designs.DENSE)), design.bending(designs.DENSE)
+    droop = f"{1e3 * expected.droop:.1f} mm" if math.isfinite(expected.droop) else "no equilibrium"
+    k = bending / design.length
     rows = (
         ("length, depth", f"{1e3 * design.length:g} mm, {1e3 * design.depth:g} mm"),
         ("width", f"{width.min():.4g} to {width.max():.4g} mm, narrowest at s = {designs.DENSE[width.argmin()]:.2f}"),
         ("modulus E", f"{significant(design.modulus / 1e6)} MPa ({design.source})"),
         ("EI", f"{significant(1e6 * bending.min())} to {significant(1e6 * bending.max())} N mm^2"),
-        (
-            "k = EI / L",
-            f"{significant(bending.min() / design.length)} to {significant(bending.max() / design.length)} N m",
-        ),
+        ("k = EI / L", f"{significant(k.min())} to {significant(k.max())} N m"),
         ("mass", f"{1e3 * design.mass:.1f} g"),
         ("tip moves", f"{significant(1e3 * expected.compliance)} mm/N (small forces across)"),
         ("buckles at", f"{significant(expected.buckling)} N on the tip along the beam"),
         ("vibrates at", f"{', '.join(significant(f) for f in expected.frequency)} Hz"),
-        ("weight lowers the tip", f"{1e3 * expected.sag:.1f} mm lying flat, {_droop(expected)} on edge"),
+        ("weight lowers the tip", f"{1e3 * expected.sag:.1f} mm lying flat, {droop} on edge"),
     )
     table = Table(show_header=False, box=None)
     for row in rows:
@@ -179,26 +171,18 @@ def design_table(expected: designs.Expected) -> Table:
 
 def bends_table(expected: designs.Expected) -> Table:
     """Forces for turns of the tip."""
-    table = Table(title="To turn the tip, by a push square to the beam at its tip", title_justify="left", box=None)
-    for name in ("turn \\[deg]", "force \\[N]", "tip x \\[mm]", "tip y \\[mm]", "strain \\[%]"):
-        table.add_column(name, justify="right")
+    title = "To turn the tip, by a push square to the beam at its tip"
+    table = common.listing(title, "turn [deg]", "force [N]", "tip x [mm]", "tip y [mm]", "strain [%]")
     for bend in expected.bends:
         x, y = 1e3 * bend.tip
-        table.add_row(
-            f"{math.degrees(bend.turn):.0f}",
-            significant(bend.force),
-            f"{x:.1f}",
-            f"{y:.1f}",
-            f"{100 * bend.strain:.1f}",
-        )
+        turn, strain = f"{math.degrees(bend.turn):.0f}", f"{100 * bend.strain:.1f}"
+        table.add_row(turn, significant(bend.force), f"{x:.1f}", f"{y:.1f}", strain)
     return table
 
 
 def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabrication.PrintedPart], out: Path) -> None:
     """The parts and what to pour."""
-    table = Table(title=f"Parts of {escape(made.design.name)}", title_justify="left", box=None)
-    for name in ("part", "size \\[mm]", "plastic \\[cm^3]"):
-        table.add_column(name, justify="left" if name == "part" else "right")
+    table = common.listing(f"Parts of {escape(made.design.name)}", "<part", "size [mm]", "plastic [cm^3]")
     for part in parts:
         size = " x ".join(f"{extent:.1f}" for extent in part.mesh.extents)
         table.add_row(part.name, size, f"{part.mesh.volume / 1e3:.1f}")
@@ -207,10 +191,6 @@ def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabric
         f"Pour {1e6 * made.volume:.1f} ml ({1e3 * made.pour:.1f} g) of silicone. Files are in {escape(str(out))}.",
         highlight=False,
     )
-
-
-def _droop(expected: designs.Expected) -> str:
-    return f"{1e3 * expected.droop:.1f} mm" if math.isfinite(expected.droop) else "no equilibrium"
 
 
 DesignName = Annotated[

@@ -178,13 +178,8 @@ def errors_table(rehearsal: Rehearsal) -> Table:
     p, o = rehearsal.predicted, rehearsal.obtained
     title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("s", justify="right")
-    table.add_column("k \\[N m]", justify="right")
-    names = ["predicted", "9 in 10"]
-    names += [] if o is None else ["obtained", "9 in 10", "in the band"]
-    for name in names:
-        table.add_column(name, justify="right")
+    names = [] if o is None else ["obtained", "9 in 10", "in the band"]
+    table = common.listing(title, "s", "k [N m]", "predicted", "9 in 10", *names)
     for i in range(0, len(PLACES), EVERY):
         cells = [_percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])]
         if o is not None:
@@ -196,13 +191,8 @@ def errors_table(rehearsal: Rehearsal) -> Table:
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Table:
     """The band if one nuisance were known exactly."""
-    table = Table(
-        title="What costs most: how well k(s) would be known if one thing were known exactly",
-        title_justify="left",
-        box=None,
-    )
-    for name in ("known exactly", "k(s) then", "removes"):
-        table.add_column(name, justify="left" if name == "known exactly" else "right")
+    title = "What costs most: how well k(s) would be known if one thing were known exactly"
+    table = common.listing(title, "<known exactly", "k(s) then", "removes")
     for entry in budget:
         table.add_row(escape(entry.name), half_width_words(0.5 * entry.mean_width), share_words(entry.share))
     return table
@@ -210,9 +200,8 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
 
 def advice_table(rehearsal: Rehearsal) -> Table:
     """Changes, best first."""
-    table = Table(title="What to change, by how much it narrows the band", title_justify="left", box=None)
-    for name in ("", "change", "k(s) then", "removes"):
-        table.add_column(name, justify="left" if name == "change" else "right")
+    title = "What to change, by how much it narrows the band"
+    table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
         table.add_row(str(i), escape(change.text), change.quality.mean_words, share_words(change.share))
     return table
