@@ -86,7 +86,6 @@ def _one_line(text: str) -> str:
 
 
 def _flushed() -> bool:
-    """Whether all output is out. Where it is not, it is given up, so that Python does not complain of it once more."""
     done = True
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -228,7 +228,6 @@ def _fit(
 def _result(
     seen: Sequence[Observations], learned: Learned | None, posterior: Posterior | None
 ) -> tuple[Beam, tuple[Comparison, ...]]:
-    """The beam that is handed on, and how it follows the recordings that it was learned from."""
     if posterior is not None:
         beam = posterior.beam
         return beam, tuple(validate(beam, one) for one in seen)

@@ -144,7 +144,6 @@ def in_own_pages(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _pages(count: int) -> mmap.mmap:
-    """So many bytes, of this process alone."""
     if hasattr(mmap, "MAP_PRIVATE"):
         return mmap.mmap(-1, count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     return mmap.mmap(-1, count)
@@ -268,7 +267,6 @@ def _libraries(*_loaded: bool) -> tuple[Any, ...]:
 
 
 def _is_of_one_thread(library: Any) -> bool:
-    """Whether the library keeps its setting for each thread by itself."""
     return library.internal_api == "mkl" or getattr(library, "threading_layer", "") == "openmp"
 
 

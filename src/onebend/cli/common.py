@@ -170,7 +170,6 @@ def clean_errors() -> Iterator[None]:
 
 
 def _fail(message: str, error: BaseException, code: int, *, docs: str = "") -> NoReturn:
-    """Say what is wrong, what was added to the error on its way here, and where to read of it."""
     sentences = [message, *getattr(error, "__notes__", ())]
     text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
     say("\n".join(filter(None, (f"onebend: {text}", docs))), err=True)
@@ -287,9 +286,12 @@ def print_json(data: object) -> None:
     typer.echo(text)
 
 
-def print_summary(summary: dict[str, Any], output: Path | None) -> None:
-    """A summary as JSON, with the folder where there is one."""
-    print_json(summary if output is None else {**summary, "output": str(output)})
+def answer(as_json: bool, data: Mapping[str, Any], show: Callable[[Console], None], output: Path | None = None) -> None:
+    """The data as JSON, with the folder where there is one; or what `show` says on the screen."""
+    if as_json:
+        print_json(data if output is None else {**data, "output": str(output)})
+    else:
+        show(screen())
 
 
 @contextmanager
@@ -389,6 +391,5 @@ def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
 
 
 def _add_docs(table: Table, remark: Remark) -> None:
-    """Below a warning, where to read of it."""
     if remark.docs:
         table.add_row("", Text(reference(remark.about), "dim"))

@@ -99,10 +99,7 @@ def reach(
                 common.put_in_place(
                     place, control_files.reach_writer(found, pictures, summary), pictures, inputs=inputs
                 )
-    if as_json:
-        common.print_summary(summary, output)
-    else:
-        show_reach(common.screen(), found, error, output)
+    common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
 
 
 def _within(found: Reach) -> ReachableSet | None:
@@ -283,10 +280,7 @@ def shape(
                 common.put_in_place(
                     place, control_files.shape_writer(found, pictures, summary), pictures, inputs=inputs
                 )
-    if as_json:
-        common.print_summary(summary, output)
-    else:
-        show_shape(common.screen(), found, output)
+    common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
 
 
 def path(
@@ -336,14 +330,10 @@ def path(
                     pictures,
                     inputs=inputs,
                 )
-    if as_json:
-        common.print_summary(summary, output)
-    else:
-        show_path(common.screen(), way, sure, output, bag=bag)
+    common.answer(as_json, summary, lambda console: show_path(console, way, sure, output, bag=bag), output)
 
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
-    """Whether one push leads one point."""
     return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
 
 

@@ -228,10 +228,7 @@ def validate(
                 common.put_in_place(
                     place, learned_files.validation_writer(pairs, pictures, summary), pictures, inputs=inputs
                 )
-    if as_json:
-        common.print_json(summary)
-    else:
-        show_validation(common.screen(), pairs, output)
+    common.answer(as_json, summary, lambda console: show_validation(console, pairs, output))
 
 
 def plan(

@@ -36,10 +36,7 @@ def show(model: common.Model, *, log: common.LogAxis = False, as_json: common.Js
     with common.clean_errors():
         stored = read_model(model)
         say_changed(model, stored)
-    if as_json:
-        common.print_json(model_summary(stored))
-    else:
-        show_model(common.screen(), stored, log=log)
+    common.answer(as_json, model_summary(stored), lambda console: show_model(console, stored, log=log))
 
 
 def read_trusted(model: Path) -> StoredModel:
@@ -127,7 +124,6 @@ def export_command(
 
 
 def _damping_time(asked: float | None, stored: StoredModel) -> float:
-    """s: what was asked for, else what a swing said."""
     if asked is not None:
         return asked
     return DAMPING_TIME if stored.damping is None else stored.damping.loss_time

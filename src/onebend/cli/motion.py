@@ -76,10 +76,11 @@ def frequencies(
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
         found = frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
-    if as_json:
-        common.print_json({**frequencies_summary(str(source), found, written_by=BY)})
-    else:
-        show_frequencies(common.screen(), found)
+    common.answer(
+        as_json,
+        frequencies_summary(str(source), found, written_by=BY),
+        lambda console: show_frequencies(console, found),
+    )
 
 
 def damp(
@@ -152,14 +153,10 @@ def sense(
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
                 _write(work, model, recording, found, summary, bag=bag)
-    if as_json:
-        common.print_summary(summary, output)
-    else:
-        show_sensed(common.screen(), found, output, bag=bag)
+    common.answer(as_json, summary, lambda console: show_sensed(console, found, output, bag=bag), output)
 
 
 def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:
-    """A recording of the learned beam."""
     files = read_recording(recording)
     check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect

@@ -325,7 +325,6 @@ def calibrate(
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:
-    """From what was typed."""
     kind, size = board
     kinds: dict[str, BoardKind] = {one: one for one in get_args(BoardKind)}
     if kind not in kinds:

@@ -56,7 +56,6 @@ def selection_table(learned: Learned) -> Table:
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
     if len(learned.training.tag_id) <= FEW:
         return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
             list(map(wording.millimetres, t.rms)) for t in learned.trials
@@ -249,7 +248,6 @@ def _axis(columns: int) -> tuple[Text, Text]:
 
 
 def _numbers(beam: Beam) -> Table:
-    """k at eleven places, in two lines."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 1, 0, 0))
     s = np.linspace(0.0, 1.0, 11)
     table.add_row("[dim]s[/]", *(f"[dim]{place:.1f}[/]" for place in s))
@@ -398,7 +396,6 @@ def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
 
 
 def _more_rows(found: Sensed, peak: int) -> list[tuple[str, str]]:
-    """The moment, and the second force, where they were asked for."""
     rows, moment, two, second = [], found.moment, found.two, found.second
     if moment is not None:
         value, share = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)", moment.prior_share[peak]
@@ -478,7 +475,6 @@ def verdict_rows(run: wording.Findings) -> Table:
 
 
 def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[RenderableType]:
-    """The plot as large as the screen lets it be, and the numbers below."""
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = confidence.measured_beam(run)
@@ -492,7 +488,6 @@ def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[Re
 
 
 def _everything(run: wording.Findings) -> list[RenderableType]:
-    """What the answer does not need: it stands in the report as well."""
     parts: list[RenderableType] = []
     if run.learned is not None:
         parts.append(selection_table(run.learned))
@@ -509,7 +504,6 @@ def _everything(run: wording.Findings) -> list[RenderableType]:
 
 
 def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
-    """Why there are two errors of what was learned from."""
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
         largest = wording.millimetres(float(np.nanmax(rms)))
@@ -521,7 +515,6 @@ def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
 
 
 def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
-    """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
     blind = confidence.unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [

@@ -114,7 +114,6 @@ def film(
 
 
 def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, effects: bool) -> tuple[Filming, Path]:
-    """What is filmed, with effects drawn where they are asked for, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")
         ranges = BenchRanges(effects=LABORATORY if effects else None)
@@ -268,10 +267,11 @@ def design(
         found = _of_material(designs.find_design(name), silicone, shore_a, shore_zero, modulus)
         expected = designs.expect(found)
         _write_all(_design_files(found, csv_file, picture, model), overwrite=overwrite)
-    if as_json:
-        common.print_json({"format": fabrication.DESIGN_FORMAT, "written_by": BY, **expected.as_dict()})
-    else:
-        show_design(common.screen(), expected)
+    common.answer(
+        as_json,
+        {"format": fabrication.DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
+        lambda console: show_design(console, expected),
+    )
 
 
 def mould(
@@ -295,10 +295,7 @@ def mould(
         summary = fabrication.parts_summary(made, parts, written_by=BY)
         common.put_in_place(place, fabrication.parts_writer(parts, shape, summary), inputs=inputs_of([Path(name)]))
         _write_all(_picture(picture, partial(fabrication.parts_figure, parts)), overwrite=overwrite)
-    if as_json:
-        common.print_json(summary)
-    else:
-        show_parts(common.screen(), made, parts, output)
+    common.answer(as_json, summary, lambda console: show_parts(console, made, parts, output))
 
 
 def tags(
@@ -364,7 +361,6 @@ def parse_ids(text: str) -> tuple[int, ...]:
 def _of_material(
     found: designs.Design, named: str | None, shore_a: float | None, shore_zero: float | None, modulus: float | None
 ) -> designs.Design:
-    """The design cast of what the options say."""
     given = [value for value in (named, shore_a, shore_zero, modulus) if value is not None]
     if len(given) > 1:
         raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
@@ -381,7 +377,6 @@ def _of_material(
 def _design_files(
     found: designs.Design, csv_file: Path | None, picture: Path | None, model: Path | None
 ) -> dict[Path, str | bytes]:
-    """What was asked for of a design, by where it goes."""
     files: dict[Path, str | bytes] = {}
     if csv_file is not None:
         files[csv_file] = fabrication.design_csv(found)
@@ -392,7 +387,6 @@ def _design_files(
 
 
 def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
-    """A picture by where it goes, where one is wanted and can be drawn."""
     if path is None:
         return {}
     pictures = draw({path.name: make})

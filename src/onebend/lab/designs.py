@@ -256,7 +256,6 @@ class Design:
 
 
 def _named(name: str, width: tuple[float, ...]) -> Design:
-    """A named design: 150 mm long, 30 mm deep, of a silicone of Shore A 30, the paper's hardness read on scale A."""
     by = from_shore_a(30.0)
     return Design(name, 0.15, 0.03, Powers(width), by.modulus, by.log_sd, TYPICAL_DENSITY, by.source)
 
@@ -527,7 +526,6 @@ class TipBend:
     strain: float  # largest strain at the surface
 
     def as_dict(self) -> dict[str, float]:
-        """For JSON."""
         return {
             "turn_deg": math.degrees(self.turn),
             "force_N": self.force,
@@ -550,7 +548,6 @@ class Expected:
     droop: float  # m, the same where that plane is upright and the beam level
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         design, bending = self.design, self.design.bending(DENSE)
         return {
             "name": design.name,
@@ -641,7 +638,6 @@ def across_depth(design: Design) -> Beam:
 
 
 def _lowered(beam: Beam) -> float:
-    """m, the tip's y under the weight of a level beam."""
     solved = equilibrium(beam, weight((0.0, -GRAVITY)), resolution=FINE)
     return float(solved.xy(np.array([1.0]))[0, 0, 1]) if solved.converged[0] else math.nan
 

@@ -253,7 +253,6 @@ def _block(cavity: Manifold, settings: MouldSettings) -> Manifold:
 
 
 def _fastened(left: Manifold, right: Manifold, cavity: Manifold) -> tuple[Manifold, Manifold]:
-    """Pegs on the left half, their holes in the right one, and a screw through both at either end."""
     low_x, _, _, high_x, _, top = cavity.bounding_box()
     reach = 2.0 * left.bounding_box()[4]
     for x in (low_x - 0.5 * END, high_x + 0.5 * END):
@@ -355,7 +354,6 @@ def _carrier(design: Design, s: float, seat: TagSeat) -> Manifold:
 
 
 def _screws(back: float, half: float, depth: float) -> list[Manifold]:
-    """Holes for four M4 screws through cap and lower part, and into what the clamp stands on."""
     aside, fore, aft = half - 0.5 * BESIDE, -0.5 * BESIDE, back + 0.5 * BESIDE
     return [upright(x, y, -FLOOR - 1.0, depth + CAP + 1.0, SCREW) for x in (aft, fore) for y in (-aside, aside)]
 

@@ -569,7 +569,6 @@ class SetupChange:
     share: float  # of the mean width of the band that it removes; negative: it adds
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
         pushes = [{"at_s": p.at_s, "direction_rad": p.direction, "peak_N": p.peak} for p in self.setup.pushes]
         done = {"tags_s": list(self.setup.tags), "pushes": pushes}
         return {"kind": self.kind, "text": self.text, "removes": self.share, "after": asdict(self.quality), **done}
@@ -600,7 +599,6 @@ Candidate = tuple[str, str, Setup]
 
 
 def _tags(setup: Setup) -> Iterator[Candidate]:
-    """One more tag in the middle of each gap, and at a bare tip."""
     edges = np.concatenate([[0.0], np.sort(setup.tags)])
     places = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > GAP]
     for s in [*places.tolist(), *([1.0] if edges[-1] < 1.0 - GAP else [])]:
@@ -611,7 +609,6 @@ def _tags(setup: Setup) -> Iterator[Candidate]:
 
 
 def _pushes(setup: Setup) -> Iterator[Candidate]:
-    """The first push made otherwise, and one more push."""
     first = setup.pushes[0]
     bench = replace(instruments(setup).bench, curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
@@ -638,7 +635,6 @@ def sharpest(setup: Setup) -> float:
 
 
 def _instruments(setup: Setup) -> Iterator[Candidate]:
-    """Better sensors, tolerances and clocks."""
     sensor = setup.sensor
     if sensor.gain_sd > GAIN_SD:
         known = replace(sensor, gain_sd=GAIN_SD)
@@ -668,7 +664,6 @@ def push_words(push: PushProfile) -> str:
 
 
 def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
-    """Without near-duplicates and changes that hardly help."""
     kept: list[SetupChange] = []
     for change in ranked:
         alike = [k for k in kept if k.kind == change.kind]
@@ -679,5 +674,4 @@ def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
 
 
 def _last(change: SetupChange) -> float:
-    """Place of the push that a change is about."""
     return change.setup.pushes[0 if change.kind == "push" else -1].at_s

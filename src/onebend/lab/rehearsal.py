@@ -69,7 +69,6 @@ class SimulatedRun:
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> SimulatedRun:
-        """From `as_dict`."""
         changed = {"error": tuple(data["error"]), "sd": tuple(data["sd"])}
         return SimulatedRun(**(data | changed | {"identified": tuple(v == "1" for v in data["identified"])}))
 
@@ -139,7 +138,6 @@ def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observat
 
 
 def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
-    """The same with the force log's axes turned by a drawn error."""
     turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
     cos, sin = np.cos(turn), np.sin(turn)
     force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
@@ -187,7 +185,6 @@ def key_of(setup: forecast.Setup) -> str:
 
 
 def _each(setup: forecast.Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
-    """Runs as they end. Workers do not answer to an interrupt: the parent does, and ends them."""
     if jobs <= 1 or len(seeds) <= 1:
         yield from (simulate_run(setup, seed) for seed in seeds)
         return
@@ -400,12 +397,10 @@ def _best_known(predicted: forecast.PredictedBand) -> BoolArray:
 
 
 def _percent(log_error: Array) -> Array:
-    """Sizes of log k as ones of k, as in the table."""
     return np.asarray(100.0 * np.expm1(log_error))
 
 
 def _marks(axes: Axes, rehearsal: Rehearsal) -> None:
-    """Tags as ticks below, pushes as arrows."""
     across = axes.get_xaxis_transform()
     tags = list(rehearsal.setup.tags)
     axes.plot(tags, [0.0] * len(tags), "s", color=INK, markersize=6, clip_on=False, transform=across, zorder=5)

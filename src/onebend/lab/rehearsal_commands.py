@@ -137,10 +137,9 @@ def loop(
                 pictures = draw({"loop": lambda: looping(control, trials)})
                 inputs = inputs_of([model_file(model)])
                 common.put_in_place(place, loop_writer(trials, pictures, summary), pictures, inputs=inputs)
-    if as_json:
-        common.print_summary(summary, output)
-    else:
-        show_loop(common.screen(), control, known, trials, output, rehearsed)
+    common.answer(
+        as_json, summary, lambda console: show_loop(console, control, known, trials, output, rehearsed), output
+    )
 
 
 # What `onebend rehearse` says.
@@ -228,7 +227,6 @@ def share_words(share: float) -> str:
 
 
 def _percent(log_error: float) -> str:
-    """A size of log k as one of k."""
     return f"{100.0 * np.expm1(log_error):.2g}" if log_error < 1.0 else f"x {np.exp(log_error):.2g}"
 
 
@@ -420,7 +418,4 @@ def reproduce(
         summary = study_report.summary_of(found, written_by=BY)
         write = study_report.writer(found, pictures, summary, place.work, version=onebend.__version__)
         common.put_in_place(place, write, pictures, made_from=common.made_from_files((), {"study": setting}))
-    if as_json:
-        common.print_json(summary | {"output": str(output)})
-    else:
-        show_reproduced(common.screen(), found, output)
+    common.answer(as_json, summary | {"output": str(output)}, lambda console: show_reproduced(console, found, output))

@@ -115,7 +115,6 @@ class SensedForce:
         self._live = OnlineSense(model, at_rest, stiffness=relative, instruments=instruments)
 
     def __call__(self, seen: Exposure) -> LiveForce:
-        """The force of this frame."""
         shown = turned(
             self._markers(np.full(1, seen.time, dtype=np.float64), seen.pose(self._places)[None]), self._turn
         )
@@ -142,7 +141,6 @@ class SensedForce:
 
 
 def _at_rest(shown: Markers, length: float, seen: SensedTags, push_s: float) -> Observations:
-    """What a recording says of the beam before anything touches it."""
     count = len(shown.time)
     in_frame, rest, _ = to_beam_frame(shown, np.ones(count, dtype=bool), seen.placement_sd, np.zeros((count, 2)))
     return Observations(

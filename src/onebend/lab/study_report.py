@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from math import atan2, degrees, nan
 from pathlib import Path
@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from onebend.files.publish import write_summary
 from onebend.files.single_file import link_tree
 from onebend.lab import study
-from onebend.learning.outcome import Trial
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
@@ -68,21 +67,15 @@ def selection_table(beam: study.BeamOutcome) -> ResultTable:
         there = printed.get((trial.n, trial.m))
         who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == beam.learned.chosen))
         chosen = [name for name, it_is in who if it_is]
-        rows.append((trial.n, trial.m, *_printed(there), *_ours(trial), " and ".join(chosen), trial.why_out))
+        theirs = (nan,) * 4 if there is None else (*there.rms, there.bic)
+        ours = (*map(float, trial.rms), trial.bic if np.isfinite(trial.bic) else nan)
+        rows.append((trial.n, trial.m, *theirs, *ours, " and ".join(chosen), trial.why_out))
     return ResultTable(
         f"table-{said.selection_table}",
         f"Table {said.selection_table}: RMS of errors of the {beam.name} beam",
         ("n", "m", *_named("printed"), "printed_bic", *_named("ours"), "ours_bic", "chosen_by", "out_because"),
         tuple(rows),
     )
-
-
-def _printed(row: study.PrintedTrial | None) -> tuple[float, ...]:
-    return (nan,) * 4 if row is None else (*row.rms, row.bic)
-
-
-def _ours(trial: Trial) -> tuple[float, ...]:
-    return (*map(float, trial.rms), trial.bic if np.isfinite(trial.bic) else nan)
 
 
 def _named(by: str) -> tuple[str, ...]:
@@ -458,31 +451,23 @@ def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
     worst = largest(float(film.fit.rms[-1]) for film in films)
     floor = largest(float(film.true.rms[-1]) for film in films)
     off = largest(done.off for done in reached)
-    return [
-        {
-            "what": "validations below the printed tip error",
-            "value": f"{below} of {known}",
-            "note": f"of Tables IV and V; the largest of all: {millimetres(worst)} mm, the true beam's: "
-            f"{millimetres(floor)} mm",
-        },
-        {
-            "what": "k(s) is off by",
-            "value": f"{significant(min(fits), 2)} … {significant(max(fits), 2)} %",
-            "note": f"the paper's method: {significant(min(papers), 2)} … {significant(max(papers), 2)} %"
-            if papers
-            else "the paper's method gave no beam",
-        },
-        {
-            "what": "tasks reached in the model",
-            "value": f"{len(reached)} of {len(tasks)}",
-            "note": f"to {length_words(largest(done.found.error for done in reached))}",
-        },
-        {
-            "what": "the true beam is then off by",
-            "value": f"{millimetres(off)} mm",
-            "note": "at most, under the same force",
-        },
-    ]
+    largest_tip = f"the largest of all: {millimetres(worst)} mm, the true beam's: {millimetres(floor)} mm"
+    others = f"the paper's method: {significant(min(papers), 2)} … {significant(max(papers), 2)} %" if papers else ""
+    figures = (
+        ("validations below the printed tip error", f"{below} of {known}", f"of Tables IV and V; {largest_tip}"),
+        (
+            "k(s) is off by",
+            f"{significant(min(fits), 2)} … {significant(max(fits), 2)} %",
+            others or "the paper's method gave no beam",
+        ),
+        (
+            "tasks reached in the model",
+            f"{len(reached)} of {len(tasks)}",
+            f"to {length_words(largest(done.found.error for done in reached))}",
+        ),
+        ("the true beam is then off by", f"{millimetres(off)} mm", "at most, under the same force"),
+    )
+    return [{"what": what, "value": value, "note": note} for what, value, note in figures]
 
 
 def shown(table: ResultTable) -> dict[str, Any]:
@@ -554,7 +539,7 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
     return {
         "format": REPRODUCE_FORMAT,
         "written_by": written_by,
-        "setting": outcome.setting.as_dict(),
+        "setting": asdict(outcome.setting),
         "force_scale": outcome.gain,
         "validations_below_printed": below,
         "validations_printed": known,

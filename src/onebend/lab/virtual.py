@@ -330,7 +330,6 @@ def _untouched(bench: VirtualBench, time: Array) -> BoolArray:
 
 
 def _clock(bench: VirtualBench, error: float, sd: float) -> ClockOffset | None:
-    """What is found of the clocks where they are not known."""
     return ClockOffset(bench.clock.offset + error, sd, bench.clock.declared, True) if sd > 0.0 else None
 
 

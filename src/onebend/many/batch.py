@@ -94,7 +94,6 @@ def limit_of(count: int) -> float:
 
 
 def _spread(values: Array) -> float:
-    """Robust sd, by the median of absolute deviations."""
     return max(MAD_TO_SD * float(np.median(np.abs(values - np.median(values)))), 1e-12)
 
 
@@ -342,7 +341,6 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
 
 
 def _labels(outcome: BatchOutcome) -> dict[str, pa.Array]:
-    """The list's own columns: numbers where every cell is one or empty, else text."""
     rows: Sequence[Mapping[str, str]] = [dict(item.labels) for item in outcome.items]
     names = rows[0] if rows else ()
     return {name: _column([row.get(name, "") for row in rows]) for name in names if name != LENGTH}
@@ -403,7 +401,6 @@ def _table(outcome: BatchOutcome) -> dict[str, Any]:
 
 
 def _cell(cell: Any) -> dict[str, str]:
-    """What is shown, and what is sorted by."""
     if isinstance(cell, str):
         return {"words": one_line(cell), "value": one_line(cell)}
     if not np.isfinite(cell):

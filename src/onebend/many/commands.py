@@ -124,10 +124,7 @@ def batch(
             )
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
-    if as_json:
-        common.print_json({**summary, "output": str(output)})
-    else:
-        show_batch(common.screen(), outcome)
+    common.answer(as_json, {**summary, "output": str(output)}, lambda console: show_batch(console, outcome))
 
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
@@ -161,7 +158,4 @@ def population(
         summary = populations.summary_of(found, written_by=BY)
         write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
         common.put_in_place(place, write, pictures, inputs=inputs)
-    if as_json:
-        common.print_json(summary | {"output": str(output)})
-    else:
-        show_population(common.screen(), found, output)
+    common.answer(as_json, summary | {"output": str(output)}, lambda console: show_population(console, found, output))

@@ -260,13 +260,11 @@ def objects_of(trial: PopulationTrial, spreads: Spreads) -> Means:
 
 
 def _shares(found: Fit, axes: list[Array]) -> list[Array]:
-    """The weight at each point of each axis."""
     whole = found.weight.reshape([len(axis) for axis in axes] + [len(LENGTHS)])
     return [np.asarray(whole.sum(axis=tuple(j for j in range(whole.ndim) if j != i))) for i in range(len(axes))]
 
 
 def _closer(axis: Array, share: Array) -> Array:
-    """The axis from one point before where the weight begins to one after where it ends."""
     before = np.cumsum(share)
     first = max(int(np.searchsorted(before, TAIL)) - 1, 0)
     last = min(int(np.searchsorted(before, 1.0 - TAIL)) + 1, len(axis) - 1)
@@ -334,7 +332,6 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
 
 
 def _not_negative(matrices: Array) -> Array:
-    """The matrices with eigenvalues below zero at zero: rounding, and what else the parts of a covariance share."""
     values, vectors = np.linalg.eigh(0.5 * (matrices + np.swapaxes(matrices, -1, -2)))
     return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 

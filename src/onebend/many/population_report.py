@@ -218,7 +218,6 @@ def _texts(words: Any) -> pa.Array:
 
 
 def _each(names: Any, outcome: PopulationOutcome) -> pa.Array:
-    """A name for every place of its curve."""
     return _texts(name for name in names for _ in outcome.named.trial.s)
 
 
@@ -238,7 +237,6 @@ MOST = 24  # groups that have a panel
 
 
 def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -> Pictures:
-    """By name."""
     wanted: dict[str, Draw] = {"means": partial(means, outcome), "groups": partial(panels, outcome)}
     if outcome.pairs:
         wanted["ratios"] = partial(ratios, outcome)
@@ -387,15 +385,11 @@ def judged_words(outcome: PopulationOutcome) -> str:
 def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
     trial = outcome.named.trial
     far = sum(bool(why) for why in outcome.outliers)
-    level = outcome.shares.level_sd
+    spread = percent(float(np.expm1(outcome.shares.level_sd.value)))
     return [
         {"what": "objects", "value": str(trial.objects), "note": f"in {trial.groups} groups"},
         {"what": "recordings", "value": str(len(trial.log_k)), "note": f"{len(outcome.named.left_out)} left out"},
-        {
-            "what": "spread of k within groups",
-            "value": percent(float(np.expm1(level.value))),
-            "note": "sd of the level",
-        },
+        {"what": "spread of k within groups", "value": spread, "note": "sd of the level"},
         {"what": "unlike the others", "value": str(far), "note": "objects"},
     ]
 

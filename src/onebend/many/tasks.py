@@ -411,7 +411,6 @@ def cluster(address: str | None = None, workers: int | None = None, *, processes
 
 
 def _prepared(library: Any) -> Any:
-    """A plugin for workers here, those that take the place of lost ones included."""
 
     class Prepared(library.WorkerPlugin):  # type: ignore[misc]
         name = "onebend"

@@ -161,7 +161,6 @@ class Desk:
         return await asyncio.get_running_loop().run_in_executor(self.thread, work)
 
     async def _open(self, client: Client, model: str) -> None:
-        """A beam as it stands: where another tab, or this one before, left it."""
         if model not in self.beams:
             folder = self.places.result(model)
             bending = await self._in_thread(lambda: _opened(model, folder))
@@ -257,7 +256,6 @@ class Desk:
                 client.put({"what": "map", "model": model, "version": bending.version, "map": shown})
 
     async def _edge(self, model: str) -> None:
-        """The hand's edge, again and again until the hand rests."""
         from onebend.studio import bending as mapping
 
         if model in self._busy:
@@ -275,7 +273,6 @@ class Desk:
             self._busy.discard(model)
 
     async def _ellipse(self, model: str, moves: int) -> None:
-        """By drawn beams, once the point rests."""
         await asyncio.sleep(_RESTS)
         bending = self.beams.get(model)
         if bending is None or bending.stored.uncertain is None or self._moves.get(model) != moves:
@@ -343,7 +340,6 @@ def said_of(error: Exception) -> str:
 
 
 def _load() -> None:
-    """The mechanics, while the page is being fetched: who answers it is let in often."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(_TURN)
     try:

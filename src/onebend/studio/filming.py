@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.jobs import asked_number, begun
+from onebend.studio.jobs import asked_number, begun, ended, lines_of
 from onebend.studio.places import RECORDING, StudioFolder, is_file, plain_word, record_line
 
 _PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
@@ -45,7 +45,6 @@ class MadeRecording:
         return self.phase in _GOING
 
     def shown(self) -> dict[str, Any]:
-        """For the page."""
         own = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "wanted"}
         return {"out": self.wanted["out"], "command": self.wanted["command"], **own}
 
@@ -102,11 +101,7 @@ class RecorderProcess:
             return
         assert process.stdin is not None
         process.stdin.close()
-        try:
-            await asyncio.wait_for(process.wait(), _PATIENCE)
-        except TimeoutError:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
+        await ended(process, _PATIENCE)
 
     def _write(self, line: str) -> None:
         assert self._process is not None
@@ -115,10 +110,8 @@ class RecorderProcess:
             self._process.stdin.write(f"{line}\n".encode())
 
     async def _follow(self, made: MadeRecording, process: asyncio.subprocess.Process) -> None:
-        assert process.stdout is not None
-        async for line in process.stdout:
-            with contextlib.suppress(ValueError):
-                self._hear(made, json.loads(line))
+        async for said in lines_of(process):
+            self._hear(made, said)
         code = await process.wait()
         if made.phase in _GOING:
             failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
@@ -130,7 +123,6 @@ class RecorderProcess:
         self._tell({"what": "places"}, False)
 
     def _hear(self, made: MadeRecording, said: dict[str, Any]) -> None:
-        """One line of the process."""
         if "picture" in said:
             self._count += 1
             made.picture, self._pictures[self._count] = self._count, base64.b64decode(said["picture"])

@@ -163,7 +163,6 @@ def check_data(folder: Path) -> dict[str, Any]:
 
 
 def _lines(handle: int) -> Iterator[str]:
-    """Of this input, without a lock on it: a thread that waits here is no reason not to end."""
     with open(handle, "rb", buffering=0) as stream:
         while line := stream.readline():
             yield line.decode("utf-8", "replace")

@@ -201,7 +201,6 @@ def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request],
 
 
 def _said(data: Any, status: int = 200) -> Response:
-    """JSON, whatever the names and texts in it."""
     return Response(to_json(data, readable=False), status, media_type="application/json")
 
 
