@@ -14,7 +14,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -100,10 +99,9 @@ class Asked:
 
 def asked_of(name: str) -> Iterator[Asked]:
     """The arguments and options of a command, in their order."""
-    place = all_commands()[name]
-    function = getattr(import_module(place.module), place.function)
-    hints = get_type_hints(function)
-    for one in Command(name, place).loaded().params:
+    command = Command(name, all_commands()[name])
+    hints = get_type_hints(command.function())
+    for one in command.loaded().params:
         if one.name not in hints:  # --help
             continue
         kind = hints[one.name]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from onebend.lab.forecast import PredictedBand, Setup, advise, known_beam, predict, setup_of
+from onebend.lab.forecast import PredictedBand, Setup, Tolerances, advise, known_beam, predict, setup_of
 from onebend.lab.random_bench import CameraName, FilmRequest, SensorName
 from onebend.lab.rehearsal import Obtained, obtained_of, simulate
 from onebend.records import Array
@@ -46,8 +46,7 @@ class Case:
             known_beam(self.design),
             [replace(request, at_s=s) for s in self.at],
             tags=self.tags,
-            placement_sd=self.placement_sd,
-            clock_sd=self.clock_sd,
+            known_to=Tolerances(placement_sd=self.placement_sd, clock_sd=self.clock_sd),
         )
 
     @property

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ import onebend
 from onebend import cli, load_model, load_observations, load_uncertain
 from onebend.cli import learning as learning_commands
 from onebend.learning.optimizer import FitSettings
+from onebend.pipeline import Run, learn
 from onebend.records import Observations
 from onebend.results import detection_cache
 
@@ -43,6 +44,10 @@ class Runs(NamedTuple):
     out: Path
 
 
+def learn_with(fitting: FitSettings, *recordings: Path, **options: Any) -> Run:
+    return learn(*recordings, **(options | {"fitting": fitting}))
+
+
 def interrupted(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
@@ -54,7 +59,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     command = ["learn", str(EXAMPLE / "train"), "-o", str(out), "--validate", str(EXAMPLE / "fast"), "--json"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learning_commands, "draw_all", interrupted)
-        patch.setattr(learning_commands, "_fitting", lambda _: QUICK)  # of this run only the files are looked at
+        quick = partial(learn_with, QUICK)  # of this run only the files are looked at
+        patch.setattr(learning_commands, "learn_from", quick)
         first = CliRunner().invoke(cli.app, command)
         left = sorted(path.name for path in out.parent.rglob("*"))
     with pytest.MonkeyPatch.context() as patch:

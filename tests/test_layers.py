@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "onebend"
 
 # From the lowest up. A name is a folder of the package, or a module.
 LAYERS: tuple[tuple[str, ...], ...] = (
-    ("errors", "progress", "wings"),
+    ("errors", "options", "progress", "wings"),
     ("extras", "records", "text_files"),
     ("beam", "crash", "files"),
     ("recording", "control"),

@@ -17,7 +17,6 @@ from contextlib import suppress
 from typing import NoReturn
 
 from onebend.errors import OnebendError
-from onebend.text_files import one_line
 
 FAILED, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of an error's own words
@@ -55,7 +54,7 @@ def words(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "there is not enough memory for this."
     try:
-        said = one_line(str(error))[:LONGEST]
+        said = _one_line(str(error))[:LONGEST]
     except Exception:
         said = ""
     return f"a fault of onebend's own ({type(error).__name__}{': ' if said else ''}{said})."
@@ -77,11 +76,16 @@ def kept(error: BaseException, version: str) -> str:
 def tell(text: str) -> None:
     """One line on standard error, where that can be written."""
     with suppress(OSError, ValueError, AttributeError):
-        sys.stderr.write(f"onebend: {one_line(text)}\n")
+        sys.stderr.write(f"onebend: {_one_line(text)}\n")
+
+
+def _one_line(text: str) -> str:
+    from onebend.text_files import one_line  # here: what goes well does without
+
+    return one_line(text)
 
 
 def _flushed() -> bool:
-    """Whether all output is out. Where it is not, it is given up, so that Python does not complain of it once more."""
     done = True
     for stream in (sys.stdout, sys.stderr):
         try:

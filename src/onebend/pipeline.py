@@ -82,11 +82,9 @@ def learn(
     What is a `Recording` already is learned from as it was read.
 
     The paper's regression learns from the first recording; the fit begins there and uses all. `fitting` None: only the
-    regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video,
-    and `frames` that it kept spare a second decoding.
-
-    Raises:
-        RecordingError, ObservationError, LearningError: what is wrong with the input, where, and what to do.
+    regression. `detect` finds the tags; one that keeps what it found spares a second search of the same video, and
+    `frames` that it kept spare a second decoding. Raises `RecordingError`, `ObservationError`, `LearningError`: what is
+    wrong with the input, where, and what to do.
     """
     folders, others = (folder, *more), tuple(validate_on)
     wanted = [one if isinstance(one, Recording) else read_recording(one) for one in folders]
@@ -111,11 +109,8 @@ def learn_observed(
     fitting: FitSettings | None = FitSettings(),
     progress: Progress = Silent(),
 ) -> Run:
-    """`learn` from what was observed already: one or several recordings of one beam, none to validate on.
-
-    Raises:
-        LearningError: what is wrong with the observations, and what to do.
-    """
+    """`learn` from what was observed already: one or several recordings of one beam, none to validate on. Raises
+    `LearningError`: what is wrong with the observations, and what to do."""
     return _learned(observed, settings, fitting, lambda _beam, _known: [], Stopwatch(progress))
 
 
@@ -233,7 +228,6 @@ def _fit(
 def _result(
     seen: Sequence[Observations], learned: Learned | None, posterior: Posterior | None
 ) -> tuple[Beam, tuple[Comparison, ...]]:
-    """The beam that is handed on, and how it follows the recordings that it was learned from."""
     if posterior is not None:
         beam = posterior.beam
         return beam, tuple(validate(beam, one) for one in seen)
@@ -254,11 +248,8 @@ def compare(
     progress: Progress = Silent(),
 ) -> list[tuple[Comparison, Observations]]:
     """The beam against each of the recordings (Tables IV to VI); `stiffness` is its k(s) with a band, where it has one.
-    A warning stands on those that it was `learned_from`.
-
-    Raises:
-        ObservationError: a recording of a beam of another length; and all that `learn` raises.
-    """
+    A warning stands on those that it was `learned_from`. Raises `ObservationError`: a recording of a beam of another
+    length; and all that `learn` raises."""
     recordings = [read_recording(folder) for folder in folders]
     for recording in recordings:
         check_same_length(beam.length, recording)
@@ -285,12 +276,9 @@ def _no_validation(name: str, what: str) -> Remark:
 
 @one_blas_thread
 def plan_next(model: Path | str, *, settings: PlanSettings = PlanSettings(), progress: Progress = Silent()) -> Plan:
-    """Which push to make next on the beam in `model`, a `model.json` or the folder that holds one.
-
-    Raises:
-        ResultsError: the file cannot be read, or holds no band on k(s).
-        LearningError: no push is possible within the limits.
-    """
+    """Which push to make next on the beam in `model`, a `model.json` or the folder that holds one. Raises
+    `ResultsError`: the file cannot be read, or holds no band on k(s). Raises `LearningError`: no push is possible
+    within the limits."""
     stored = read_model(model)
     if stored.bench is None and stored.uncertain is not None:
         raise ResultsError(

@@ -239,7 +239,6 @@ def _libraries(*_loaded: bool) -> tuple[Any, ...]:
 
 
 def _is_of_one_thread(library: Any) -> bool:
-    """Whether the library keeps its setting for each thread by itself."""
     return library.internal_api == "mkl" or getattr(library, "threading_layer", "") == "openmp"
 
 

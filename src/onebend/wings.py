@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 WINGS = ("live", "many", "lab", "studio")  # folders that may be left out, each with commands of its own
@@ -17,8 +19,13 @@ def wings() -> list[str]:
 class Place:
     """Where a command stands, the first line of its help, and the example at its end."""
 
-    module: str
-    function: str
+    function: str  # "module:name"
     help: str
     example: str  # the words after `onebend NAME`; it works on what `make demo` made, and on what `first` makes
     first: str = ""  # the command that makes what the example needs beside that
+
+    def load(self) -> Callable[..., None]:
+        """The function."""
+        module, name = self.function.split(":")
+        found: Callable[..., None] = getattr(import_module(module), name)
+        return found

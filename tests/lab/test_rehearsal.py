@@ -18,6 +18,7 @@ from onebend.lab.forecast import (
     BASIS,
     SPLINE,
     Setup,
+    Tolerances,
     advise,
     derivatives,
     information_of,
@@ -49,7 +50,7 @@ from onebend.report.pictures import draw
 from onebend.results.model import save_model
 
 WRIST, CUBIC, UNIFORM = (
-    setup_of(known_beam(name), [FilmRequest(sensor="wrist", seconds=4.0)], clock_sd=0.01)
+    setup_of(known_beam(name), [FilmRequest(sensor="wrist", seconds=4.0)], known_to=Tolerances(clock_sd=0.01))
     for name in ("linear", "cubic", "uniform")
 )
 
@@ -107,7 +108,7 @@ def test_with_one_clock_no_error_of_it_is_left() -> None:
     assert "clock" not in known_exactly(used)
     assert predict(one).quality.mean_width < predict(WRIST).quality.mean_width
     with pytest.raises(RecordingError, match="clock's sd"):
-        setup_of(known_beam("linear"), [FilmRequest()], clock_sd=-0.01)
+        setup_of(known_beam("linear"), [FilmRequest()], known_to=Tolerances(clock_sd=-0.01))
 
 
 def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
@@ -121,7 +122,9 @@ def test_two_equal_pushes_with_all_else_known_tell_twice_as_much() -> None:
 
 def test_a_pushs_own_errors_move_the_tags_as_equilibria_say() -> None:
     """Against differences of exact equilibria: a place farther in, axes turned, a force added."""
-    setup = setup_of(known_beam("cubic"), [FilmRequest(sensor="wrist", seconds=4.0, at_s=0.8)], clock_sd=0.01)
+    setup = setup_of(
+        known_beam("cubic"), [FilmRequest(sensor="wrist", seconds=4.0, at_s=0.8)], known_to=Tolerances(clock_sd=0.01)
+    )
     (push,), used = setup.pushes, instruments(setup)
     told = derivatives(setup, used)[0].blocks["stiffness"][..., -4:]
     tags, h = np.asarray(setup.tags), 1e-5
@@ -181,7 +184,12 @@ def test_runs_are_repeatable_kept_and_resumed(tmp_path: Path) -> None:
 
 def test_a_sensor_without_errors_can_be_fitted() -> None:
     """A log more exact than rounding lets the fit's equations follow."""
-    [one] = simulate(setup_of(known_beam("quadratic"), [FilmRequest(sensor="ideal", seconds=6.0)], clock_sd=0.01), [0])
+    [one] = simulate(
+        setup_of(
+            known_beam("quadratic"), [FilmRequest(sensor="ideal", seconds=6.0)], known_to=Tolerances(clock_sd=0.01)
+        ),
+        [0],
+    )
     assert one.failure == ""
     assert np.sqrt(np.mean(np.square(one.error[5:90]))) < 0.03
 

@@ -31,6 +31,7 @@ from onebend.lab.study import (
     filmed_push,
     gain_of,
     learn_beam,
+    load_learned,
     make_recording,
     manipulate,
     printed_m3,
@@ -56,7 +57,7 @@ from onebend.lab.study_report import (
 from onebend.learning.paper import information_criterion
 from onebend.records import Observations
 from onebend.report.pictures import Pictures
-from onebend.results.observations_file import save_observations
+from onebend.results.observations_file import load_observations, save_observations
 from tests import made_up
 
 TINY = StudySettings(seed=3, quick=True, video=False)
@@ -91,7 +92,9 @@ def seen_by(job: FilmJob) -> Observations:
 @pytest.fixture(scope="module")
 def found(work: Path) -> StudyOutcome:
     gain = gain_of(TINY)
-    return StudyOutcome(work, TINY, gain, (beam_outcome("quadratic", gain, quadratic(work), job_of(work).load()),))
+    return StudyOutcome(
+        work, TINY, gain, (beam_outcome("quadratic", gain, quadratic(work), load_learned(job_of(work).folder)),)
+    )
 
 
 def quadratic(folder: Path) -> list[FilmJob]:
@@ -179,7 +182,7 @@ def test_what_is_there_is_kept(tmp_path: Path, work: Path) -> None:
         save_observations(job.observed, made_up.observations("kept"))
     run_jobs(make_recording, jobs, 2, "pushing", made_up_progress := Counting())
     assert made_up_progress.count == 2
-    assert [job.load().source.name for job in jobs] == ["kept", "kept"]
+    assert [load_observations(job.observed).source.name for job in jobs] == ["kept", "kept"]
 
 
 class Counting:
@@ -207,7 +210,7 @@ def test_the_work_of_another_setting_is_not_gone_on_with(tmp_path: Path) -> None
 def test_damaged_work_is_named(tmp_path: Path) -> None:
     (tmp_path / "facts.json").write_text("{", encoding="utf-8")
     with pytest.raises(ResultsError, match="damaged"):
-        LearnJob(tmp_path, tmp_path / "none.parquet", "a test").load()
+        load_learned(tmp_path)
 
 
 def test_the_fit_beats_the_papers_method_and_its_band_holds_the_truth(found: StudyOutcome) -> None:

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
-from onebend.many import batch as running
+from onebend.many import tasks as running
 from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
 from onebend.many.tasks import EVERY, PLACES, RECORDS, cluster, read_record, record_path, write_record
 from onebend.pipeline import learn

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
-from onebend.many import batch as running
+from onebend.many import tasks as running
 from onebend.many.tasks import cluster
 from tests.many.stems import stem
 

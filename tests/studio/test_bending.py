@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -158,10 +160,53 @@ def test_what_is_no_message_of_the_page_ends_the_socket(working: TestClient, mes
         assert socket.receive()["type"] == "websocket.close"
 
 
+def test_a_fault_of_the_server_is_told_and_reported_and_the_socket_stays(
+    working: TestClient, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "beam")
+        for fault in (ValueError, KeyError, RuntimeError, OverflowError):
+            with monkeypatch.context() as patch:
+                patch.setattr(Bending, "still", raising(fault))
+                socket.send_json({"do": "open", "model": "beam"})
+                while (message := socket.receive_json())["what"] != "error":
+                    pass
+            assert f"a fault of onebend's own ({fault.__name__}" in message["text"]
+            [report] = tmp_path.glob("onebend-crash-*.txt")
+            assert report.name in message["text"]
+            assert report.name in capsys.readouterr().err
+            assert "the server's own" in report.read_text(encoding="utf-8")
+            report.unlink()
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "beam")
+
+
+def raising(kind: type[Exception]) -> Callable[..., None]:
+    def fail(*_: object) -> None:
+        raise kind("the server's own")
+
+    return fail
+
+
+def test_a_tab_that_goes_is_forgotten_without_a_word(
+    working: TestClient, capsys: pytest.CaptureFixture[str], recwarn: pytest.WarningsRecorder
+) -> None:
+    with opened(working) as socket:
+        socket.send_json({"do": "open", "model": "beam"})
+        heard(socket, "beam")
+    with opened(working) as socket:  # the server has let the first tab go
+        heard(socket, "hello")
+    assert capsys.readouterr().err == ""
+    assert not recwarn.list
+
+
 @pytest.mark.parametrize(
     "settings",
     [
-        {"mode": "foot"}, {"push_s": 0.0}, {"push_s": 1e-12}, {"point_s": 2}, {"max_force_N": -1},
+        {"mode": "foot"}, {"push_s": "x"}, {"max_force_N": [1]},
+        {"push_s": 0.0}, {"push_s": 1e-12}, {"point_s": 2}, {"max_force_N": -1},
         {"max_force_N": float("nan")}, {"max_force_N": 1e300},
     ],
 )  # fmt: skip

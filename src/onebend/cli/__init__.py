@@ -31,106 +31,89 @@ COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in 
 
 COMMANDS = {
     "learn": Place(
-        "onebend.cli.learning",
-        "learn",
+        "onebend.cli.learning:learn",
         "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
         "examples/linear-beam/train -o out/linear-beam --force",
     ),
     "validate": Place(
-        "onebend.cli.learning",
-        "validate",
+        "onebend.cli.learning:validate",
         "Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI).",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "plan": Place(
-        "onebend.cli.learning",
-        "plan",
+        "onebend.cli.learning:plan",
         "Say which push to make next: what each would leave of the band on k(s).",
         "out/linear-beam --count 3",
     ),
     "damp": Place(
-        "onebend.cli.motion",
-        "damp",
+        "onebend.cli.motion:damp",
         "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "sense": Place(
-        "onebend.cli.motion",
-        "sense",
+        "onebend.cli.motion:sense",
         "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "frequencies": Place(
-        "onebend.cli.motion",
-        "frequencies",
+        "onebend.cli.motion:frequencies",
         "Find the natural frequencies in a free swing, to be written in recording.toml.",
         "examples/ruler/swing.csv",
     ),
     "reach": Place(
-        "onebend.cli.control",
-        "reach",
+        "onebend.cli.control:reach",
         "Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8).",
         "out/linear-beam --goal 0.1338 0.0638",
     ),
     "shape": Place(
-        "onebend.cli.control",
-        "shape",
+        "onebend.cli.control:shape",
         "Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape.",
         "out/linear-beam --targets examples/bend/targets.csv --grip",
     ),
     "path": Place(
-        "onebend.cli.control",
-        "path",
+        "onebend.cli.control:path",
         "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "new": Place(
-        "onebend.cli.recordings",
-        "new",
+        "onebend.cli.recordings:new",
         "Write a recording.toml to fill in.",
         "my-beam",
     ),
     "topics": Place(
-        "onebend.cli.recordings",
-        "topics",
+        "onebend.cli.recordings:topics",
         "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
         "out/path/bag",
         "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "check": Place(
-        "onebend.cli.recordings",
-        "check",
+        "onebend.cli.recordings:check",
         "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
         "examples/linear-beam/train",
     ),
     "cache": Place(
-        "onebend.cli.recordings",
-        "show_cache",
+        "onebend.cli.recordings:show_cache",
         "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
         "",
     ),
     "calibrate": Place(
-        "onebend.cli.recordings",
-        "calibrate",
+        "onebend.cli.recordings:calibrate",
         "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
     "show": Place(
-        "onebend.cli.models",
-        "show",
+        "onebend.cli.models:show",
         "Draw the learned k(s) in the terminal.",
         "out/linear-beam",
     ),
     "export": Place(
-        "onebend.cli.exporting",
-        "export_command",
+        "onebend.cli.exporting:export_command",
         "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
-        "onebend.cli.exporting",
-        "rerun_command",
+        "onebend.cli.exporting:rerun_command",
         "Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals.",
         "out/linear-beam examples/linear-beam/fast",
     ),
@@ -166,13 +149,16 @@ class Command(TyperCommand):
 
     def loaded(self) -> Any:
         """The command itself. It works with one BLAS thread."""
-        module = import_module(self.place.module)
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
-        single.command(self.name, epilog="\n\n".join(lines))(
-            one_blas_thread(remembered(getattr(module, self.place.function)))
-        )
+        single.command(self.name, epilog="\n\n".join(lines))(one_blas_thread(remembered(self.function())))
         return typer.main.get_command(single)
+
+    def function(self) -> Callable[..., None]:
+        """The command's function, with a parameter for each option."""
+        from onebend.options import expanded  # here: `--help` does without
+
+        return expanded(self.place.load())
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         return self.loaded().make_context(*args, **kwargs)

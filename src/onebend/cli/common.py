@@ -35,6 +35,7 @@ from rich.text import Text
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError, RecordingError, reference
 from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
+from onebend.options import POSITIVE
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
 from onebend.report.wording import significant
@@ -43,7 +44,7 @@ from onebend.text_files import printable, to_json
 
 # Options that several commands take. Names and helps are the user's manual; docs/cli.md says more.
 
-LEAST, MOST = 1e-6, 1e9  # of what must be positive; beyond it, numbers are no measures of a beam
+LEAST, MOST = POSITIVE
 
 PushAt = Annotated[
     float,
@@ -67,9 +68,6 @@ Recording = Annotated[
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
 Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
-Threads = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Threads that look for tags; default: all cores.")
-]
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
@@ -171,7 +169,6 @@ def clean_errors() -> Iterator[None]:
 
 
 def _fail(message: str, error: BaseException, code: int, *, docs: str = "") -> NoReturn:
-    """Say what is wrong, what was added to the error on its way here, and where to read of it."""
     sentences = [message, *getattr(error, "__notes__", ())]
     text = " ".join(one if one.endswith((".", "?", "!")) else f"{one}." for one in sentences)
     say("\n".join(filter(None, (f"onebend: {text}", docs))), err=True)
@@ -289,19 +286,12 @@ def print_json(data: object) -> None:
     typer.echo(text)
 
 
-def print_summary(summary: dict[str, Any], output: Path | None) -> None:
-    """A summary as JSON, with the folder where there is one."""
-    print_json(summary if output is None else {**summary, "output": str(output)})
-
-
-def or_nan(value: float | None) -> float:
-    """An option that was not given as a number that is not known."""
-    return math.nan if value is None else value
-
-
-def or_unlimited(limit: float | None) -> float:
-    """A limit, or infinity where none was given."""
-    return math.inf if limit is None else limit
+def answer(as_json: bool, data: Mapping[str, Any], show: Callable[[Console], None], output: Path | None = None) -> None:
+    """The data as JSON, with the folder where there is one; or what `show` says on the screen."""
+    if as_json:
+        print_json(data if output is None else {**data, "output": str(output)})
+    else:
+        show(screen())
 
 
 @contextmanager
@@ -331,11 +321,7 @@ def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
 
 
 def percent(text: str | None) -> float:
-    """A share, of text such as `5%`; NaN of none.
-
-    Raises:
-        RecordingError: no number above 0 and up to 100.
-    """
+    """A share, of text such as `5%`; NaN of none. Raises `RecordingError`: no number above 0 and up to 100."""
     if text is None:
         return math.nan
     try:
@@ -355,6 +341,14 @@ NO_BAND = "not known: the model has no band on k(s)"
 def facts_table() -> Table:
     """An empty table of what something is (first column) and its value."""
     return Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+
+
+def listing(title: str, *columns: str) -> Table:
+    """An empty table; a column whose head begins with `<` is aligned to the left, the others to the right."""
+    table = Table(title=title, title_justify="left", box=None)
+    for name in columns:
+        table.add_column(escape(name.removeprefix("<")), justify="left" if name.startswith("<") else "right")
+    return table
 
 
 def force_words(force: Array) -> str:
@@ -397,6 +391,5 @@ def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
 
 
 def _add_docs(table: Table, remark: Remark) -> None:
-    """Below a warning, where to read of it."""
     if remark.docs:
         table.add_row("", Text(reference(remark.about), "dim"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,53 +15,22 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.model import Beam
-from onebend.cli import BY
-from onebend.cli.common import (
-    LEAST,
-    MOST,
-    NO_BAND,
-    Goal,
-    Gravity,
-    Json,
-    Model,
-    Output,
-    Overwrite,
-    Point,
-    PushAt,
-    clean_errors,
-    facts_table,
-    force_words,
-    or_unlimited,
-    print_summary,
-    put_in_place,
-    say_written,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.control.goals import Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
 from onebend.control.loop_simulation import SETTLED, LoopTrial
-from onebend.control.path import FollowedPath, PathSettings, PathSpread, RateLimits, by_force, follow_goals, path_spread
+from onebend.control.path import FollowedPath, PathSettings, PathSpread, by_force, follow_goals, path_spread
 from onebend.control.reach import SURE, PredictedError, Reach, ReachSettings, predicted_error, reach as solve_reach
 from onebend.control.reach_set import ReachableSet, reachable
 from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shape as solve_shape
 from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.extras import installed
+from onebend.options import POSITIVE, option
 from onebend.report.pictures import draw
 from onebend.report.wording import length_words, significant
-from onebend.results.control_files import (
-    PATH_FORMAT,
-    REACH_FORMAT,
-    SHAPE_FORMAT,
-    path_summary,
-    path_writer,
-    reach_summary,
-    reach_writer,
-    shape_summary,
-    shape_writer,
-)
+from onebend.results import control_files
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
@@ -69,8 +39,8 @@ from onebend.results.provenance import inputs_of
 
 def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
     """The force, the point and how sure it is."""
-    table = facts_table()
-    table.add_row(f"force at s = {result.push_s:.3g}", force_words(result.force))
+    table = common.facts_table()
+    table.add_row(f"force at s = {result.push_s:.3g}", common.force_words(result.force))
     if result.settings.moment:
         table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
     x, y = 1e3 * result.reached[:2]
@@ -80,12 +50,12 @@ def show_reach(console: Console, result: Reach, error: PredictedError | None, ou
     table.add_row("sure to within", _sureness_of_goal(error))
     table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table, highlight=False)
-    say_written(console, output, "path.csv, reach.png, summary.json")
+    common.say_written(console, output, "path.csv, reach.png, summary.json")
 
 
 def _sureness_of_goal(error: PredictedError | None) -> str:
     if error is None:
-        return NO_BAND
+        return common.NO_BAND
     long, short = error.ellipse(SURE).semi_axes
     ellipse = f"± {length_words(long)} along and ± {length_words(short)} across"
     return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the band on k(s)"
@@ -95,67 +65,41 @@ GoalAngle = Annotated[
     float | None,
     typer.Option("--goal-angle-deg", metavar="DEG", help="The tangent's angle at the point; needs --moment."),
 ]
-ReachMethod = Annotated[
-    Literal["newton", "paper"],
-    typer.Option(help="newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."),
-]
-ReachMaxForce = Annotated[
-    float | None,
-    typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force; default: no bound."),
-]
-MaxCurvature = Annotated[
-    float | None,
-    typer.Option(
-        "--max-curvature-per-m", min=LEAST, max=MOST, metavar="1/M", help="The beam bends no more than this from rest."
-    ),
-]
-Direction = Annotated[
-    float | None,
-    typer.Option("--direction-deg", metavar="DEG", help="The force can only push this way (0: along x)."),
-]
-Moment = Annotated[bool, typer.Option("--moment", help="The gripper gives a moment too.")]
 
 
 def reach(
-    model: Model,
+    model: common.Model,
     *,
-    goal: Goal,
-    push_at: PushAt = 1.0,
-    point: Point = 1.0,
+    goal: common.Goal,
+    push_at: common.PushAt = 1.0,
+    point: common.Point = 1.0,
     goal_angle: GoalAngle = None,
-    method: ReachMethod = "newton",
-    max_force: ReachMaxForce = None,
-    max_curvature: MaxCurvature = None,
-    direction: Direction = None,
-    moment: Moment = False,
-    gravity: Gravity = (0.0, 0.0),
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    settings: ReachSettings,
+    gravity: common.Gravity = (0.0, 0.0),
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
-        way = None if direction is None else math.radians(direction)
-        weight = gravity_on(stored.beam, gravity)
-        settings = ReachSettings(method, max_force, max_curvature, direction=way, moment=moment, gravity=weight)
+        settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
         found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
         if not found.converged:
             raise ControlError(found.reason)
         error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
-        summary = reach_summary(str(model), found, error, written_by=BY)
+        summary = control_files.reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import reaching  # here: Matplotlib is for pictures alone
 
-            with workplace(output, REACH_FORMAT, overwrite) as place:
+            with common.workplace(output, control_files.REACH_FORMAT, overwrite) as place:
                 pictures = draw({"reach": lambda: reaching(found, error, _within(found))})
                 inputs = inputs_of([model_file(model)])
-                put_in_place(place, reach_writer(found, pictures, summary), pictures.failed, inputs=inputs)
-    if as_json:
-        print_summary(summary, output)
-    else:
-        show_reach(screen(), found, error, output)
+                common.put_in_place(
+                    place, control_files.reach_writer(found, pictures, summary), pictures.failed, inputs=inputs
+                )
+    common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
 
 
 def _within(found: Reach) -> ReachableSet | None:
@@ -178,9 +122,9 @@ def _within(found: Reach) -> ReachableSet | None:
 
 def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
     """The actuators' loads, the residual, the distance from buckling, the uncertainty."""
-    table = facts_table()
+    table = common.facts_table()
     for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
-        table.add_row(f"force at s = {pusher.at_s:.3g}", force_words(force))
+        table.add_row(f"force at s = {pusher.at_s:.3g}", common.force_words(force))
     if result.wrench is not None:
         x, y, angle = result.pose
         table.add_row("gripper", f"[bold]({1e3 * x:.3f}, {1e3 * y:.3f}) mm at {math.degrees(angle):.2f} deg[/]")
@@ -193,7 +137,7 @@ def show_shape(console: Console, result: ShapeResult, output: Path | None) -> No
     console.print(table, highlight=False)
     for warning in result.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
-    say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
+    common.say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
 def _why(result: ShapeResult) -> str:
@@ -204,13 +148,13 @@ def _why(result: ShapeResult) -> str:
 
 def _sureness_of_shape(result: ShapeResult) -> str:
     if result.spread is None:
-        return NO_BAND
+        return common.NO_BAND
     return f"{length_words(2.0 * result.spread.rms)} (2 sd over the targets' places, from the band on k(s))"
 
 
 def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None, *, bag: bool) -> None:
     """Length, stretch, forces, misses, margin; `bag`: whether a ROS 2 bag was written with the other files."""
-    table = facts_table()
+    table = common.facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
     for pusher, force in zip(way.actuators.pushes, np.moveaxis(way.forces, 1, 0), strict=True):
@@ -226,12 +170,12 @@ def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, outp
     for warning in way.warnings:
         console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
     messages = "YAML and bag" if bag else "YAML; for a bag: pip install 'onebend[ros]'"
-    say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
+    common.say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
 
 
 def _path_sureness(sure: PathSpread | None) -> str:
     if sure is None:
-        return NO_BAND
+        return common.NO_BAND
     worst = int(np.argmax(sure.rms))
     most = length_words(2.0 * float(sure.rms[worst]))
     return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
@@ -245,50 +189,9 @@ TargetsFile = Annotated[
 GoalsFile = Annotated[
     Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
 ]
-Gripped = Annotated[bool, typer.Option("--grip", help="A gripper holds the end s = 1 at a position and an angle.")]
-PushPlaces = Annotated[
-    list[float] | None,
-    typer.Option(
-        "--push-at",
-        min=LEAST,
-        max=1.0,
-        metavar="S",
-        help="A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
-    ),
-]
 GoalPoint = Annotated[
-    float, typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point led along goals without column s.")
-]
-HandMaxForce = Annotated[
-    float | None,
-    typer.Option(
-        "--max-force-N", min=LEAST, max=MOST, metavar="N", help="Of every push and of the gripper; default: no bound."
-    ),
-]
-HandMaxMoment = Annotated[
-    float | None,
-    typer.Option("--max-moment-N-m", min=LEAST, max=MOST, metavar="N_M", help="Of the gripper; default: no bound."),
-]
-Arm = Annotated[
-    float | None,
-    typer.Option(
-        "--arm-m", min=0.0, max=MOST, metavar="M", help="An error of 1 rad counts as one of so many metres; default: L."
-    ),
-]
-SampleRate = Annotated[float, typer.Option("--rate-Hz", min=LEAST, max=1e6, metavar="HZ", help="Samples of the path.")]
-MaxForceRate = Annotated[
-    float | None, typer.Option("--max-force-rate-N-per-s", min=LEAST, max=MOST, metavar="N/S", help="Of every push.")
-]
-MaxSpeed = Annotated[
-    float | None, typer.Option("--max-speed-m-per-s", min=LEAST, max=MOST, metavar="M/S", help="Of the gripper.")
-]
-MaxTurnRate = Annotated[
-    float | None,
-    typer.Option("--max-turn-rate-deg-per-s", min=LEAST, max=MOST, metavar="DEG/S", help="Of the gripper."),
-]
-TooFast = Annotated[
-    Literal["stretch", "refuse"],
-    typer.Option("--too-fast", help="Where a limit on a rate is broken: take more time there, or say when and stop."),
+    float,
+    typer.Option("--point", min=common.LEAST, max=1.0, metavar="S", help="The point led along goals without column s."),
 ]
 BetweenGoals = Annotated[
     Literal["force", "smooth", "monotone", "linear"] | None,
@@ -300,27 +203,58 @@ BetweenGoals = Annotated[
 ]
 FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
 
+
+@dataclass(frozen=True)
+class Hands:
+    """What pushes and holds a beam."""
+
+    grip: bool = option("--grip", False, "A gripper holds the end s = 1 at a position and an angle.")
+    push_at: tuple[float, ...] = option(
+        "--push-at",
+        (),
+        "A force acts here: s in (0, 1]; may be repeated. Default: the tip.",
+        metavar="S",
+        within=(common.LEAST, 1.0),
+    )
+    max_force: float = option(
+        "--max-force-N", math.inf, "Of every push and of the gripper; default: no bound.", metavar="N", within=POSITIVE
+    )
+    max_moment: float = option(
+        "--max-moment-N-m", math.inf, "Of the gripper; default: no bound.", metavar="N_M", within=POSITIVE
+    )
+
+    def actuators(self) -> tuple[tuple[Pusher, ...], Grip | None]:
+        """Pushes and grip: without a word a push at the tip, with a grip only the pushes that are named."""
+        self.refuse_idle({"--max-moment-N-m": self.max_moment})
+        places = self.push_at or (() if self.grip else (1.0,))
+        pushes = tuple(Pusher(place, self.max_force) for place in places)
+        return pushes, Grip(self.max_force, self.max_moment) if self.grip else None
+
+    def refuse_idle(self, limits: Mapping[str, float]) -> None:
+        """Raises `ControlError` for a limit of a gripper that is not there."""
+        for name, limit in limits.items():
+            if math.isfinite(limit) and not self.grip:
+                raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
+
+
 FAR = 0.5  # of the length, rms from the targets: no shape to be of use
 
 
 def shape(
-    model: Model,
+    model: common.Model,
     *,
     targets: TargetsFile,
-    grip: Gripped = False,
-    push_at: PushPlaces = None,
-    max_force: HandMaxForce = None,
-    max_moment: HandMaxMoment = None,
-    arm: Arm = None,
-    gravity: Gravity = (0.0, 0.0),
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    hands: Hands,
+    settings: ShapeSettings,
+    gravity: common.Gravity = (0.0, 0.0),
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
-        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
+        pushes, holding = hands.actuators()
         wanted = read_targets(targets, stored.beam.length)
         found = solve_shape(
             stored.beam,
@@ -329,63 +263,52 @@ def shape(
             grip=holding,
             gravity=gravity_on(stored.beam, gravity),
             uncertain=stored.uncertain,
-            settings=ShapeSettings(arm=arm),
+            settings=settings,
         )
         if found.rms > FAR * stored.beam.length:
             raise ControlError(
                 f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
                 f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
             )
-        summary = shape_summary(str(model), found, written_by=BY)
+        summary = control_files.shape_summary(str(model), found, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import shaping  # here: Matplotlib is for pictures alone
 
-            with workplace(output, SHAPE_FORMAT, overwrite) as place:
+            with common.workplace(output, control_files.SHAPE_FORMAT, overwrite) as place:
                 pictures = draw({"shape": lambda: shaping(stored.beam, found)})
                 inputs = inputs_of([model_file(model), targets])
-                put_in_place(place, shape_writer(found, pictures, summary), pictures.failed, inputs=inputs)
-    if as_json:
-        print_summary(summary, output)
-    else:
-        show_shape(screen(), found, output)
+                common.put_in_place(
+                    place, control_files.shape_writer(found, pictures, summary), pictures.failed, inputs=inputs
+                )
+    common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
 
 
 def path(
-    model: Model,
+    model: common.Model,
     *,
     goals: GoalsFile,
     point: GoalPoint = 1.0,
-    grip: Gripped = False,
-    push_at: PushPlaces = None,
-    max_force: HandMaxForce = None,
-    max_moment: HandMaxMoment = None,
-    rate: SampleRate = 1000.0,
-    max_force_rate: MaxForceRate = None,
-    max_speed: MaxSpeed = None,
-    max_turn_rate: MaxTurnRate = None,
-    too_fast: TooFast = "stretch",
+    hands: Hands,
+    settings: PathSettings,
     between: BetweenGoals = None,
-    arm: Arm = None,
-    gravity: Gravity = (0.0, 0.0),
+    gravity: common.Gravity = (0.0, 0.0),
     frame: FrameName = FRAME,
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         if not frame or not frame.isprintable():
             raise ControlError(f"--frame {frame!r} is no name of a frame: leave out what cannot be printed")
-        _no_idle_limit(grip, {"--max-speed-m-per-s": max_speed, "--max-turn-rate-deg-per-s": max_turn_rate})
-        pushes, holding = _actuators(grip, push_at, max_force, max_moment)
-        if not pushes and max_force_rate is not None:
+        limits = settings.limits
+        hands.refuse_idle({"--max-speed-m-per-s": limits.speed, "--max-turn-rate-deg-per-s": limits.turning})
+        pushes, holding = hands.actuators()
+        if not pushes and math.isfinite(limits.force):
             raise ControlError(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
             )
-        turning = math.radians(or_unlimited(max_turn_rate))
-        limits = RateLimits(force=or_unlimited(max_force_rate), speed=or_unlimited(max_speed), turning=turning)
-        settings = PathSettings(rate=rate, limits=limits, too_fast=too_fast, shape=ShapeSettings(arm=arm))
         weight = gravity_on(stored.beam, gravity)
         by_points: Between = "smooth" if between is None or between == "force" else between
         wanted = read_goals(goals, point_s=point, between=by_points)
@@ -393,25 +316,24 @@ def path(
             wanted = _led(stored.beam, wanted, pushes, holding, weight)
         way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
         sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
-        summary = path_summary(str(model), way, sure, written_by=BY)
+        summary = control_files.path_summary(str(model), way, sure, written_by=BY)
         bag = installed("rosbags")
         if output is not None:
             from onebend.report.control_figures import path_figure  # here: Matplotlib is for pictures alone
 
-            with workplace(output, PATH_FORMAT, overwrite) as place:
+            with common.workplace(output, control_files.PATH_FORMAT, overwrite) as place:
                 pictures = draw({"path": lambda: path_figure(way)})
                 inputs = inputs_of([model_file(model), goals])
-                put_in_place(
-                    place, path_writer(way, pictures, summary, frame=frame, bag=bag), pictures.failed, inputs=inputs
+                common.put_in_place(
+                    place,
+                    control_files.path_writer(way, pictures, summary, frame=frame, bag=bag),
+                    pictures.failed,
+                    inputs=inputs,
                 )
-    if as_json:
-        print_summary(summary, output)
-    else:
-        show_path(screen(), way, sure, output, bag=bag)
+    common.answer(as_json, summary, lambda console: show_path(console, way, sure, output, bag=bag), output)
 
 
 def _alone(goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None) -> bool:
-    """Whether one push leads one point."""
     return grip is None and len(pushes) == 1 and len(goals.targets.s) == 1 and not goals.targets.turned.any()
 
 
@@ -421,23 +343,6 @@ def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None
     [one] = pushes
     limit = one.max_force if math.isfinite(one.max_force) else None
     return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
-
-
-def _no_idle_limit(grip: bool, limits: dict[str, float | None]) -> None:
-    """A limit of a gripper that is not there would be kept by nobody."""
-    for name, limit in limits.items():
-        if limit is not None and not grip:
-            raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
-
-
-def _actuators(
-    grip: bool, push_at: list[float] | None, max_force: float | None, max_moment: float | None
-) -> tuple[tuple[Pusher, ...], Grip | None]:
-    """Without a word a push at the tip; with a grip only the pushes that are named."""
-    _no_idle_limit(grip, {"--max-moment-N-m": max_moment})
-    places = push_at if push_at is not None else ([] if grip else [1.0])
-    pushes = tuple(Pusher(place, or_unlimited(max_force)) for place in places)
-    return pushes, Grip(or_unlimited(max_force), or_unlimited(max_moment)) if grip else None
 
 
 # What `onebend loop` says.
@@ -452,7 +357,7 @@ def show_loop(
     rehearsed: Mapping[str, object],
 ) -> None:
     """Force, gains, margins, and how the rehearsals went; `rehearsed` as in the summary."""
-    table = facts_table()
+    table = common.facts_table()
     x, y = control.reference.ends
     table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
                   f"{control.reference.rise:.2f} s")  # fmt: skip
@@ -475,7 +380,7 @@ def show_loop(
         runs.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
     console.print(runs, highlight=False)
-    say_written(console, output, "loop.csv, loop.png, summary.json")
+    common.say_written(console, output, "loop.csv, loop.png, summary.json")
 
 
 def trial_name(trial: LoopTrial) -> str:

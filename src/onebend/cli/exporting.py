@@ -8,20 +8,12 @@ from typing import Annotated
 import typer
 
 import onebend
-from onebend.cli.common import (
-    Model,
-    Overwrite,
-    Quiet,
-    Recording,
-    Threads,
-    clean_errors,
-    progress_of,
-    say,
-)
+from onebend.cli import common
 from onebend.cli.models import read_trusted
 from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
 from onebend.export.rerun_file import write_rerun
 from onebend.files.single_file import fresh_file, write_file
+from onebend.options import Only
 from onebend.pipeline import compare
 from onebend.recording.folder import folder_of, read_recording
 from onebend.recording.observe import ObserveSettings
@@ -47,6 +39,7 @@ DampingTime = Annotated[
         help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
     ),
 ]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 RerunFile = Annotated[
     Path | None,
     typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: the recording's name.rrd."),
@@ -55,18 +48,18 @@ Every = Annotated[int, typer.Option(min=1, metavar="N", help="Keep one picture o
 
 
 def export_command(
-    model: Model,
+    model: common.Model,
     *,
     to: ExportTo,
     output: OutFile = None,
     hinges: Hinges = 40,
     mass: MassKg = None,
     damping_time: DampingTime = None,
-    overwrite: Overwrite = False,
+    overwrite: common.Overwrite = False,
 ) -> None:
     """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
     kind: Kind = to
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"beam{suffix_of(kind)}")
         content = export(
@@ -79,42 +72,40 @@ def export_command(
             sites=() if stored.origin is None else stored.origin.marker_s,
         )
         write_file(path, content, overwrite=overwrite)
-    say(f"Wrote {path}: {KINDS[kind].says}.")
-    say(KINDS[kind].use.format(path=path))
+    common.say(f"Wrote {path}: {KINDS[kind].says}.")
+    common.say(KINDS[kind].use.format(path=path))
 
 
 def _damping_time(asked: float | None, stored: StoredModel) -> float:
-    """s: what was asked for, else what a swing said."""
     if asked is not None:
         return asked
     return DAMPING_TIME if stored.damping is None else stored.damping.loss_time
 
 
 def rerun_command(
-    model: Model,
-    recording: Recording,
+    model: common.Model,
+    recording: common.Recording,
     *,
     output: RerunFile = None,
     every: Every = 2,
-    threads: Threads = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    observing: Observing,
+    overwrite: common.Overwrite = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")
-        with fresh_file(path, overwrite=overwrite) as beside, progress_of(quiet) as progress:
-            observing, detect = ObserveSettings(threads=threads), detection_cache(onebend.__version__).detect
+        with fresh_file(path, overwrite=overwrite) as beside, common.progress_of(quiet) as progress:
             [(found, seen)] = compare(
                 stored.beam,
                 [recording],
                 stiffness=stored.uncertain,
                 observing=observing,
-                detect=detect,
+                detect=detection_cache(onebend.__version__).detect,
                 progress=progress,
             )
             video = read_recording(recording).video
             frames = () if video is None else read_frames(video)
             write_rerun(beside, stored.beam, found, seen, frames, uncertain=stored.uncertain, every=every)
-    say(f"Wrote {path}. Look at it with: rerun {path}")
+    common.say(f"Wrote {path}. Look at it with: rerun {path}")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,51 +16,22 @@ from rich.table import Table
 from rich.text import Text
 
 import onebend
-from onebend.cli import BY
-from onebend.cli.common import (
-    LEAST,
-    MOST,
-    Json,
-    LogAxis,
-    Model,
-    Output,
-    Overwrite,
-    Quiet,
-    Threads,
-    clean_errors,
-    made_from_files,
-    open_in_browser,
-    print_json,
-    progress_of,
-    put_in_place,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_run, show_times, show_validation
-from onebend.learning.design import Limits, Plan, PlanSettings, Proposal, direction_words, identified_words
+from onebend.learning.design import Plan, PlanSettings, Proposal, direction_words, identified_words
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings
-from onebend.learning.parameters import Priors
+from onebend.options import Only
 from onebend.pipeline import Run, compare, learn as learn_from, plan_next
 from onebend.progress import Progress
 from onebend.recording.folder import folder_of
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import KeptFrames
-from onebend.records import CLAMP_SD
 from onebend.report.pictures import Pictures, draw
 from onebend.report.wording import significant
+from onebend.results import learned_files
 from onebend.results.detection_cache import detection_cache
-from onebend.results.learned_files import (
-    LEARN_FORMAT,
-    PLAN_FORMAT,
-    VALIDATE_FORMAT,
-    learned_writer,
-    summary_of,
-    tables_writer,
-    validation_summary,
-    validation_writer,
-)
 from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
@@ -70,13 +41,8 @@ from onebend.results.provenance import inputs_of, recording_files
 
 def plan_table(plan: Plan) -> Table:
     """The proposals of a plan: what costs nothing first."""
-    table = Table(
-        title="What to do next: what costs nothing first, then by how well k(s) would be known on average",
-        title_justify="left",
-        box=None,
-    )
-    for name in ("", "push at s", "force", "to \\[N]", "tip \\[mm]", "needs", "k(s) then"):
-        table.add_column(name, justify="left" if name in ("force", "needs") else "right")
+    title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
+    table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
         needs = proposal.needs or ("the same once more" if proposal.repeats else "nothing new")
         cells = (
@@ -122,54 +88,19 @@ Method = Annotated[
         "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
     ),
 ]
-Family = Annotated[Literal["gaussians", "powers"], typer.Option(help="The functions that k(s) is made of.")]
-Width = Annotated[
-    float | None,
-    typer.Option(
-        min=0.001, max=MOST, metavar="SIGMA", help="Sigma of the Gaussians as a part of L; default: their distance."
-    ),
-]
-Bic = Annotated[Literal["textbook", "paper"], typer.Option(help="How complexity counts; paper: as its tables follow.")]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 NoReport = Annotated[
     bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
 ]
 OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
-Modes = Annotated[int | None, typer.Option("--n", metavar="N", help="Fix the number of curvature modes.")]
-Functions = Annotated[int | None, typer.Option("--m", metavar="M", help="Fix the number of stiffness functions.")]
 Epsilon = Annotated[
     float | None,
     typer.Option(
         "--epsilon-s",
         min=0.0,
-        max=MOST,
+        max=common.MOST,
         metavar="SECONDS",
         help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
-    ),
-]
-MaxForce = Annotated[
-    float | None,
-    typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="Default: twice the largest so far."),
-]
-MaxTipAngle = Annotated[
-    float | None,
-    typer.Option(
-        "--max-tip-angle-deg",
-        min=1.0,
-        max=180.0,
-        metavar="DEG",
-        help="Default: 90, and at most 1.25 times the largest curvature so far.",
-    ),
-]
-Count = Annotated[int, typer.Option(min=1, metavar="N", help="How many proposals.")]
-ClampSd = Annotated[
-    float | None,
-    typer.Option(
-        "--clamp-sd-deg",
-        min=0.0,
-        max=MOST,
-        metavar="DEG",
-        help=f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
-        f"{math.degrees(CLAMP_SD):.2g}. It trades off against k.",
     ),
 ]
 Verbose = Annotated[
@@ -181,43 +112,39 @@ Verbose = Annotated[
 def learn(
     recordings: Recordings,
     *,
-    output: Output = None,
+    output: common.Output = None,
     validate_on: ValidateOn = None,
     method: Method = "fit",
-    family: Family = "gaussians",
-    width: Width = None,
-    bic: Bic = "textbook",
-    n: Modes = None,
-    m: Functions = None,
-    clamp_sd: ClampSd = None,
+    settings: RegressionSettings,
+    fitting: FitSettings,
+    observing: Observing,
     epsilon: Epsilon = None,
-    threads: Threads = None,
-    overwrite: Overwrite = False,
+    overwrite: common.Overwrite = False,
     verbose: Verbose = False,
-    log: LogAxis = False,
+    log: common.LogAxis = False,
     no_report: NoReport = False,
     open_report: OpenReport = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).
 
     The tags of a film are looked for once and kept for the next run (`onebend cache`).
     """
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
-    regression: Literal["regression", "paper"] = "paper" if method == "paper" else "regression"
-    settings = RegressionSettings(method=regression, family=family, width=width, bic=bic, n=n, m=m)
-    fitting, observing = _fitting(clamp_sd) if method == "fit" else None, _observing(threads, epsilon)
+    settings = replace(settings, method="paper" if method == "paper" else "regression")
+    observing = _paired(observing, epsilon)
+    fit = fitting if method == "fit" else None
     if no_report and open_report:
         raise typer.BadParameter("--no-report writes no report to open. Leave one of the two out")
     frames = KeptFrames()
-    with clean_errors(), workplace(out, LEARN_FORMAT, overwrite) as place:
+    with common.clean_errors(), common.workplace(out, learned_files.LEARN_FORMAT, overwrite) as place:
         inputs = inputs_of(recording_files([*recordings, *(validate_on or ())]))
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             run = learn_from(
                 *recordings,
                 settings=settings,
-                fitting=fitting,
+                fitting=fit,
                 observing=observing,
                 validate_on=validate_on or (),
                 detect=detection_cache(onebend.__version__, place.work, frames.keep).detect,
@@ -225,31 +152,31 @@ def learn(
                 progress=progress,
             )
         began = time.perf_counter()
-        summary = summary_of(run, written_by=BY)
-        settled = {"fit": fitting, "regression": settings, "observing": observing}
-        tables = tables_writer(run, version=onebend.__version__)
+        summary = learned_files.summary_of(run, written_by=BY)
+        settled = {"fit": fit, "regression": settings, "observing": observing}
+        tables = learned_files.tables_writer(run, version=onebend.__version__)
 
         def put(pictures: Pictures | None) -> None:
-            made_from = made_from_files(inputs, settled)
-            write = learned_writer(
+            made_from = common.made_from_files(inputs, settled)
+            write = learned_files.learned_writer(
                 run, pictures, summary, version=onebend.__version__, made_from=made_from, tables=tables
             )
-            put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
+            common.put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
         put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
         if not as_json:
-            show_run(screen(), run, out, verbose=verbose, log=log, report=not no_report)
+            show_run(common.screen(), run, out, verbose=verbose, log=log, report=not no_report)
         if not no_report:
-            with progress_of(quiet) as progress:
+            with common.progress_of(quiet) as progress:
                 pictures = draw_all(run, frames=frames, progress=progress)
             put(pictures)
     seconds = {**run.stage_seconds, "report": time.perf_counter() - began}
     if as_json:
-        print_json({**summary, "stage_seconds": seconds, "output": str(out)})
+        common.print_json({**summary, "stage_seconds": seconds, "output": str(out)})
     elif verbose:
-        show_times(screen(), run, seconds)
+        show_times(common.screen(), run, seconds)
     if open_report:
-        open_in_browser(out / "report.html")
+        common.open_in_browser(out / "report.html")
 
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
@@ -260,18 +187,18 @@ def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
 
 
 def validate(
-    model: Model,
+    model: common.Model,
     recordings: Recordings,
     *,
-    output: Output = None,
+    output: common.Output = None,
     epsilon: Epsilon = None,
-    threads: Threads = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    observing: Observing,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         known = observations_beside(model)
         work = partial(
@@ -280,56 +207,48 @@ def validate(
             recordings,
             learned_from=known,
             stiffness=stored.uncertain,
-            observing=_observing(threads, epsilon),
+            observing=_paired(observing, epsilon),
         )
         beam = stored.beam
         if output is None:
-            with progress_of(quiet) as progress:
+            with common.progress_of(quiet) as progress:
                 pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)
-            summary = validation_summary(str(model), pairs, written_by=BY)
+            summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
         else:
             from onebend.report.figures import validation_figures  # here, as above
 
-            with workplace(output, VALIDATE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+            with (
+                common.workplace(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
+                common.progress_of(quiet) as progress,
+            ):
                 inputs = inputs_of([model_file(model), *recording_files(recordings)])
                 pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)
-                summary = validation_summary(str(model), pairs, written_by=BY)
+                summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
                 pictures = draw(validation_figures(beam, pairs), progress)
-                put_in_place(place, validation_writer(pairs, pictures, summary), pictures.failed, inputs=inputs)
-    if as_json:
-        print_json(summary)
-    else:
-        show_validation(screen(), pairs, output)
+                common.put_in_place(
+                    place, learned_files.validation_writer(pairs, pictures, summary), pictures.failed, inputs=inputs
+                )
+    common.answer(as_json, summary, lambda console: show_validation(console, pairs, output))
 
 
 def plan(
-    model: Model,
+    model: common.Model,
     *,
-    max_force: MaxForce = None,
-    max_tip_angle: MaxTipAngle = None,
-    count: Count = 8,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    settings: PlanSettings,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Say which push to make next: what each would leave of the band on k(s)."""
-    turn = None if max_tip_angle is None else math.radians(max_tip_angle)
-    settings = PlanSettings(limits=Limits(force=max_force, tip_turn=turn), count=count)
-    with clean_errors(), progress_of(quiet) as progress:
+    with common.clean_errors(), common.progress_of(quiet) as progress:
         read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
     if as_json:
-        print_json({"format": PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()})
+        common.print_json(
+            {"format": learned_files.PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()}
+        )
     else:
-        show_plan(screen(), found)
+        show_plan(common.screen(), found)
 
 
-def _observing(threads: int | None, epsilon: float | None) -> ObserveSettings:
-    if epsilon is None:
-        return ObserveSettings(threads=threads)
-    return ObserveSettings(threads=threads, pairing="nearest", epsilon=epsilon)
-
-
-def _fitting(clamp_sd: float | None) -> FitSettings:
-    if clamp_sd is None:
-        return FitSettings()
-    return FitSettings(priors=Priors(clamp=math.radians(clamp_sd)))
+def _paired(observing: ObserveSettings, epsilon: float | None) -> ObserveSettings:
+    return observing if epsilon is None else replace(observing, pairing="nearest", epsilon=epsilon)

@@ -7,33 +7,22 @@ from pathlib import Path
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import has_mass
-from onebend.cli.common import (
-    Json,
-    LogAxis,
-    Model,
-    clean_errors,
-    print_json,
-    say_warning,
-    screen,
-)
+from onebend.cli import common
 from onebend.errors import ControlError
 from onebend.results.model import StoredModel, model_file, model_summary, read_model
 
 HEAVY = 100.0  # m/s^2: what is more is another unit
 
 
-def show(model: Model, *, log: LogAxis = False, as_json: Json = False) -> None:
+def show(model: common.Model, *, log: common.LogAxis = False, as_json: common.Json = False) -> None:
     """Draw the learned k(s) in the terminal."""
     # here: the other commands that take a model, which share what is below, do without
     from onebend.cli.screens import show_model
 
-    with clean_errors():
+    with common.clean_errors():
         stored = read_model(model)
         say_changed(model, stored)
-    if as_json:
-        print_json(model_summary(stored))
-    else:
-        show_model(screen(), stored, log=log)
+    common.answer(as_json, model_summary(stored), lambda console: show_model(console, stored, log=log))
 
 
 def read_trusted(model: Path) -> StoredModel:
@@ -42,14 +31,14 @@ def read_trusted(model: Path) -> StoredModel:
     say_changed(model, stored)
     doubts = () if stored.uncertain is None else stored.uncertain.doubts
     if doubts:
-        say_warning(f"k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", about="not trusted")
+        common.say_warning(f"k(s) of {model} is NOT TO BE TRUSTED: {'; '.join(doubts)}.", about="not trusted")
     return stored
 
 
 def say_changed(model: Path, stored: StoredModel) -> None:
     """A warning on standard error where the file is not as it was written, or another than its folder's."""
     for words in filter(None, (stored.changed, stored.swapped)):
-        say_warning(f"{model_file(model)} {words}.", about="changed file")
+        common.say_warning(f"{model_file(model)} {words}.", about="changed file")
 
 
 def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:

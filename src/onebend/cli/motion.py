@@ -5,30 +5,12 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 import onebend
-from onebend.cli import BY
-from onebend.cli.common import (
-    LEAST,
-    MOST,
-    Json,
-    Model,
-    Output,
-    Overwrite,
-    Quiet,
-    Recording,
-    Threads,
-    clean_errors,
-    print_json,
-    print_summary,
-    progress_of,
-    put_in_place,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.errors import ResultsError
@@ -37,6 +19,7 @@ from onebend.files.single_file import check_name_free, write_file
 from onebend.learning.sensing.sense import Sensed, SenseSettings, sense as sense_force
 from onebend.learning.swing import DampingSettings, FilmPart, learn_damping
 from onebend.learning.swing_frequencies import frequencies_of
+from onebend.options import Only
 from onebend.progress import Progress
 from onebend.recording.folder import check_same_length, read_recording
 from onebend.recording.observe import ObserveSettings, observe, swing_signals
@@ -48,66 +31,10 @@ from onebend.results.model import StoredModel, model_file, model_text
 from onebend.results.provenance import inputs_of, recording_files
 from onebend.results.sensing import SENSE_FORMAT, force_bag, sense_summary, sense_writer
 
-FromS = Annotated[
-    float | None,
-    typer.Option(
-        "--from-s", metavar="SECONDS", help="The beam swings freely from here on in the film; default: found."
-    ),
-]
-ToS = Annotated[
-    float | None, typer.Option("--to-s", metavar="SECONDS", help="And to here in the film; default: to the end.")
-]
-MassAlong = Annotated[
-    Literal["even", "width"],
-    typer.Option(
-        help="How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
-        "the width in the plane of bending varies."
-    ),
-]
 ModelFile = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
 ]
 
-ContactPlace = Annotated[
-    Literal["known", "unknown"],
-    typer.Option("--place", help="known: the force acts where the recording or --push-at says. unknown: it is sought."),
-]
-ContactAt = Annotated[
-    float | None,
-    typer.Option("--push-at", min=LEAST, max=1.0, metavar="S", help="Where the force acts; default: as written."),
-]
-ContactSd = Annotated[
-    float | None,
-    typer.Option("--push-sd-m", min=0.0, max=MOST, metavar="M", help="One sd of that place; default: as written."),
-]
-TagsNow = Annotated[
-    Literal["learned", "anew"],
-    typer.Option("--tags", help="learned: they sit where they did. anew: they were put on again."),
-]
-AskMoment = Annotated[bool, typer.Option("--moment", help="The contact transmits a moment besides, as a gripper does.")]
-MomentPrior = Annotated[
-    float | None,
-    typer.Option(
-        "--moment-prior-Nm",
-        min=LEAST,
-        max=MOST,
-        metavar="NM",
-        help="One sd of the moment before; default: the force's times L.",
-    ),
-]
-Smooth = Annotated[
-    bool, typer.Option("--smooth", help="Besides, the force as a process over the frames: what neighbours say counts.")
-]
-ForcePrior = Annotated[
-    float | None,
-    typer.Option(
-        "--force-prior-N",
-        min=LEAST,
-        max=MOST,
-        metavar="N",
-        help="One sd of each component of the force before any shape is seen; default: three times k/L.",
-    ),
-]
 Bag = Annotated[bool, typer.Option("--bag", help="Write force.mcap too: the force and its covariance as a ROS 2 bag.")]
 
 
@@ -118,12 +45,13 @@ Swinging = Annotated[
         help="A recording (film or tracks) with a free swing, or a CSV with time_s and a column for each signal.",
     ),
 ]
+Observing = Annotated[ObserveSettings, Only(("threads",))]
 FASTEST = 1e5  # frames a second over frames a second: no camera slows a swing down by more
 Slowed = Annotated[
     float,
     typer.Option(
         "--slowed",
-        min=LEAST,
+        min=common.LEAST,
         max=FASTEST,
         metavar="TIMES",
         help="It plays so many times slower than it was, as slow motion does.",
@@ -135,52 +63,51 @@ MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", he
 def frequencies(
     source: Swinging,
     *,
-    begin: FromS = None,
-    end: ToS = None,
+    part: FilmPart,
     slowed: Slowed = 1.0,
     most: MostModes = 4,
-    threads: Threads = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    observing: Observing,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Find the natural frequencies in a free swing, to be written in recording.toml."""
-    with clean_errors(), progress_of(quiet) as progress:
+    with common.clean_errors(), common.progress_of(quiet) as progress:
         detect = detection_cache(onebend.__version__).detect
-        signals = swing_signals(source, threads=threads, detect=detect, progress=progress)
-        found = frequencies_of(signals.time, signals.value, FilmPart(begin, end), most=most, name=signals.name)
+        signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
+        found = frequencies_of(signals.time, signals.value, part, most=most, name=signals.name)
     found = found.sped_up(slowed)
-    if as_json:
-        print_json({**frequencies_summary(str(source), found, written_by=BY)})
-    else:
-        show_frequencies(screen(), found)
+    common.answer(
+        as_json,
+        frequencies_summary(str(source), found, written_by=BY),
+        lambda console: show_frequencies(console, found),
+    )
 
 
 def damp(
-    model: Model,
-    recording: Recording,
+    model: common.Model,
+    recording: common.Recording,
     *,
-    begin: FromS = None,
-    end: ToS = None,
-    mass_along: MassAlong = "even",
+    part: FilmPart,
+    settings: DampingSettings,
     output: ModelFile = None,
-    threads: Threads = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    observing: Observing,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Learn a learned beam's damping from a recording in which it swings freely, and check k over mass."""
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
         if output is not None:
             check_name_free(output, overwrite=overwrite)
-        with progress_of(quiet) as progress:
-            seen = _observed(stored, recording, threads, progress)
+        with common.progress_of(quiet) as progress:
+            seen = _observed(stored, recording, observing, progress)
             fit = learn_damping(
                 stored.beam,
                 seen,
                 uncertain=stored.uncertain,
-                part=FilmPart(begin, end),
-                settings=DampingSettings(mass_along=mass_along),
+                part=part,
+                settings=settings,
                 progress=progress,
             )
         if output is not None:
@@ -189,39 +116,33 @@ def damp(
             if not (overwrite and amend(output, text.encode())):  # a file of a results folder: the folder stays whole
                 write_file(output, text, overwrite=overwrite)
     if as_json:
-        print_json({**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)})
+        common.print_json(
+            {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
+        )
     else:
-        show_damping(screen(), fit, output)
+        show_damping(common.screen(), fit, output)
 
 
 def sense(
-    model: Model,
-    recording: Recording,
+    model: common.Model,
+    recording: common.Recording,
     *,
-    place: ContactPlace = "known",
-    at: ContactAt = None,
-    at_sd: ContactSd = None,
-    force_prior: ForcePrior = None,
-    tags: TagsNow = "learned",
-    moment: AskMoment = False,
-    moment_prior: MomentPrior = None,
-    smooth: Smooth = False,
+    settings: SenseSettings,
     bag: Bag = False,
-    output: Output = None,
-    threads: Threads = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    output: common.Output = None,
+    observing: Observing,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
-    with clean_errors():
+    with common.clean_errors():
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        settings = SenseSettings(place, at, at_sd, force_prior, tags, moment, moment_prior, smooth)
-        with nullcontext() if output is None else workplace(output, SENSE_FORMAT, overwrite) as work:
-            with progress_of(quiet) as progress:
-                seen = _observed(stored, recording, threads, progress)
+        with nullcontext() if output is None else common.workplace(output, SENSE_FORMAT, overwrite) as work:
+            with common.progress_of(quiet) as progress:
+                seen = _observed(stored, recording, observing, progress)
             found = sense_force(
                 stored.beam,
                 seen,
@@ -232,18 +153,14 @@ def sense(
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
                 _write(work, model, recording, found, summary, bag=bag)
-    if as_json:
-        print_summary(summary, output)
-    else:
-        show_sensed(screen(), found, output, bag=bag)
+    common.answer(as_json, summary, lambda console: show_sensed(console, found, output, bag=bag), output)
 
 
-def _observed(stored: StoredModel, recording: Path, threads: int | None, progress: Progress) -> Observations:
-    """A recording of the learned beam."""
+def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, progress: Progress) -> Observations:
     files = read_recording(recording)
     check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect
-    return observe(files, settings=ObserveSettings(threads=threads), detect=detect, progress=progress)
+    return observe(files, settings=observing, detect=detect, progress=progress)
 
 
 def _write(
@@ -254,4 +171,4 @@ def _write(
     messages = force_bag(found.time, found.force, found.covariance) if bag else None
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
     inputs = inputs_of([model_file(model), *recording_files([recording])])
-    put_in_place(work, sense_writer(found, pictures, summary, messages), pictures.failed, inputs=inputs)
+    common.put_in_place(work, sense_writer(found, pictures, summary, messages), pictures.failed, inputs=inputs)

@@ -16,19 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from onebend.cli import BY
-from onebend.cli.common import (
-    Json,
-    Overwrite,
-    Quiet,
-    Recording,
-    clean_errors,
-    print_json,
-    progress_of,
-    remarks_list,
-    say,
-    screen,
-)
+from onebend.cli import BY, common
 from onebend.errors import ObservationError, RecordingError
 from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, check_replaceable, write_file
@@ -90,7 +78,7 @@ def show_overview(console: Console, overview: Overview) -> None:
         table.add_row(what, escape(understood))
     console.print(table)
     console.print()
-    console.print(remarks_list([(overview.name, remark) for remark in overview.remarks]))
+    console.print(common.remarks_list([(overview.name, remark) for remark in overview.remarks]))
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
@@ -143,14 +131,14 @@ def new(
         "video": video, "ros": ros is not None, "photos": photos, "weights": weights, "mocap": mocap
     }  # fmt: skip
     kinds = [kind for kind, wanted in asked.items() if wanted]
-    with clean_errors():
+    with common.clean_errors():
         if len(kinds) > 1:
             names = " and ".join(f"--{kind}" for kind in kinds)
             raise RecordingError(f"{names}: a recording is of one kind. Make a folder of each")
         kind: Kind = kinds[0] if kinds else "video"
         filled = {} if ros is None else bag_values(ros, folder)
         path = write_template(folder, kind, **filled)
-    say(f"Wrote {path}. Fill in what is empty, {BESIDE[kind]}, then: onebend check {folder}")
+    common.say(f"Wrote {path}. Fill in what is empty, {BESIDE[kind]}, then: onebend check {folder}")
 
 
 def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:
@@ -168,12 +156,16 @@ def quoted(text: str) -> str:
 
 
 def check(
-    recording: Recording, *, output: Picture = Path(PICTURE), overwrite: Overwrite = False, as_json: Json = False
+    recording: common.Recording,
+    *,
+    output: Picture = Path(PICTURE),
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Read a recording's files, look for the tags in some frames, say and draw what was understood."""
     from onebend.report.overview import SOFTWARE, overview  # here: `new` and `topics` read no films
 
-    with clean_errors():
+    with common.clean_errors():
         check_replaceable(output, SOFTWARE, overwrite=overwrite)
         found = overview(recording)
         from onebend.report.figures import check_png  # here: matplotlib takes a third of a second to load
@@ -184,25 +176,25 @@ def check(
         if found.faults and as_json:
             raise ObservationError("\n".join(found.faults))
     if as_json:
-        print_json({**found.as_dict(), "picture": None if drawn is None else str(output)})
+        common.print_json({**found.as_dict(), "picture": None if drawn is None else str(output)})
         return
-    show_overview(screen(), found)
+    show_overview(common.screen(), found)
     if drawn is not None:
-        say(f"picture {output}")
+        common.say(f"picture {output}")
     if found.faults:
-        with clean_errors():
+        with common.clean_errors():
             raise ObservationError("\n".join(found.faults))
 
 
-def topics(bag: BagPath, *, definitions: Definitions = None, as_json: Json = False) -> None:
+def topics(bag: BagPath, *, definitions: Definitions = None, as_json: common.Json = False) -> None:
     """List the topics of a ROS bag, with types, counts, rates and times, and what to write of them."""
-    with clean_errors():
+    with common.clean_errors():
         found = bag_contents(bag, definitions)
     if as_json:
-        print_json(as_data(found))
+        common.print_json(as_data(found))
     else:
-        show_bag(screen(), found)
-        say(lines_to_write(found))
+        show_bag(common.screen(), found)
+        common.say(lines_to_write(found))
 
 
 def as_data(found: BagContents) -> dict[str, object]:
@@ -232,22 +224,24 @@ def lines_to_write(found: BagContents) -> str:
     return "\n\n".join(["For recording.toml:", *("\n".join(table) for table in tables)])
 
 
-def show_cache(*, clear: Clear = False, as_json: Json = False) -> None:
+def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
     """Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them."""
     folder = users_folder()
-    with clean_errors():
+    with common.clean_errors():
         kept = [] if folder is None else folder.clear() if clear else folder.entries()
     size = sum(entry.size for entry in kept)
     if as_json:
         where = None if folder is None else str(folder.path)
-        print_json({"folder": where, "entries": len(kept), "bytes": size, "cleared": clear})
+        common.print_json({"folder": where, "entries": len(kept), "bytes": size, "cleared": clear})
     elif folder is None:
-        say(f"Nothing is kept: {VARIABLE} turns it off, or this system has no place for caches.")
+        common.say(f"Nothing is kept: {VARIABLE} turns it off, or this system has no place for caches.")
     else:
         films = f"the tags of {len(kept)} {'film' if len(kept) == 1 else 'films'}, {size / 1e6:.3g} MB"
-        say(f"{'Dropped' if clear else 'Kept'}: {films}, in {folder.path}")
+        common.say(f"{'Dropped' if clear else 'Kept'}: {films}, in {folder.path}")
         if not clear:
-            say(f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off).")
+            common.say(
+                f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off)."
+            )
 
 
 # What `onebend calibrate` says.
@@ -255,9 +249,7 @@ def show_cache(*, clear: Clear = False, as_json: Json = False) -> None:
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:
     """All that `onebend calibrate` says."""
-    table = Table(title="The camera", title_justify="left", box=None)
-    for name in ("", "value", "sd"):
-        table.add_column(name, justify="right" if name else "left")
+    table = common.listing("The camera", "<", "value", "sd")
     for name, value, sd in zip(NAMES, calibration.values, calibration.sd, strict=True):
         if name != "k3" or value != 0.0:
             unit = " \\[px]" if name in NAMES[:4] else ""
@@ -269,7 +261,7 @@ def show_calibration(console: Console, calibration: Calibration, out: Path) -> N
         f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n",
         highlight=False,
     )
-    console.print(remarks_list([("camera", remark) for remark in calibration.remarks]))
+    console.print(common.remarks_list([("camera", remark) for remark in calibration.remarks]))
     console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, highlight=False, soft_wrap=True)
     typer.echo(calibration.camera_table())
 
@@ -308,15 +300,15 @@ def calibrate(
     topic: ImageTopic = "",
     views: MostViews = 30,
     output: CameraFile = Path("camera.toml"),
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
-    with clean_errors():
+    with common.clean_errors():
         wanted = _board(board, square, marker, dictionary)
         check_name_free(output, overwrite=overwrite)
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
     if as_json:
@@ -327,13 +319,12 @@ def calibrate(
             "topic": topic or None,
             **found.as_dict(),
         }
-        print_json({**said, "output": str(output)})
+        common.print_json({**said, "output": str(output)})
     else:
-        show_calibration(screen(), found, output)
+        show_calibration(common.screen(), found, output)
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:
-    """From what was typed."""
     kind, size = board
     kinds: dict[str, BoardKind] = {one: one for one in get_args(BoardKind)}
     if kind not in kinds:

@@ -15,42 +15,15 @@ from rich.text import Text
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
-from onebend.cli.common import facts_table, force_words, remarks_list, say_written, warnings_list
+from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written, warnings_list
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.swing import Damping, SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
-from onebend.report.confidence import (
-    MeasuredBeam,
-    ModulusRows,
-    allowance_rows,
-    load_error_words,
-    measured_beam,
-    modulus_rows,
-    modulus_words,
-    mounting_words,
-    nuisance_rows,
-    scale_words,
-    stop_words,
-    tradeoff_words,
-    unidentified_words,
-)
+from onebend.report import confidence, wording
 from onebend.report.verdict import hopeless, verdict_of
-from onebend.report.wording import (
-    UNKNOWN,
-    Findings,
-    all_remarks,
-    bic_words,
-    millimetres,
-    only_frequencies,
-    pair_remarks,
-    percent,
-    significant,
-    stage_rows,
-    tag_words,
-)
 from onebend.results.model import StoredModel
 
 if TYPE_CHECKING:
@@ -76,20 +49,19 @@ def selection_table(learned: Learned) -> Table:
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
-        cells = [str(trial.n), str(trial.m), *errors[i], bic_words(trial.bic)]
+        cells = [str(trial.n), str(trial.m), *errors[i], wording.bic_words(trial.bic)]
         style = "bold green" if chosen else "dim" if trial.why_out else ""
         table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
     return table
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
     if len(learned.training.tag_id) <= FEW:
         return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
-            list(map(millimetres, t.rms)) for t in learned.trials
+            list(map(wording.millimetres, t.rms)) for t in learned.trials
         ]
     worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
-    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
+    return ["worst tag \\[mm]"], [[wording.millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
@@ -104,8 +76,8 @@ def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
     for one in comparisons:
         for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
-            beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
-            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
+            beside = [f"[dim]{wording.millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
+            table.add_row(*whose, wording.tag_words(one, i), f"{s:.3g}", wording.millimetres(one.rms[i]), *beside)
     return table
 
 
@@ -114,7 +86,7 @@ def band_places(columns: int) -> Array:
     return np.linspace(0.0, 1.0, 11 if columns >= WIDE else 6)
 
 
-def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: ModulusRows | None = None) -> Table:
+def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: confidence.ModulusRows | None = None) -> Table:
     """k and its band at `band_places`, as they lie below a plot of so many columns; Young's modulus there below it."""
     s = band_places(columns)
     count, band = len(s), uncertain.band(s)
@@ -129,7 +101,7 @@ def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: ModulusR
 
     add("s", ["0 clamp", *(f"{value:.1f}" for value in s[1:-1]), "1 tip"])
     rows: list[tuple[str, Sequence[str]]] = [
-        (name, [significant(float(value)) for value in values])
+        (name, [wording.significant(float(value)) for value in values])
         for name, values in (("k [N m]", band.k), ("from", band.low), ("to", band.high))
     ]
     rows.insert(1, ("±", half_widths(band)))
@@ -147,7 +119,7 @@ def half_widths(band: Band) -> list[str]:
 
 
 def estimate_table(
-    uncertain: UncertainStiffness, regression: Learned | None, modulus: ModulusRows | None = None
+    uncertain: UncertainStiffness, regression: Learned | None, modulus: confidence.ModulusRows | None = None
 ) -> Table:
     """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
@@ -162,9 +134,16 @@ def estimate_table(
             table.add_column(escape(name), justify="right", no_wrap=True)
     columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
     for i, (place, k, half, low, high, known) in enumerate(columns):
-        cells = [f"{place:.1f}", significant(k), half, significant(low), significant(high), "yes" if known else "no"]
+        cells = [
+            f"{place:.1f}",
+            wording.significant(k),
+            half,
+            wording.significant(low),
+            wording.significant(high),
+            "yes" if known else "no",
+        ]
         if regression is not None:
-            cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
+            cells.append(f"[dim]{wording.significant(float(regression.beam.stiffness(s[i])))}[/]")
         if modulus is not None:
             cells += [modulus.values[i], modulus.low[i], modulus.high[i]]
         table.add_row(*cells, style="" if known else "bright_black")
@@ -177,7 +156,7 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
     table.add_column("", overflow="fold")
     for name in ("value", "sd before", "sd after", ""):
         table.add_column(name, justify="right" if name else "left", no_wrap=True)
-    for row in nuisance_rows(nuisances):
+    for row in confidence.nuisance_rows(nuisances):
         style = "yellow" if row.moved > 2.0 else ""
         table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
     return table
@@ -189,21 +168,18 @@ def allowance_table(posterior: Posterior) -> Table:
     table.add_column("", overflow="fold")
     for name in ("widens the band by", "k(s) without it", "sd from nothing"):
         table.add_column(name, justify="right")
-    for row in allowance_rows(posterior):
+    for row in confidence.allowance_rows(posterior):
         table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
     return table
 
 
 def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     """Time of every stage, and its share of the video's length."""
-    table = Table(title=f"Time (the video plays {video_seconds:.1f} s)", title_justify="left", box=None)
-    table.add_column("stage")
-    table.add_column("s", justify="right")
-    table.add_column("of the video", justify="right")
-    *stages, total = stage_rows(seconds)
+    table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
+    *stages, total = wording.stage_rows(seconds)
     for name, value in stages:
-        table.add_row(escape(name), f"{value:.2f}", percent(value, video_seconds))
-    table.add_row(total[0], f"{total[1]:.2f}", percent(total[1], video_seconds), style="bold")
+        table.add_row(escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
+    table.add_row(total[0], f"{total[1]:.2f}", wording.percent(total[1], video_seconds), style="bold")
     return table
 
 
@@ -263,7 +239,7 @@ def stiffness_plot(beam: Beam, *, columns: int = 61, rows: int = 8) -> Renderabl
 def _mark(row: int, rows: int, edges: Array) -> str:
     if row not in (0, rows - 1):
         return " " * 9 + "│"
-    return f"{significant(float(edges[-1] if row else edges[0])):>8} ┤"
+    return f"{wording.significant(float(edges[-1] if row else edges[0])):>8} ┤"
 
 
 def _axis(columns: int) -> tuple[Text, Text]:
@@ -272,11 +248,10 @@ def _axis(columns: int) -> tuple[Text, Text]:
 
 
 def _numbers(beam: Beam) -> Table:
-    """k at eleven places, in two lines."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 1, 0, 0))
     s = np.linspace(0.0, 1.0, 11)
     table.add_row("[dim]s[/]", *(f"[dim]{place:.1f}[/]" for place in s))
-    table.add_row("k", *(significant(k) for k in beam.stiffness(s)))
+    table.add_row("k", *(wording.significant(k) for k in beam.stiffness(s)))
     return table
 
 
@@ -296,9 +271,7 @@ def damping_words(damping: Damping) -> str:
 
 def swing_table(fit: SwingFit) -> Table:
     """What the swing says, one quantity a row."""
-    table = Table(title="From the free swing", title_justify="left", box=None)
-    for name in ("", "value", "sd"):
-        table.add_column(name, justify="left" if not name else "right")
+    table = listing("From the free swing", "<", "value", "sd")
     damping = fit.damping
     table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
     table.add_row("natural frequency \\[Hz]", f"{damping.frequency[0]:.5g}", f"{damping.frequency_sd:.2g}")
@@ -310,17 +283,16 @@ def swing_table(fit: SwingFit) -> Table:
         table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")
     else:
         table.add_row(
-            "mass \\[g]", significant(1000 * fit.mass), f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?"
+            "mass \\[g]",
+            wording.significant(1000 * fit.mass),
+            f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?",
         )
     return table
 
 
 def frequency_table(found: FoundFrequencies) -> Table:
     """One mode a row."""
-    table = Table(title="Frequencies of the free swing", title_justify="left", box=None)
-    for name in ("Hz", "sd", "damping ratio", "sd", "size"):
-        table.add_column(name, justify="right")
-    table.add_column("")
+    table = listing("Frequencies of the free swing", "Hz", "sd", "damping ratio", "sd", "size", "<")
     for one in found.modes:
         said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
         cells = (f"{one.damping_ratio:.3g}", f"{one.damping_ratio_sd:.2g}", f"{100 * one.share:.3g} %", said)
@@ -379,9 +351,11 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
     else:
         table.add_row("largest force", f"{force_words(found.force[peak])}, at {found.time[peak]:.3f} s")
         weak = math.degrees(found.weak_angle[peak])
-        strong = significant(1.96 * float(found.strong_sd[peak]))
+        strong = wording.significant(1.96 * float(found.strong_sd[peak]))
         table.add_row("sure to within", f"± {strong} N at {(weak + 90.0) % 180.0:.0f} deg, where it is known best")
-        table.add_row("", f"± {significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)")
+        table.add_row(
+            "", f"± {wording.significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)"
+        )
         share = 100.0 * found.prior_share[peak]
         table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
         table.add_row("place", _place(found, peak))
@@ -398,7 +372,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
         table.add_row("misfit", f"{found.misfit.ratio:.3g} times what band, mounting and noise let expect (squared)")
     difference = found.against_log
     if difference is not None:
-        table.add_row("against the log", f"{significant(difference[0])} N RMS where the force is known best")
+        table.add_row("against the log", f"{wording.significant(difference[0])} N RMS where the force is known best")
     for row in sensor_rows(found.sensor):
         table.add_row(*row)
     console.print(table, highlight=False)
@@ -447,7 +421,7 @@ _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
 def show_run(
-    console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
+    console: Console, run: wording.Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
 ) -> None:
     """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it.
 
@@ -462,7 +436,7 @@ def show_run(
     for part in [] if hopeless(run) else _stiffness(console, run, log=log):
         console.print(part)
     console.print()
-    remarks = all_remarks(run)
+    remarks = wording.all_remarks(run)
     warnings = [pair for pair in remarks if pair[1].level == "warning"]
     if warnings and not verbose:
         console.print(warnings_list(warnings))
@@ -473,7 +447,7 @@ def show_run(
     say_path(console, "report" if report else "results", out / "report.html" if report else out)
 
 
-def verdict_rows(run: Findings) -> Table:
+def verdict_rows(run: wording.Findings) -> Table:
     """The verdict, a row each."""
     verdict = verdict_of(run)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
@@ -485,42 +459,39 @@ def verdict_rows(run: Findings) -> Table:
     return table
 
 
-def _stiffness(console: Console, run: Findings, *, log: bool) -> list[RenderableType]:
-    """The plot as large as the screen lets it be, and the numbers below."""
+def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[RenderableType]:
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
-    measured = measured_beam(run)
-    words = modulus_words(measured)
+    measured = confidence.measured_beam(run)
+    words = confidence.modulus_words(measured)
     below: list[RenderableType] = [_sentences(words)] if words else []
     if run.posterior is None:
         return [stiffness_plot(run.beam, rows=rows), *below]
     uncertain = run.posterior.stiffness
-    numbers = band_table(uncertain, columns=columns, modulus=modulus_rows(measured, band_places(columns)))
+    numbers = band_table(uncertain, columns=columns, modulus=confidence.modulus_rows(measured, band_places(columns)))
     return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
 
 
-def _everything(run: Findings) -> list[RenderableType]:
-    """What the answer does not need: it stands in the report as well."""
+def _everything(run: wording.Findings) -> list[RenderableType]:
     parts: list[RenderableType] = []
     if run.learned is not None:
         parts.append(selection_table(run.learned))
     if run.posterior is not None:
         parts += _fit(run, run.posterior)
-    seen = not only_frequencies(run.recordings)
+    seen = not wording.only_frequencies(run.recordings)
     if seen:
         parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
     if seen and run.posterior is not None:
         parts.append(_sentences(_as_logged_words(run, run.posterior)))
     if run.validations:
         parts.append(comparison_table(run.validations, "Validation"))
-    return [*parts, remarks_list(all_remarks(run))]
+    return [*parts, remarks_list(wording.all_remarks(run))]
 
 
-def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
-    """Why there are two errors of what was learned from."""
+def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
-        largest = millimetres(float(np.nanmax(rms)))
+        largest = wording.millimetres(float(np.nanmax(rms)))
         text = f"{comparison.name}: the fit itself is within {largest} mm RMS of every tag."
         if not comparison.static:
             text += " The table is larger by the slow error of the force log, which the fit takes off."
@@ -528,21 +499,25 @@ def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
     return words
 
 
-def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
-    """The estimate beside the paper's, where it is blind, and what else was fitted."""
+def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
     uncertain = posterior.stiffness
-    blind = unidentified_words(uncertain, len(run.recordings))
+    blind = confidence.unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [
-        estimate_table(uncertain, run.learned, modulus_rows(measured_beam(run), np.linspace(0.0, 1.0, 11)))
+        estimate_table(
+            uncertain, run.learned, confidence.modulus_rows(confidence.measured_beam(run), np.linspace(0.0, 1.0, 11))
+        )
     ]
-    force = [scale_words(posterior.gain_sd, run.recordings), *load_error_words(posterior.load_error)]
+    force = [
+        confidence.scale_words(posterior.gain_sd, run.recordings),
+        *confidence.load_error_words(posterior.load_error),
+    ]
     if len(run.recordings) > 1:
-        force.append(mounting_words(posterior))
-    found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
+        force.append(confidence.mounting_words(posterior))
+    found.append(_sentences([*blind, *force, f"The fit {confidence.stop_words(posterior)}."]))
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
-    words = tradeoff_words(posterior)
+    words = confidence.tradeoff_words(posterior)
     return (
         [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
         if words
@@ -550,7 +525,7 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     )
 
 
-def show_times(console: Console, run: Findings, seconds: Mapping[str, float]) -> None:
+def show_times(console: Console, run: wording.Findings, seconds: Mapping[str, float]) -> None:
     """The time that each stage took."""
     console.print()
     console.print(stages_table(seconds, run.video_seconds))
@@ -574,7 +549,7 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
             [
                 (comparison.name, remark)
                 for comparison, recording in pairs
-                for remark in pair_remarks(comparison, recording)
+                for remark in wording.pair_remarks(comparison, recording)
             ]
         )
     )
@@ -585,19 +560,21 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
 def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
     """What `onebend show` draws."""
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
-    measured = MeasuredBeam(beam, uncertain, stored.section)
+    measured = confidence.MeasuredBeam(beam, uncertain, stored.section)
     if uncertain is None:
         console.print(stiffness_plot(beam))
     else:
         console.print(band_plot(uncertain, log=log))
-        console.print(band_table(uncertain, columns=61, modulus=modulus_rows(measured, band_places(61))))
-        for text in unidentified_words(uncertain):
+        console.print(band_table(uncertain, columns=61, modulus=confidence.modulus_rows(measured, band_places(61))))
+        for text in confidence.unidentified_words(uncertain):
             console.print(text, markup=False, highlight=False)
-    for text in modulus_words(measured):
+    for text in confidence.modulus_words(measured):
         console.print(text, markup=False, highlight=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
     if lowest <= 0.0:
-        console.print(f"[yellow]k(s) falls to {significant(lowest)} N m: this is no beam and cannot be simulated.[/]")
+        console.print(
+            f"[yellow]k(s) falls to {wording.significant(lowest)} N m: this is no beam and cannot be simulated.[/]"
+        )
     console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
     if stored.damping is not None:
         console.print(damping_words(stored.damping), markup=False, highlight=False)

@@ -23,6 +23,7 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Problem, Resolution, make_problem, refuse_section
 from onebend.control.goals import numbers
 from onebend.errors import ControlError
+from onebend.options import POSITIVE, option
 from onebend.records import Array
 
 
@@ -502,11 +503,23 @@ FARTHEST_GOAL = 1e9  # m or rad
 class ReachSettings:
     """How a force is sought, and within which bounds."""
 
-    method: Literal["newton", "paper"] = "newton"
-    max_force: float | None = None  # N; infinite is none, as it is below
-    max_curvature: float | None = None  # 1/m beyond that at rest, anywhere along the beam
-    direction: float | None = None  # rad: the force can only push this way
-    moment: bool = False  # whether the gripper gives a moment too
+    method: Literal["newton", "paper"] = option(
+        "--method", "newton", "newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."
+    )
+    max_force: float | None = option(  # infinite is none, as it is below
+        "--max-force-N", None, "No larger force; default: no bound.", metavar="N", within=POSITIVE
+    )
+    max_curvature: float | None = option(
+        "--max-curvature-per-m",
+        None,
+        "The beam bends no more than this from rest.",
+        metavar="1/M",
+        within=POSITIVE,
+    )
+    direction: float | None = option(
+        "--direction-deg", None, "The force can only push this way (0: along x).", metavar="DEG"
+    )
+    moment: bool = option("--moment", False, "The gripper gives a moment too.")
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
     tolerance: float = 1e-6  # m: a point this near to its goal is there
     steps: int = 20  # of the path of forces; fewer only where a growing load does not connect the shapes

@@ -19,6 +19,7 @@ from onebend.beam.stiffness import Profile, Scaled, UncertainStiffness, Uniform
 from onebend.beam.vibration import settle, vibration_of
 from onebend.control.loop import Controller, ControllerSettings, Exposure, ForceSense, RequiredMargins, Timing
 from onebend.errors import ControlError, MechanicsError
+from onebend.options import option
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
@@ -31,10 +32,14 @@ _METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as 
 class LoopCamera:
     """The camera and all that lies between it and the controller."""
 
-    fps: float = 30.0
-    delay: float = 0.05  # s, from exposure to arrival
+    fps: float = option("--fps", 30.0, "Frames of the camera a second.", metavar="HZ", within=(0.1, 100_000.0))
+    delay: float = option(
+        "--delay-ms", 0.05, "From a frame's exposure to its answer.", metavar="MS", within=(0.0, 10_000.0)
+    )
     jitter: float = 0.0  # s, sd of the delay of a frame
-    noise: float = 5e-5  # m, sd of each coordinate
+    noise: float = option(
+        "--noise-mm", 5e-5, "Of each coordinate the camera sees, one sd.", metavar="MM", within=(0.0, 1e3)
+    )
     dropped: float = 0.0  # share of frames that never arrive
     hidden: tuple[tuple[float, float], ...] = ()  # s, times in which the point is not seen
 

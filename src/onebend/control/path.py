@@ -37,6 +37,7 @@ from onebend.control.shape import (
     spread,
 )
 from onebend.errors import ControlError, MechanicsError
+from onebend.options import POSITIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
@@ -206,9 +207,11 @@ _SLACK = 1.002  # a little slower than the limit asks, so that sampling anew doe
 class RateLimits:
     """The largest rates; infinite where there is no limit."""
 
-    force: float = np.inf  # N/s, of each push
-    speed: float = np.inf  # m/s, of the gripper
-    turning: float = np.inf  # rad/s, of the gripper
+    force: float = option("--max-force-rate-N-per-s", np.inf, "Of every push.", metavar="N/S", within=POSITIVE)
+    speed: float = option("--max-speed-m-per-s", np.inf, "Of the gripper.", metavar="M/S", within=POSITIVE)
+    turning: float = option(
+        "--max-turn-rate-deg-per-s", np.inf, "Of the gripper.", metavar="DEG/S", within=POSITIVE, scale=np.pi / 180.0
+    )
 
     def __post_init__(self) -> None:
         if not min(self.force, self.speed, self.turning) > 0.0:
@@ -273,9 +276,11 @@ _MOMENTS_PER_SAMPLE = 4  # moments a sample, at which rates are looked at
 class PathSettings:
     """How a path is made."""
 
-    rate: float = 1000.0  # Hz, samples of what comes out
+    rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", metavar="HZ", within=(1e-6, 1e6))
     limits: RateLimits = field(default_factory=RateLimits)
-    too_fast: Literal["stretch", "refuse"] = "stretch"
+    too_fast: Literal["stretch", "refuse"] = option(
+        "--too-fast", "stretch", "Where a limit on a rate is broken: take more time there, or say when and stop."
+    )
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 
 

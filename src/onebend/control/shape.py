@@ -17,6 +17,7 @@ from onebend.beam.statics import Equilibrium, balance, found_near, nodal_forces,
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import TargetResiduals, Targets, check_metres, target_residuals
 from onebend.errors import ControlError
+from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
@@ -488,7 +489,13 @@ _RANDOM_LOAD_SIZE = 1.5  # size of the further starts' controls, in units of mea
 class ShapeSettings:
     """Settings of the search for a shape."""
 
-    arm: float | None = None  # m: an error of one radian counts as one of so many metres; None: the beam's length
+    arm: float | None = option(
+        "--arm-m",
+        None,
+        "An error of 1 rad counts as one of so many metres; default: L.",
+        metavar="M",
+        within=NOT_NEGATIVE,
+    )
     starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
     seed: int = 0  # of those shapes
     warn_margin: float = 0.1  # of stability, below which is warned

@@ -81,19 +81,10 @@ class RealBench:
         sizes = (self.thickness, self.relaxation, self.clamp_compliance, self.slide, self.push_off)
         return any(sizes) or any(self.rest_turn) or self.patch_factor != 1.0 or self.inertia
 
-    @property
-    def pictured(self) -> bool:
-        """Whether the picture shows anything that an ideal one does not."""
-        sizes = (self.base_height, self.droop, self.shake, self.drift, self.readout)
-        return any(sizes) or any(self.tag_heights) or any(any(tilt) for tilt in self.tag_tilts)
-
 
 def effects_named(named: Sequence[str], before: RealBench = RealBench()) -> RealBench:
-    """`before` with effects given as NAME=SIZE: those that are one number, in the units of `RealBench`.
-
-    Raises:
-        RecordingError: a name that is not known, or a size that is no number or cannot be.
-    """
+    """`before` with effects given as NAME=SIZE: those that are one number, in the units of `RealBench`. Raises
+    `RecordingError`: a name that is not known, or a size that is no number or cannot be."""
     known = [one.name for one in fields(RealBench) if one.type == "float"]
     sizes: dict[str, float] = {}
     for text in named:
@@ -275,10 +266,8 @@ def log_of(
 ) -> ForceLog:
     """What `sensor` logs of the force (N, 2) [N] at `time` (N,) [s], on a clock that is `offset` [s] ahead.
 
-    The force runs straight between its samples, so that these should be at least as dense as the sensor's.
-
-    Raises:
-        RecordingError: times that do not rise, or shapes that do not fit.
+    The force runs straight between its samples, so that these should be at least as dense as the sensor's. Raises
+    `RecordingError`: times that do not rise, or shapes that do not fit.
     """
     if force.shape != (len(time), 2) or len(time) < 2 or not np.all(np.diff(time) > 0.0):
         raise RecordingError(f"a log needs a force (N, 2) at rising times (N,), got {force.shape} at {time.shape}")

@@ -17,68 +17,21 @@ from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.stiffness import half_width
-from onebend.cli import BY
-from onebend.cli.common import (
-    MOST,
-    Json,
-    Overwrite,
-    Quiet,
-    clean_errors,
-    or_nan,
-    print_json,
-    progress_of,
-    put_in_place,
-    say,
-    say_failed,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.errors import MechanicsError, reference
 from onebend.files.single_file import check_name_free, write_file
+from onebend.lab import designs, fabrication
 from onebend.lab.bench import PATCH_OVER_TAG, effects_named
-from onebend.lab.designs import (
-    DENSE,
-    Design as BeamDesign,
-    Expected,
-    ModulusEstimate,
-    expect,
-    find_design,
-    from_shore_00,
-    from_shore_a,
-    silicone,
-    write_design_template,
-)
-from onebend.lab.fabrication import (
-    DESIGN_FORMAT,
-    MOULD_FORMAT,
-    TAGS_FORMAT,
-    Mould,
-    MouldSettings,
-    PrintedPart,
-    TagSeat,
-    carriers,
-    clamp,
-    design_csv,
-    design_figure,
-    mould as make_mould,
-    parts_figure,
-    parts_summary,
-    parts_writer,
-)
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
 from onebend.lab.random_bench import (
     LABORATORY,
     BenchRanges,
-    CameraName,
     FilmRequest,
-    PushName,
-    SensorName,
     design_with_effects,
     filming_of,
     random_bench,
 )
 from onebend.lab.sheet import Sheet, files_of, strip_page, tag_pages
-from onebend.progress import Progress
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
@@ -97,50 +50,6 @@ Design = Annotated[
 FilmFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
 ]
-PushKind = Annotated[
-    PushName,
-    typer.Option(
-        "--push", help="slow: at the tip. s08, s06: slow, there. fast: the beam swings. free: released at once."
-    ),
-]
-PushAt = Annotated[
-    float | None, typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam.")
-]
-Force = Annotated[
-    float | None, typer.Option("--force-N", min=1e-6, max=MOST, metavar="N", help="Peak; default: by --bend-deg.")
-]
-Bend = Annotated[
-    float, typer.Option("--bend-deg", min=1.0, max=150.0, metavar="DEG", help="How far the pushed place turns.")
-]
-Direction = Annotated[
-    float | None,
-    typer.Option("--direction-deg", metavar="DEG", help="Of the push against the beam's x axis; default: 100."),
-]
-Seconds = Annotated[
-    float | None, typer.Option("--seconds", min=0.05, max=600.0, metavar="S", help="From first to last contact.")
-]
-Camera = Annotated[CameraName, typer.Option("--camera", help="Its picture, rate, lens and tilt.")]
-Fps = Annotated[float | None, typer.Option("--fps", min=1.0, max=240.0, metavar="HZ", help="Default: the camera's.")]
-Tilt = Annotated[
-    float | None, typer.Option("--tilt-deg", min=-45.0, max=45.0, metavar="DEG", help="Default: the camera's.")
-]
-Distance = Annotated[
-    float | None,
-    typer.Option(
-        "--distance-m", min=0.05, max=MOST, metavar="M", help="Of the camera; default: as near as shows the push."
-    ),
-]
-Sensor = Annotated[
-    SensorName, typer.Option("--sensor", help="A robot's own estimate, a six-axis sensor, or one without errors.")
-]
-Gravity = Annotated[
-    float,
-    typer.Option("--gravity-m-s2", min=0.0, max=MOST, metavar="G", help="In the plane of bending; 0: across it."),
-]
-BaseAngle = Annotated[
-    float, typer.Option("--base-angle-deg", metavar="DEG", help="The beam's x axis in the room; -90: it hangs.")
-]
-Uncalibrated = Annotated[bool, typer.Option("--uncalibrated", help="Do not tell the camera's calibration.")]
 Effects = Annotated[
     bool, typer.Option("--effects", help="What real benches do beside bending, all drawn at random: stretch, creep ...")
 ]
@@ -166,84 +75,50 @@ def film(
     design: Design,
     *,
     output: FilmFolder = None,
-    push: PushKind = "slow",
-    push_at: PushAt = None,
-    force: Force = None,
-    bend: Bend = 65.0,
-    direction: Direction = None,
-    seconds: Seconds = None,
-    camera: Camera = "hd",
-    fps: Fps = None,
-    tilt: Tilt = None,
-    distance: Distance = None,
-    sensor: Sensor = "franka",
-    gravity: Gravity = 0.0,
-    base_angle: BaseAngle = 0.0,
-    uncalibrated: Uncalibrated = False,
+    request: FilmRequest,
     effects: Effects = False,
     effect: Effect = None,
     markers: Markers = False,
     seed: Seed = 0,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
-    seen = FilmRequest(camera=camera, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
-    request = replace(
-        seen,
-        push=push,
-        at_s=or_nan(push_at),
-        force=or_nan(force),
-        bend=math.radians(bend),
-        direction=math.radians(or_nan(direction)),
-        seconds=or_nan(seconds),
-        sensor=sensor,
-        gravity=gravity,
-        base_angle=math.radians(base_angle),
-        calibrated=not uncalibrated,
-    )
-    with clean_errors(), progress_of(quiet) as progress:
+    with common.clean_errors(), common.progress_of(quiet) as progress:
         filming, folder = _filming(design, request, seed, output, effects)
         if effect:
-            filming = _with_effects(filming, effect, effects)
+            bench, patch = filming.bench, PATCH_OVER_TAG * filming.tag_size
+            before = bench.effects if effects else replace(bench.effects, patch_length=patch)
+            filming = replace(filming, bench=replace(bench, effects=effects_named(effect, before)))
         check(filming, folder)
         if markers:
             check_trackable(filming)
-        make = partial(_make, filming, markers=markers, seed=seed, progress=progress)
-        with workplace(folder, FILM_FORMAT, overwrite=False) as place:
-            put_in_place(place, make)
+
+        def make(folder: Path) -> None:
+            if markers:
+                marker_recording(filming.bench, folder, seed=seed)
+            else:
+                make_film(filming, folder, seed=seed, progress=progress)
+
+        with common.workplace(folder, FILM_FORMAT, overwrite=False) as place:
+            common.put_in_place(place, make)
     bench = filming.bench
     if as_json:
         data = {"length_m": bench.beam.length, "force_max_N": bench.push.peak, "video_seconds": bench.push.duration}
-        print_json({"format": FILM_FORMAT, "written_by": BY, "output": str(folder), "seed": seed, **data})
+        common.print_json({"format": FILM_FORMAT, "written_by": BY, "output": str(folder), "seed": seed, **data})
         return
-    say(
+    common.say(
         f"Wrote {folder}: {bench.push.duration:.1f} s at {bench.fps:g} frames/s, a push to {bench.push.peak:.3g} N at "
         f"s = {bench.push.at_s:g}. Learn from it with: onebend learn {folder}"
     )
 
 
-def _make(filming: Filming, folder: Path, *, markers: bool, seed: int, progress: Progress) -> None:
-    if markers:
-        marker_recording(filming.bench, folder, seed=seed)
-        return
-    make_film(filming, folder, seed=seed, progress=progress)
-
-
-def _with_effects(filming: Filming, named: list[str], drawn: bool) -> Filming:
-    """What is filmed, with effects that are named beside those that are drawn."""
-    bench = filming.bench
-    before = bench.effects if drawn else replace(bench.effects, patch_length=PATCH_OVER_TAG * filming.tag_size)
-    return replace(filming, bench=replace(bench, effects=effects_named(named, before)))
-
-
 def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, effects: bool) -> tuple[Filming, Path]:
-    """What is filmed, with effects drawn where they are asked for, and where to."""
     if design == DRAWN:
         folder = output or Path(f"{DRAWN}-{seed}")
         ranges = BenchRanges(effects=LABORATORY if effects else None)
         return random_bench(np.random.default_rng([seed, 20]), ranges, name=folder.resolve().name), folder
-    found = find_design(design)
+    found = designs.find_design(design)
     folder = output or Path(f"{found.name}-{request.push}")
     filming = filming_of(found, request, folder.resolve().name)
     return design_with_effects(filming, np.random.default_rng([seed, 21])) if effects else filming, folder
@@ -252,7 +127,7 @@ def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, 
 # What `onebend design` and `onebend mould` say.
 
 
-def show_design(console: Console, expected: Expected) -> None:
+def show_design(console: Console, expected: designs.Expected) -> None:
     """The figures of a design."""
     design = expected.design
     console.print(f"[bold]{escape(design.name)}[/]", highlight=False)
@@ -269,24 +144,23 @@ def show_design(console: Console, expected: Expected) -> None:
         console.print(f"[yellow]![/] {escape(remark.text)}\n[dim]{reference(remark.about)}[/]", highlight=False)
 
 
-def design_table(expected: Expected) -> Table:
+def design_table(expected: designs.Expected) -> Table:
     """What the beam is, and what it does by itself."""
     design = expected.design
-    width, bending = 1e3 * np.asarray(design.width(DENSE)), design.bending(DENSE)
+    width, bending = 1e3 * np.asarray(design.width(designs.DENSE)), design.bending(designs.DENSE)
+    droop = f"{1e3 * expected.droop:.1f} mm" if math.isfinite(expected.droop) else "no equilibrium"
+    k = bending / design.length
     rows = (
         ("length, depth", f"{1e3 * design.length:g} mm, {1e3 * design.depth:g} mm"),
-        ("width", f"{width.min():.4g} to {width.max():.4g} mm, narrowest at s = {DENSE[width.argmin()]:.2f}"),
+        ("width", f"{width.min():.4g} to {width.max():.4g} mm, narrowest at s = {designs.DENSE[width.argmin()]:.2f}"),
         ("modulus E", f"{significant(design.modulus / 1e6)} MPa ({design.source})"),
         ("EI", f"{significant(1e6 * bending.min())} to {significant(1e6 * bending.max())} N mm^2"),
-        (
-            "k = EI / L",
-            f"{significant(bending.min() / design.length)} to {significant(bending.max() / design.length)} N m",
-        ),
+        ("k = EI / L", f"{significant(k.min())} to {significant(k.max())} N m"),
         ("mass", f"{1e3 * design.mass:.1f} g"),
         ("tip moves", f"{significant(1e3 * expected.compliance)} mm/N (small forces across)"),
         ("buckles at", f"{significant(expected.buckling)} N on the tip along the beam"),
         ("vibrates at", f"{', '.join(significant(f) for f in expected.frequency)} Hz"),
-        ("weight lowers the tip", f"{1e3 * expected.sag:.1f} mm lying flat, {_droop(expected)} on edge"),
+        ("weight lowers the tip", f"{1e3 * expected.sag:.1f} mm lying flat, {droop} on edge"),
     )
     table = Table(show_header=False, box=None)
     for row in rows:
@@ -294,28 +168,20 @@ def design_table(expected: Expected) -> Table:
     return table
 
 
-def bends_table(expected: Expected) -> Table:
+def bends_table(expected: designs.Expected) -> Table:
     """Forces for turns of the tip."""
-    table = Table(title="To turn the tip, by a push square to the beam at its tip", title_justify="left", box=None)
-    for name in ("turn \\[deg]", "force \\[N]", "tip x \\[mm]", "tip y \\[mm]", "strain \\[%]"):
-        table.add_column(name, justify="right")
+    title = "To turn the tip, by a push square to the beam at its tip"
+    table = common.listing(title, "turn [deg]", "force [N]", "tip x [mm]", "tip y [mm]", "strain [%]")
     for bend in expected.bends:
         x, y = 1e3 * bend.tip
-        table.add_row(
-            f"{math.degrees(bend.turn):.0f}",
-            significant(bend.force),
-            f"{x:.1f}",
-            f"{y:.1f}",
-            f"{100 * bend.strain:.1f}",
-        )
+        turn, strain = f"{math.degrees(bend.turn):.0f}", f"{100 * bend.strain:.1f}"
+        table.add_row(turn, significant(bend.force), f"{x:.1f}", f"{y:.1f}", strain)
     return table
 
 
-def show_parts(console: Console, made: Mould, parts: Sequence[PrintedPart], out: Path) -> None:
+def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabrication.PrintedPart], out: Path) -> None:
     """The parts and what to pour."""
-    table = Table(title=f"Parts of {escape(made.design.name)}", title_justify="left", box=None)
-    for name in ("part", "size \\[mm]", "plastic \\[cm^3]"):
-        table.add_column(name, justify="left" if name == "part" else "right")
+    table = common.listing(f"Parts of {escape(made.design.name)}", "<part", "size [mm]", "plastic [cm^3]")
     for part in parts:
         size = " x ".join(f"{extent:.1f}" for extent in part.mesh.extents)
         table.add_row(part.name, size, f"{part.mesh.volume / 1e3:.1f}")
@@ -324,10 +190,6 @@ def show_parts(console: Console, made: Mould, parts: Sequence[PrintedPart], out:
         f"Pour {1e6 * made.volume:.1f} ml ({1e3 * made.pour:.1f} g) of silicone. Files are in {escape(str(out))}.",
         highlight=False,
     )
-
-
-def _droop(expected: Expected) -> str:
-    return f"{1e3 * expected.droop:.1f} mm" if math.isfinite(expected.droop) else "no equilibrium"
 
 
 DesignName = Annotated[
@@ -350,7 +212,7 @@ ShoreZero = Annotated[
 ]
 Modulus = Annotated[
     float | None,
-    typer.Option("--modulus-kPa", min=1e-3, max=MOST, metavar="E", help="Cast of a material of this modulus."),
+    typer.Option("--modulus-kPa", min=1e-3, max=common.MOST, metavar="E", help="Cast of a material of this modulus."),
 ]
 Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write s, width, EI, k and mass per metre.")]
 Picture = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Write a picture (PNG).")]
@@ -358,21 +220,6 @@ ModelFile = Annotated[
     Path | None, typer.Option("--model", metavar="FILE", help="Write the designed beam as a model.json.")
 ]
 PartsOutput = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the parts.")]
-Kind = Annotated[Literal["open", "halves"], typer.Option("--kind", help="One open tray, or two halves.")]
-Wall = Annotated[
-    float, typer.Option("--wall-mm", min=0.4, max=MOST, metavar="MM", help="Thickness of walls and floor.")
-]
-Draft = Annotated[float, typer.Option("--draft-deg", min=0.0, max=10.0, metavar="DEG", help="Lean of the walls.")]
-Shrinkage = Annotated[
-    float, typer.Option("--shrinkage-percent", min=0.0, max=9.9, metavar="P", help="How much the silicone shrinks.")
-]
-TagSize = Annotated[
-    float, typer.Option("--size-mm", min=0.5, max=MOST, metavar="MM", help="Side of a tag's black square.")
-]
-TagsAt = Annotated[
-    list[float] | None,
-    typer.Option("--tag-at", min=0.0, max=1.0, metavar="S", help="Place of a tag on the beam; may be repeated."),
-]
 Shape = Annotated[Literal["stl", "3mf"], typer.Option("--as", help="Kind of file.")]
 StripOf = Annotated[
     Path | None, typer.Argument(metavar="[REC]", help="A recording: its tags, and a page with their places.")
@@ -380,11 +227,11 @@ StripOf = Annotated[
 Ids = Annotated[str | None, typer.Option("--ids", metavar="IDS", help="Such as 0-4 or 0,3,7-9.")]
 TagsSize = Annotated[
     float | None,
-    typer.Option("--size-mm", min=0.5, max=MOST, metavar="MM", help="Side of the black square; default: 12."),
+    typer.Option("--size-mm", min=0.5, max=common.MOST, metavar="MM", help="Side of the black square; default: 12."),
 ]
 TagFamily = Annotated[str | None, typer.Option("--family", metavar="FAMILY", help="Default: tag36h11.")]
 Rim = Annotated[
-    float, typer.Option("--rim-cells", min=1.0, max=MOST, metavar="N", help="White around the black square.")
+    float, typer.Option("--rim-cells", min=1.0, max=common.MOST, metavar="N", help="White around the black square.")
 ]
 Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of the paper.")]
 NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
@@ -408,61 +255,47 @@ def design(
     picture: Picture = None,
     model: ModelFile = None,
     overwrite: ReplaceFiles = False,
-    as_json: Json = False,
+    as_json: common.Json = False,
 ) -> None:
     """Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration."""
-    with clean_errors():
+    with common.clean_errors():
         if new is not None:
-            say(f"Wrote {write_design_template(new)}. Fill it in, then: onebend design {new}")
+            common.say(f"Wrote {designs.write_design_template(new)}. Fill it in, then: onebend design {new}")
             return
         if name is None:
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
-        found = _of_material(find_design(name), silicone, shore_a, shore_zero, modulus)
-        expected = expect(found)
+        found = _of_material(designs.find_design(name), silicone, shore_a, shore_zero, modulus)
+        expected = designs.expect(found)
         _write_all(_design_files(found, csv_file, picture, model), overwrite=overwrite)
-    if as_json:
-        print_json({"format": DESIGN_FORMAT, "written_by": BY, **expected.as_dict()})
-    else:
-        show_design(screen(), expected)
+    common.answer(
+        as_json,
+        {"format": fabrication.DESIGN_FORMAT, "written_by": BY, **expected.as_dict()},
+        lambda console: show_design(console, expected),
+    )
 
 
 def mould(
     name: DesignOf,
     *,
     output: PartsOutput,
-    kind: Kind = "open",
-    wall: Wall = 4.0,
-    draft: Draft = 0.0,
-    shrinkage: Shrinkage = 0.0,
-    size: TagSize = 12.0,
-    tag_at: TagsAt = None,
+    settings: fabrication.MouldSettings,
+    seat: fabrication.TagSeat,
     shape: Shape = "stl",
     picture: Picture = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
-    with clean_errors(), workplace(output, MOULD_FORMAT, overwrite) as place:
+    with common.clean_errors(), common.workplace(output, fabrication.MOULD_FORMAT, overwrite) as place:
         if picture is not None:
             check_name_free(picture, overwrite=overwrite)
-        settings = MouldSettings(
-            kind=kind,
-            wall=1e-3 * wall,
-            draft=math.radians(draft),
-            shrinkage=1e-2 * shrinkage,
-            tag_places=tuple(tag_at) if tag_at else MouldSettings().tag_places,
-        )
-        made = make_mould(find_design(name), settings)
-        seat = TagSeat(1e-3 * size)
-        others = (*clamp(made.design, settings, seat), carriers(made.design, settings, seat))
-        parts = (*made.parts, *others, PrintedPart("cast-beam", made.cast))
-        summary = parts_summary(made, parts, written_by=BY)
-        put_in_place(place, parts_writer(parts, shape, summary), inputs=inputs_of([Path(name)]))
-        _write_all(_picture(picture, partial(parts_figure, parts)), overwrite=overwrite)
-    if as_json:
-        print_json(summary)
-    else:
-        show_parts(screen(), made, parts, output)
+        made = fabrication.mould(designs.find_design(name), settings)
+        others = (*fabrication.clamp(made.design, settings, seat), fabrication.carriers(made.design, settings, seat))
+        parts = (*made.parts, *others, fabrication.PrintedPart("cast-beam", made.cast))
+        summary = fabrication.parts_summary(made, parts, written_by=BY)
+        common.put_in_place(place, fabrication.parts_writer(parts, shape, summary), inputs=inputs_of([Path(name)]))
+        _write_all(_picture(picture, partial(fabrication.parts_figure, parts)), overwrite=overwrite)
+    common.answer(as_json, summary, lambda console: show_parts(console, made, parts, output))
 
 
 def tags(
@@ -477,10 +310,10 @@ def tags(
     no_cut_marks: NoCuts = False,
     no_labels: NoLabels = False,
     overwrite: ReplaceFiles = False,
-    as_json: Json = False,
+    as_json: common.Json = False,
 ) -> None:
     """Draw a sheet of tags at exact size, with rulers to check the printer by."""
-    with clean_errors():
+    with common.clean_errors():
         known = None if recording is None else read_recording(recording)
         if (known is None) == (ids is None):
             raise MechanicsError("say which tags: --ids 0-4, or a recording whose tags they are, not both")
@@ -498,11 +331,17 @@ def tags(
         written = files_of(output, pages, f"{named}, {1e3 * side:g} mm")
         _write_all(written, overwrite=overwrite)
     if as_json:
-        data = {"format": TAGS_FORMAT, "written_by": BY, "family": named, "size_m": side, "ids": list(numbers)}
-        print_json({**data, "pages": len(pages), "files": [str(path) for path in written]})
+        data = {
+            "format": fabrication.TAGS_FORMAT,
+            "written_by": BY,
+            "family": named,
+            "size_m": side,
+            "ids": list(numbers),
+        }
+        common.print_json({**data, "pages": len(pages), "files": [str(path) for path in written]})
     else:
         what = f"{len(numbers)} tag{'s' if len(numbers) > 1 else ''} of {named}, {1e3 * side:g} mm"
-        say(f"Wrote {', '.join(map(str, written))}: {what}. Print at 100 % and measure both rulers.")
+        common.say(f"Wrote {', '.join(map(str, written))}: {what}. Print at 100 % and measure both rulers.")
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
@@ -520,41 +359,38 @@ def parse_ids(text: str) -> tuple[int, ...]:
 
 
 def _of_material(
-    found: BeamDesign, named: str | None, shore_a: float | None, shore_zero: float | None, modulus: float | None
-) -> BeamDesign:
-    """The design cast of what the options say."""
+    found: designs.Design, named: str | None, shore_a: float | None, shore_zero: float | None, modulus: float | None
+) -> designs.Design:
     given = [value for value in (named, shore_a, shore_zero, modulus) if value is not None]
     if len(given) > 1:
         raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
     if named is not None:
-        product = silicone(named)
+        product = designs.silicone(named)
         return found.of(product.stiffness, product.density)
     if shore_a is not None:
-        return found.of(from_shore_a(shore_a))
+        return found.of(designs.from_shore_a(shore_a))
     if shore_zero is not None:
-        return found.of(from_shore_00(shore_zero))
-    return found if modulus is None else found.of(ModulusEstimate(1e3 * modulus, 0.0, "given"))
+        return found.of(designs.from_shore_00(shore_zero))
+    return found if modulus is None else found.of(designs.ModulusEstimate(1e3 * modulus, 0.0, "given"))
 
 
 def _design_files(
-    found: BeamDesign, csv_file: Path | None, picture: Path | None, model: Path | None
+    found: designs.Design, csv_file: Path | None, picture: Path | None, model: Path | None
 ) -> dict[Path, str | bytes]:
-    """What was asked for of a design, by where it goes."""
     files: dict[Path, str | bytes] = {}
     if csv_file is not None:
-        files[csv_file] = design_csv(found)
-    files |= _picture(picture, partial(design_figure, found))
+        files[csv_file] = fabrication.design_csv(found)
+    files |= _picture(picture, partial(fabrication.design_figure, found))
     if model is not None:
         files[model] = model_text(StoredModel(found.beam(), None, found.uncertain()), written_by=BY)
     return files
 
 
 def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
-    """A picture by where it goes, where one is wanted and can be drawn."""
     if path is None:
         return {}
     pictures = draw({path.name: make})
-    say_failed(pictures.failed)
+    common.say_failed(pictures.failed)
     return {path: pictures.drawn[path.name]} if pictures.drawn else {}
 
 

@@ -118,10 +118,8 @@ def silicone(name: str) -> Silicone:
 def from_shore_a(shore: float) -> ModulusEstimate:
     """E from a Shore A hardness: A. N. Gent, Rubber Chem. Technol. 31 (1958) 896, a rigid flat punch on a half-space.
 
-    Its derivation holds from 20 to 80; it is taken from 5 to 95 with a wider band.
-
-    Raises:
-        MechanicsError: a hardness outside 5 to 95.
+    Its derivation holds from 20 to 80; it is taken from 5 to 95 with a wider band. Raises `MechanicsError`: a hardness
+    outside 5 to 95.
     """
     _check(shore, SHORE_A_RANGE, "A")
     modulus = 0.0981e6 * (56.0 + 7.62336 * shore) / (0.137505 * (254.0 - 2.54 * shore))
@@ -133,10 +131,8 @@ def from_shore_a(shore: float) -> ModulusEstimate:
 def from_shore_00(shore: float) -> ModulusEstimate:
     """E from a Shore 00 hardness: Hertz (1882), the ball and spring of ASTM D2240 on an incompressible half-space.
 
-    The ball sinks in by more than Hertz's small depth, so that this is good to a factor of about 1.6 only.
-
-    Raises:
-        MechanicsError: a hardness outside 5 to 95.
+    The ball sinks in by more than Hertz's small depth, so that this is good to a factor of about 1.6 only. Raises
+    `MechanicsError`: a hardness outside 5 to 95.
     """
     _check(shore, SHORE_00_RANGE, "00")
     force, depth = 0.203 + 0.00908 * shore, TRAVEL * (1.0 - shore / 100.0)
@@ -150,10 +146,8 @@ def from_shore_00(shore: float) -> ModulusEstimate:
 def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> ModulusEstimate:
     """E at small strain from the nominal stress at 100 % stretch ("100 % modulus") [Pa] of a neo-Hookean rubber.
 
-    `stress = E / 3 (stretch - stretch^-2)` at stretch 2, hence E = 12/7 of it (Treloar 1975).
-
-    Raises:
-        MechanicsError: a stress that is not positive.
+    `stress = E / 3 (stretch - stretch^-2)` at stretch 2, hence E = 12/7 of it (Treloar 1975). Raises `MechanicsError`:
+    a stress that is not positive.
     """
     if not (math.isfinite(stress) and stress > 0.0):
         raise MechanicsError(f"a stress at 100 % stretch must be positive, got {stress} Pa")
@@ -262,7 +256,6 @@ class Design:
 
 
 def _named(name: str, width: tuple[float, ...]) -> Design:
-    """A named design: 150 mm long, 30 mm deep, of a silicone of Shore A 30, the paper's hardness read on scale A."""
     by = from_shore_a(30.0)
     return Design(name, 0.15, 0.03, Powers(width), by.modulus, by.log_sd, TYPICAL_DENSITY, by.source)
 
@@ -291,11 +284,8 @@ def design_named(name: str) -> Design:
 
 
 def width_table(s: tuple[float, ...], width: tuple[float, ...]) -> Table:
-    """A width given at places that run from 0 to 1, monotone cubic between them.
-
-    Raises:
-        MechanicsError: places that do not rise from 0 to 1, or not one width a place.
-    """
+    """A width given at places that run from 0 to 1, monotone cubic between them. Raises `MechanicsError`: places that
+    do not rise from 0 to 1, or not one width a place."""
     if not s or s[0] != 0.0 or s[-1] != 1.0:
         raise MechanicsError(f"the places of a width must run from 0 to 1, got {list(s)}")
     return Table(s, width)
@@ -367,11 +357,8 @@ class MaterialEntry:
 
 
 def read_design(path: Path | str) -> Design:
-    """The design in a TOML file (docs/lab.md lists its keys).
-
-    Raises:
-        MechanicsError: the file cannot be read, or everything that is wrong in it, each with its line.
-    """
+    """The design in a TOML file (docs/lab.md lists its keys). Raises `MechanicsError`: the file cannot be read, or
+    everything that is wrong in it, each with its line."""
     path = Path(path)
     content, data = _load(path)
     mistakes = Mistakes(str(path), content)
@@ -405,11 +392,8 @@ def find_design(name_or_path: str) -> Design:
 
 
 def write_design_template(path: Path | str) -> Path:
-    """Write a commented design to fill in, and return its path.
-
-    Raises:
-        MechanicsError: the file exists already, or cannot be written.
-    """
+    """Write a commented design to fill in, and return its path. Raises `MechanicsError`: the file exists already, or
+    cannot be written."""
     path = Path(path)
     if path.exists():
         raise MechanicsError(f"{path} exists already. Edit it, or name another file.")
@@ -526,7 +510,6 @@ class TipBend:
     strain: float  # largest strain at the surface
 
     def as_dict(self) -> dict[str, float]:
-        """For JSON."""
         return {
             "turn_deg": math.degrees(self.turn),
             "force_N": self.force,
@@ -549,7 +532,6 @@ class Expected:
     droop: float  # m, the same where that plane is upright and the beam level
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         design, bending = self.design, self.design.bending(DENSE)
         return {
             "name": design.name,
@@ -572,11 +554,7 @@ class Expected:
 
 @one_blas_thread
 def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
-    """What to expect of a design on the bench.
-
-    Raises:
-        MechanicsError: an equilibrium was not found.
-    """
+    """What to expect of a design on the bench. Raises `MechanicsError`: an equilibrium was not found."""
     beam = design.beam()
     still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
     slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency
@@ -592,11 +570,8 @@ def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected
 
 
 def bend(design: Design, turn: float) -> TipBend:
-    """The force at the tip, square to the beam there, that turns the tip by `turn` [rad].
-
-    Raises:
-        MechanicsError: no such force.
-    """
+    """The force at the tip, square to the beam there, that turns the tip by `turn` [rad]. Raises `MechanicsError`: no
+    such force."""
     beam = design.beam()
 
     def turned(force: float) -> float:
@@ -647,7 +622,6 @@ def across_depth(design: Design) -> Beam:
 
 
 def _lowered(beam: Beam) -> float:
-    """m, the tip's y under the weight of a level beam."""
     solved = equilibrium(beam, weight((0.0, -GRAVITY)), resolution=FINE)
     return float(solved.xy(np.array([1.0]))[0, 0, 1]) if solved.converged[0] else math.nan
 

@@ -18,6 +18,7 @@ from onebend.errors import MechanicsError
 from onebend.extras import package
 from onebend.files.publish import write_summary
 from onebend.lab.designs import Design
+from onebend.options import option
 from onebend.records import Array
 from onebend.report.style import BLUE, INK, blank, styled
 from onebend.results.tables import PLACES, csv_rows
@@ -55,11 +56,8 @@ def across(x: float, z: float, low: float, high: float, diameter: float) -> Mani
 
 
 def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
-    """A body that is symmetric about y = 0: stations (n, 2) of x and half width at its bottom and at its top.
-
-    Raises:
-        MechanicsError: stations whose x does not rise, or a width that is not positive.
-    """
+    """A body that is symmetric about y = 0: stations (n, 2) of x and half width at its bottom and at its top. Raises
+    `MechanicsError`: stations whose x does not rise, or a width that is not positive."""
     for stations in (lower, upper):
         if np.any(np.diff(stations[:, 0]) <= 0.0) or np.any(stations[:, 1] <= 0.0):
             raise MechanicsError("the part has no thickness somewhere: take less draft, or a wider beam")
@@ -88,11 +86,8 @@ def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
 
 
 def mesh_of(solid: Manifold) -> Any:
-    """The surface of a solid as a `trimesh.Trimesh`, checked.
-
-    Raises:
-        MechanicsError: the solid is empty or its surface is not watertight.
-    """
+    """The surface of a solid as a `trimesh.Trimesh`, checked. Raises `MechanicsError`: the solid is empty or its
+    surface is not watertight."""
     found = solid.to_mesh64()
     mesh = package("trimesh", "make").Trimesh(
         np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts, dtype=np.int64), process=False
@@ -103,11 +98,7 @@ def mesh_of(solid: Manifold) -> Any:
 
 
 def write_mesh(path: Path, mesh: Any) -> None:
-    """Write a `trimesh.Trimesh` as STL or 3MF, in mm.
-
-    Raises:
-        MechanicsError: a file name that ends in neither.
-    """
+    """Write a `trimesh.Trimesh` as STL or 3MF, in mm. Raises `MechanicsError`: a file name that ends in neither."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MechanicsError(f"{path}: parts are written as {' or '.join(MESH_SUFFIXES)}. Name the file so.")
     mesh.units = "mm"
@@ -143,14 +134,24 @@ GROOVE_WIDE, GROOVE_DEEP = 0.4, 0.2  # mm, in the cast, at the tags' places
 class MouldSettings:
     """How a mould is made. Sizes in m, as everywhere outside the meshes."""
 
-    kind: Literal["open", "halves"] = "open"  # one tray, or two halves that part along the beam's middle plane
-    wall: float = 0.004  # m, thinnest, also of the floor
-    draft: float = 0.0  # rad, by which walls open towards the top; the width is the design's at half the depth
+    kind: Literal["open", "halves"] = option("--kind", "open", "One open tray, or two halves.")
+    wall: float = option("--wall-mm", 0.004, "Thickness of walls and floor.", metavar="MM", within=(0.4, 1e9))
+    draft: float = option(  # the width is the design's at half the depth
+        "--draft-deg", 0.0, "Lean of the walls.", metavar="DEG", within=(0.0, 10.0)
+    )
     foot: float = 0.020  # m, length of the foot that the clamp holds
     shoulder: float = 0.004  # m, by which the foot is wider than the beam's base, on either side
     neck: float = 0.003  # m, of the beam's base width, inside the clamp's front wall
-    shrinkage: float = 0.0  # part by which the silicone is smaller when cured (0.001 = 0.1 %)
-    tag_places: tuple[float, ...] = (1.0 / 3.0, 2.0 / 3.0, 1.0)  # s where fine grooves mark the tags; none: ()
+    shrinkage: float = option(  # a share
+        "--shrinkage-percent", 0.0, "How much the silicone shrinks.", metavar="P", within=(0.0, 9.9)
+    )
+    tag_places: tuple[float, ...] = option(  # fine grooves mark them; none: ()
+        "--tag-at",
+        (1.0 / 3.0, 2.0 / 3.0, 1.0),
+        "Place of a tag on the beam; may be repeated.",
+        metavar="S",
+        within=(0.0, 1.0),
+    )
 
     def __post_init__(self) -> None:
         for name in ("wall", "foot", "shoulder", "neck"):
@@ -193,11 +194,7 @@ class Mould:
 
 
 def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
-    """The mould of a design.
-
-    Raises:
-        MechanicsError: a draft that closes the cavity, or walls too thin to be a solid.
-    """
+    """The mould of a design. Raises `MechanicsError`: a draft closes the cavity, or walls are too thin."""
     body, grow = cast_body(design, settings), (1.0 / (1.0 - settings.shrinkage),) * 3
     grown = body.scale(grow)
     tray = _block(grown, settings) - cast_body(design, settings, over=OVER).scale(grow)
@@ -256,7 +253,6 @@ def _block(cavity: Manifold, settings: MouldSettings) -> Manifold:
 
 
 def _fastened(left: Manifold, right: Manifold, cavity: Manifold) -> tuple[Manifold, Manifold]:
-    """Pegs on the left half, their holes in the right one, and a screw through both at either end."""
     low_x, _, _, high_x, _, top = cavity.bounding_box()
     reach = 2.0 * left.bounding_box()[4]
     for x in (low_x - 0.5 * END, high_x + 0.5 * END):
@@ -288,7 +284,7 @@ BETWEEN = 4.0  # mm between carriers on the print bed
 class TagSeat:
     """The tags as they are cut out."""
 
-    size: float = 0.012  # m, side of the black square
+    size: float = option("--size-mm", 0.012, "Side of a tag's black square.", metavar="MM", within=(0.5, 1e9))
     cells: float = 10.0 / 8.0  # side of what is cut out, as a multiple of it (with one cell of white: 10/8)
 
     def __post_init__(self) -> None:
@@ -327,10 +323,8 @@ def carriers(design: Design, settings: MouldSettings = MouldSettings(), seat: Ta
     """A plate for every tag on the beam, in a row as they are printed: on their faces' backs, stems up.
 
     A stem is glued across the beam at the tag's place; the plate above touches nothing, so that a tag does not stiffen
-    the beam over its own length.
-
-    Raises:
-        MechanicsError: tags so near to each other that their plates meet, or no tag at all.
+    the beam over its own length. Raises `MechanicsError`: tags so near to each other that their plates meet, or no tag
+    at all.
     """
     if not settings.tag_places:
         raise MechanicsError("there are no tags to carry: give their places along the beam")
@@ -360,7 +354,6 @@ def _carrier(design: Design, s: float, seat: TagSeat) -> Manifold:
 
 
 def _screws(back: float, half: float, depth: float) -> list[Manifold]:
-    """Holes for four M4 screws through cap and lower part, and into what the clamp stands on."""
     aside, fore, aft = half - 0.5 * BESIDE, -0.5 * BESIDE, back + 0.5 * BESIDE
     return [upright(x, y, -FLOOR - 1.0, depth + CAP + 1.0, SCREW) for x in (aft, fore) for y in (-aside, aside)]
 

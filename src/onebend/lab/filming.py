@@ -134,11 +134,8 @@ def cubic(values: Array, s: Array) -> Array:
 
 
 def shapes_at(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings = MotionSettings()) -> BeamShapes:
-    """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest.
-
-    Raises:
-        MechanicsError: the beam snaps through, or weight or inertia are asked for and its mass is not known.
-    """
+    """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest. Raises `MechanicsError`: the beam
+    snaps through, or weight or inertia are asked for and its mass is not known."""
     if (motive.swings or any(motive.gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
     return swinging(beam, pushing, time, motive) if motive.swings else standing(beam, pushing, time, motive)
@@ -258,10 +255,7 @@ class TagOutlines:
 @cache
 def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
     """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
-
-    Raises:
-        RecordingError: a family that is not known, or a number that it does not have.
-    """
+    Raises `RecordingError`: a family that is not known, or a number that it does not have."""
     tag = printed_tag(tag_id, family)
     count = len(tag.cells)
     beyond = max(margin - tag.margin, 0.0)
@@ -480,11 +474,8 @@ PRESET = "veryfast"
 def write_video(
     path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
 ) -> int:
-    """Write frames (time [s], 8 bit planes) that come in order; return their number.
-
-    Raises:
-        RecordingError: the encoder is missing or refuses.
-    """
+    """Write frames (time [s], 8 bit planes) that come in order; return their number. Raises `RecordingError`: the
+    encoder is missing or refuses."""
     count = 0
     try:
         with av.open(str(path), "w") as container:
@@ -608,11 +599,8 @@ def followed(filming: Filming, until: float) -> RodMotion | None:
 
 
 def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filmed:
-    """Everything at times (T,) [s] that rise; before 0 the beam is at rest.
-
-    Raises:
-        MechanicsError: the beam snaps through, or its mass is needed and not known.
-    """
+    """Everything at times (T,) [s] that rise; before 0 the beam is at rest. Raises `MechanicsError`: the beam snaps
+    through, or its mass is needed and not known."""
     bench = filming.bench
     if motion is None:
         shapes = shapes_at(bench.beam, bench.push, time, motive_of(filming))
@@ -780,11 +768,8 @@ class Shot:
 @one_blas_thread
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
     """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
-
-    Raises:
-        MechanicsError: the beam snaps through, or its mass is needed and not known.
-        RecordingError: the folder holds something, the camera cannot show the push, or the film cannot be encoded.
-    """
+    Raises `MechanicsError`: the beam snaps through, or its mass is needed and not known. Raises `RecordingError`: the
+    folder holds something, the camera cannot show the push, or the film cannot be encoded."""
     folder, bench = Path(folder), filming.bench
     check(filming, folder)
     time = frame_times(filming, np.random.default_rng([seed, 2]))
@@ -959,12 +944,8 @@ def check_trackable(filming: Filming) -> None:
 
 def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> Path:
     """Push the bench's beam and write `recording.toml`, `markers.csv`, `force.csv` and `truth/` into `folder`, which
-    must not hold a recording; return the folder. The same `seed` makes the same files.
-
-    Raises:
-        MechanicsError: the beam snaps through under the push.
-        RecordingError: the folder holds a recording.
-    """
+    must not hold a recording; return the folder. The same `seed` makes the same files. Raises `MechanicsError`: the
+    beam snaps through under the push. Raises `RecordingError`: the folder holds a recording."""
     folder = Path(folder)
     if (folder / FILE_NAME).exists():
         raise RecordingError(f"{folder} holds a recording. Name another folder.")

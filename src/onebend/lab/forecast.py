@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import isfinite, isnan, nan
 from pathlib import Path
 
@@ -43,6 +43,7 @@ from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.parameters import Spline
+from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.camera import project
@@ -61,6 +62,28 @@ FEWEST_FRAMES = 20  # of a push
 
 
 @dataclass(frozen=True)
+class Tolerances:
+    """How well a setup is known; one sd each."""
+
+    gain_sd: float = option(
+        "--gain-sd", nan, "Of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
+    )
+    placement_sd: float = option(
+        "--placement-mm", 5e-4, "How well the tags are placed, one sd.", metavar="MM", within=(1e-3, 1e9)
+    )
+    turn_sd: float = option(
+        "--turn-deg", TURN_SD, "How well the tags are turned, one sd.", metavar="DEG", within=(1e-3, 1e9)
+    )
+    clock_sd: float = option(
+        "--clock-sd-s",
+        nan,
+        "How well the clocks agree; 0: one clock; default: found from the data.",
+        metavar="S",
+        within=NOT_NEGATIVE,
+    )
+
+
+@dataclass(frozen=True)
 class Setup:
     """One or more pushes of a known beam, as they would be filmed and logged. Errors are one sd."""
 
@@ -71,8 +94,8 @@ class Setup:
     sensor: ForceSensor = FRANKA
     noise: TagNoise = field(default_factory=TagNoise)
     fps: float = 30.0
-    placement_sd: float = 5e-4  # m, a tag's place along and across
-    turn_sd: float = TURN_SD  # rad, a tag's turn on the beam
+    placement_sd: float = Tolerances.placement_sd  # m, a tag's place along and across
+    turn_sd: float = Tolerances.turn_sd  # rad, a tag's turn on the beam
     clock_sd: float = nan  # s, how well the two clocks are known; 0: one clock; NaN: found from the data
 
     def __post_init__(self) -> None:
@@ -145,11 +168,8 @@ class KnownBeam:
 
 
 def known_beam(name_or_path: str) -> KnownBeam:
-    """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one.
-
-    Raises:
-        MechanicsError, ResultsError: there is none, or it cannot be read.
-    """
+    """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one. Raises
+    `MechanicsError`, `ResultsError`: there is none, or it cannot be read."""
     path = Path(name_or_path)
     if path.suffix == ".json" or (path.is_dir() and (path / FILE_NAME).is_file()):
         stored = read_model(path)
@@ -168,17 +188,11 @@ def setup_of(
     requests: Sequence[FilmRequest],
     *,
     tags: Sequence[float] = (),
-    gain_sd: float = nan,
-    placement_sd: float = Setup.placement_sd,
-    turn_sd: float = Setup.turn_sd,
-    clock_sd: float = nan,
+    known_to: Tolerances = Tolerances(),
 ) -> Setup:
-    """The setup that is asked for; camera, frame rate and sensor are those of the first request.
-
-    Raises:
-        RecordingError: a number that cannot be, or a push in which the beam swings.
-        MechanicsError: the beam snaps through under a push.
-    """
+    """The setup that is asked for; camera, frame rate and sensor are those of the first request. Raises
+    `RecordingError`: a number that cannot be, or a push in which the beam swings. Raises `MechanicsError`: the beam
+    snaps through under a push."""
     first = requests[0]
     for request in requests:
         if request.push in SWINGING:
@@ -187,10 +201,11 @@ def setup_of(
             )
     camera, fps = camera_of(first)
     sensor = SENSORS[check_name(first.sensor, SensorName, "sensor")][0]
-    sensor = sensor if isnan(gain_sd) else replace(sensor, gain_sd=gain_sd)
+    sensor = sensor if isnan(known_to.gain_sd) else replace(sensor, gain_sd=known_to.gain_sd)
     places = tuple(sorted(float(s) for s in tags)) or known.tags
     pushes = tuple(push_of(request, known.beam) for request in requests)
-    setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, placement_sd, turn_sd, clock_sd)
+    sds = known_to.placement_sd, known_to.turn_sd, known_to.clock_sd
+    setup = Setup(known.name, known.beam, pushes, places, sensor, TagNoise(), fps, *sds)
     for push in pushes:
         if push.peak < 1e-9:
             raise MechanicsError(f"the beam buckles under any push at s = {push.at_s:g} in this direction")
@@ -216,10 +231,8 @@ def check_bending(setup: Setup) -> None:
 def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
     """What a camera that shows the whole push makes of a tag's corners: `CORNER_SD` in its pixels.
 
-    A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal.
-
-    Raises:
-        MechanicsError: the beam snaps through under a push.
+    A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal. Raises `MechanicsError`:
+    the beam snaps through under a push.
     """
     edge = 0.75 * TAG_SHARE * setup.beam.length  # from a tag's middle to the edge of its paper
     places = [np.zeros((1, 2))]
@@ -395,22 +408,15 @@ class BudgetEntry:
 
 @one_blas_thread
 def predict(setup: Setup) -> PredictedBand:
-    """The band and the errors to expect.
-
-    Raises:
-        MechanicsError: the beam buckles or snaps through under a push.
-    """
+    """The band and the errors to expect. Raises `MechanicsError`: the beam buckles or snaps through under a push."""
     used = instruments(setup)
     return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
 
 
 @one_blas_thread
 def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEntry, ...]:
-    """For every nuisance the band with it known exactly and all else as it is; the most costly first.
-
-    Raises:
-        MechanicsError: as `predict`.
-    """
+    """For every nuisance the band with it known exactly and all else as it is; the most costly first. Raises
+    `MechanicsError`: as `predict`."""
     used = instruments(setup)
     along_pushes = derivatives(setup, used)
     now = predicted.quality.mean_width
@@ -563,21 +569,17 @@ class SetupChange:
     share: float  # of the mean width of the band that it removes; negative: it adds
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
         pushes = [{"at_s": p.at_s, "direction_rad": p.direction, "peak_N": p.peak} for p in self.setup.pushes]
         done = {"tags_s": list(self.setup.tags), "pushes": pushes}
-        return {"kind": self.kind, "text": self.text, "removes": self.share, "after": vars(self.quality), **done}
+        return {"kind": self.kind, "text": self.text, "removes": self.share, "after": asdict(self.quality), **done}
 
 
 @one_blas_thread
 def advise(
     setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
 ) -> tuple[SetupChange, ...]:
-    """The changes that narrow the band most, best first; at most two of each kind.
-
-    Raises:
-        MechanicsError: the setup's own push has no stable equilibrium.
-    """
+    """The changes that narrow the band most, best first; at most two of each kind. Raises `MechanicsError`: the setup's
+    own push has no stable equilibrium."""
     if count < 1:
         return ()
     thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]
@@ -597,7 +599,6 @@ Candidate = tuple[str, str, Setup]
 
 
 def _tags(setup: Setup) -> Iterator[Candidate]:
-    """One more tag in the middle of each gap, and at a bare tip."""
     edges = np.concatenate([[0.0], np.sort(setup.tags)])
     places = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > GAP]
     for s in [*places.tolist(), *([1.0] if edges[-1] < 1.0 - GAP else [])]:
@@ -608,7 +609,6 @@ def _tags(setup: Setup) -> Iterator[Candidate]:
 
 
 def _pushes(setup: Setup) -> Iterator[Candidate]:
-    """The first push made otherwise, and one more push."""
     first = setup.pushes[0]
     bench = replace(instruments(setup).bench, curvature=sharpest(setup))
     places = tuple(s for s in AT_S if s >= min(setup.tags))
@@ -635,7 +635,6 @@ def sharpest(setup: Setup) -> float:
 
 
 def _instruments(setup: Setup) -> Iterator[Candidate]:
-    """Better sensors, tolerances and clocks."""
     sensor = setup.sensor
     if sensor.gain_sd > GAIN_SD:
         known = replace(sensor, gain_sd=GAIN_SD)
@@ -665,7 +664,6 @@ def push_words(push: PushProfile) -> str:
 
 
 def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
-    """Without near-duplicates and changes that hardly help."""
     kept: list[SetupChange] = []
     for change in ranked:
         alike = [k for k in kept if k.kind == change.kind]
@@ -676,5 +674,4 @@ def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:
 
 
 def _last(change: SetupChange) -> float:
-    """Place of the push that a change is about."""
     return change.setup.pushes[0 if change.kind == "push" else -1].at_s

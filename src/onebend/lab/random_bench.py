@@ -16,6 +16,7 @@ from onebend.lab.designs import Design, Kind, force_that_bends, random_stiffness
 from onebend.lab.filming import Filming
 from onebend.lab.rendering import Backdrop, Camera, Scene
 from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, VirtualTag
+from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
@@ -68,11 +69,7 @@ RELAXATION_TIME = Chance(1.0, 0.3, 30.0)  # s
 
 
 def only(*names: str, ranges: EffectRanges = LABORATORY) -> EffectRanges:
-    """The effects `names` for certain, and no other one.
-
-    Raises:
-        RecordingError: a name that is not one of `EFFECTS`.
-    """
+    """The effects `names` for certain, and no other. Raises `RecordingError`: a name that is not one of `EFFECTS`."""
     unknown = [name for name in names if name not in EFFECTS]
     if unknown:
         raise RecordingError(f"there is no effect {unknown[0]!r}. Take of {', '.join(EFFECTS)}.")
@@ -183,30 +180,39 @@ SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls
 
 @dataclass(frozen=True)
 class FilmRequest:
-    """A film as requested; NaN: the value of the named push or camera."""
+    """A film as requested. NaN: the value of the named push or camera."""
 
-    push: PushName = "slow"
-    at_s: float = nan
-    force: float = nan  # N, peak
-    bend: float = radians(65.0)  # rad, turn of the pushed place at the peak where no force is given
-    direction: float = nan  # rad
-    seconds: float = nan  # s, from first to last contact
-    camera: CameraName = "hd"
-    fps: float = nan
-    tilt: float = nan  # rad
-    distance: float = nan  # m
-    sensor: SensorName = "franka"
-    gravity: float = 0.0  # m/s^2
-    base_angle: float = 0.0  # rad
-    calibrated: bool = True
+    push: PushName = option(
+        "--push", "slow", "slow: at the tip. s08, s06: slow, there. fast: the beam swings. free: released at once."
+    )
+    at_s: float = option("--push-at", nan, "Where it pushes, along the beam.", metavar="S", within=(0.05, 1.0))
+    force: float = option("--force-N", nan, "Peak; default: by --bend-deg.", metavar="N", within=POSITIVE)
+    bend: float = option(
+        "--bend-deg", radians(65.0), "How far the pushed place turns.", metavar="DEG", within=(1.0, 150.0)
+    )
+    direction: float = option(
+        "--direction-deg", nan, "Of the push against the beam's x axis; default: 100.", metavar="DEG"
+    )
+    seconds: float = option("--seconds", nan, "From first to last contact.", metavar="S", within=(0.05, 600.0))
+    camera: CameraName = option("--camera", "hd", "Its picture, rate, lens and tilt.")
+    fps: float = option("--fps", nan, "Default: the camera's.", metavar="HZ", within=(1.0, 240.0))
+    tilt: float = option("--tilt-deg", nan, "Default: the camera's.", metavar="DEG", within=(-45.0, 45.0))
+    distance: float = option(
+        "--distance-m", nan, "Of the camera; default: as near as shows the push.", metavar="M", within=(0.05, 1e9)
+    )
+    sensor: SensorName = option(
+        "--sensor", "franka", "A robot's own estimate, a six-axis sensor, or one without errors."
+    )
+    gravity: float = option(
+        "--gravity-m-s2", 0.0, "In the plane of bending; 0: across it.", metavar="G", within=NOT_NEGATIVE
+    )
+    base_angle: float = option("--base-angle-deg", 0.0, "The beam's x axis in the room; -90: it hangs.", metavar="DEG")
+    calibrated: bool = option("--uncalibrated", True, "Do not tell the camera's calibration.")
 
 
 def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
-    """The push that is asked for, with a peak that bends this beam as far.
-
-    Raises:
-        RecordingError: a time, place or force that cannot be.
-    """
+    """The push that is asked for, with a peak that bends this beam as far. Raises `RecordingError`: a time, place or
+    force that cannot be."""
     push = PUSHES[check_name(request.push, PushName, "push")]
     if not isnan(request.at_s):
         push = replace(push, at_s=request.at_s)
@@ -239,10 +245,7 @@ def camera_of(request: FilmRequest) -> tuple[Camera, float]:
 
 def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
     """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
-
-    Raises:
-        RecordingError: a name that is not known, or a number that cannot be.
-    """
+    Raises `RecordingError`: a name that is not known, or a number that cannot be."""
     beam = design.beam()
     camera, fps = camera_of(request)
     sensor, called = SENSORS[check_name(request.sensor, SensorName, "sensor")]

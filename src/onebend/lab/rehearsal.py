@@ -9,7 +9,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -21,19 +21,7 @@ from matplotlib.figure import Figure
 from onebend.beam.stiffness import half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.files.publish import write_summary
-from onebend.lab.forecast import (
-    FUNCTIONS,
-    MOST_FRAMES,
-    BudgetEntry,
-    PredictedBand,
-    Setup,
-    SetupChange,
-    advise,
-    check_bending,
-    predict,
-    ranges,
-    uncertainty_budget,
-)
+from onebend.lab import forecast
 from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
@@ -77,16 +65,15 @@ class SimulatedRun:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, sizes to five digits."""
         numbers = {name: [float(f"{v:.5g}") for v in getattr(self, name)] for name in ("error", "sd")}
-        return vars(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
+        return asdict(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> SimulatedRun:
-        """From `as_dict`."""
         changed = {"error": tuple(data["error"]), "sd": tuple(data["sd"])}
         return SimulatedRun(**(data | changed | {"identified": tuple(v == "1" for v in data["identified"])}))
 
 
-def benches(setup: Setup, seed: int) -> tuple[VirtualBench, ...]:
+def benches(setup: forecast.Setup, seed: int) -> tuple[VirtualBench, ...]:
     """One virtual bench per push: all have the same tags with the same errors, and one sensor with one gain."""
     rng = np.random.default_rng([seed, 30])
     m = len(setup.tags)
@@ -116,13 +103,13 @@ def benches(setup: Setup, seed: int) -> tuple[VirtualBench, ...]:
 
 
 @one_blas_thread
-def simulate_run(setup: Setup, seed: int) -> SimulatedRun:
+def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
     """Film, log, observe and fit once. A fit that fails is a run with its reason, not an error."""
     began = time.perf_counter()
     try:
         recordings = [_observed(setup, bench, seed * 100 + i) for i, bench in enumerate(benches(setup, seed))]
         settings = FitSettings(
-            functions=FUNCTIONS, most_frames=MOST_FRAMES, allowances=frozenset()
+            functions=forecast.FUNCTIONS, most_frames=forecast.MOST_FRAMES, allowances=frozenset()
         )  # the bench is ideal
         posterior = fit(recordings, start_of(recordings, None), settings=settings, gain_sd=setup.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
@@ -140,7 +127,7 @@ def simulate_run(setup: Setup, seed: int) -> SimulatedRun:
     )
 
 
-def _observed(setup: Setup, bench: VirtualBench, seed: int) -> Observations:
+def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observations:
     virtual = _axes_missed(virtual_recording(bench, seed=seed), seed)
     if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
@@ -151,7 +138,6 @@ def _observed(setup: Setup, bench: VirtualBench, seed: int) -> Observations:
 
 
 def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
-    """The same with the force log's axes turned by a drawn error."""
     turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
     cos, sin = np.cos(turn), np.sin(turn)
     force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
@@ -159,7 +145,7 @@ def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
 
 
 def simulate(
-    setup: Setup,
+    setup: forecast.Setup,
     seeds: Iterable[int],
     *,
     jobs: int = 1,
@@ -193,13 +179,12 @@ def read_runs(file: Path) -> dict[int, SimulatedRun]:
     return found
 
 
-def key_of(setup: Setup) -> str:
+def key_of(setup: forecast.Setup) -> str:
     """A name for all that a run depends on, but for its seed."""
     return hashlib.sha256(repr(setup).encode()).hexdigest()[:16]
 
 
-def _each(setup: Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
-    """Runs as they end. Workers do not answer to an interrupt: the parent does, and ends them."""
+def _each(setup: forecast.Setup, seeds: list[int], jobs: int) -> Iterator[SimulatedRun]:
     if jobs <= 1 or len(seeds) <= 1:
         yield from (simulate_run(setup, seed) for seed in seeds)
         return
@@ -250,11 +235,11 @@ class Obtained:
 class Rehearsal:
     """How well k(s) of a setup would come out."""
 
-    setup: Setup
+    setup: forecast.Setup
     seed: int
-    predicted: PredictedBand
-    budget: tuple[BudgetEntry, ...]  # the most costly nuisance first
-    advice: tuple[SetupChange, ...]  # the most helpful change first
+    predicted: forecast.PredictedBand
+    budget: tuple[forecast.BudgetEntry, ...]  # the most costly nuisance first
+    advice: tuple[forecast.SetupChange, ...]  # the most helpful change first
     runs: tuple[SimulatedRun, ...]
 
     @property
@@ -273,22 +258,16 @@ class Rehearsal:
             "setup": {**asked, **tolerances, "clock_sd_s": s.clock_sd, "fps": s.fps},
             "seed": self.seed,
             "s": PLACES.tolist(),
-            "predicted": {
-                **said,
-                "identified": ranges(p.identified),
-                "band": vars(p.quality),
-            },
-            "obtained": None
-            if o is None
-            else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(o).items()},
-            "uncertainty_budget": [vars(entry) for entry in self.budget],
+            "predicted": {**said, "identified": forecast.ranges(p.identified), "band": asdict(p.quality)},
+            "obtained": None if o is None else asdict(o),
+            "uncertainty_budget": [asdict(entry) for entry in self.budget],
             "advice": [change.as_dict() for change in self.advice],
         }
 
 
 @one_blas_thread
 def rehearse(
-    setup: Setup,
+    setup: forecast.Setup,
     *,
     runs: int = 24,
     seed: int = 0,
@@ -299,19 +278,17 @@ def rehearse(
 ) -> Rehearsal:
     """How well k(s) would be known from a setup: by its Fisher information, and from `runs` simulated recordings.
 
-    Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each
-    run is kept there as it ends, and work that was interrupted goes on from it.
-
-    Raises:
-        LearningError: a number of runs or processes that cannot be.
-        MechanicsError: the beam buckles or snaps through under a push, hardly bends, or bends too far.
+    Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each run
+    is kept there as it ends, and work that was interrupted goes on from it. Raises `LearningError`: a number of runs or
+    processes that cannot be. Raises `MechanicsError`: the beam buckles or snaps through under a push, hardly bends, or
+    bends too far.
     """
     if runs < 0 or jobs < 1 or seed < 0:
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
-    check_bending(setup)
-    predicted = predict(setup)
-    budget = uncertainty_budget(setup, predicted)
-    changes = advise(setup, predicted, count=count, progress=progress)
+    forecast.check_bending(setup)
+    predicted = forecast.predict(setup)
+    budget = forecast.uncertainty_budget(setup, predicted)
+    changes = forecast.advise(setup, predicted, count=count, progress=progress)
     done = simulate(setup, range(seed, seed + runs), jobs=jobs, keep=keep, progress=progress) if runs else ()
     return Rehearsal(setup, seed, predicted, budget, changes, done)
 
@@ -349,7 +326,7 @@ def _share(hits: Array, counts: Array) -> tuple[float, float]:
     return value, float(spread)
 
 
-def setup_words(setup: Setup) -> str:
+def setup_words(setup: forecast.Setup) -> str:
     """The setup in one line."""
     pushes = "; ".join(f"s = {p.at_s:.2f}, {direction_words(p.direction)}, to {p.peak:.3g} N" for p in setup.pushes)
     return f"{setup.name}: tags at s = {', '.join(f'{s:.3g}' for s in setup.tags)}; pushed at {pushes}"
@@ -413,19 +390,17 @@ def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
     axes.legend(ncols=2, loc="upper left")
 
 
-def _best_known(predicted: PredictedBand) -> BoolArray:
+def _best_known(predicted: forecast.PredictedBand) -> BoolArray:
     """(S,) the places that set the axes: where k would be known; where it is nowhere, the best quarter of them."""
     known = predicted.identified
     return np.asarray(known if np.any(known) else predicted.sd <= np.quantile(predicted.sd, 0.25))
 
 
 def _percent(log_error: Array) -> Array:
-    """Sizes of log k as ones of k, as in the table."""
     return np.asarray(100.0 * np.expm1(log_error))
 
 
 def _marks(axes: Axes, rehearsal: Rehearsal) -> None:
-    """Tags as ticks below, pushes as arrows."""
     across = axes.get_xaxis_transform()
     tags = list(rehearsal.setup.tags)
     axes.plot(tags, [0.0] * len(tags), "s", color=INK, markersize=6, clip_on=False, transform=across, zorder=5)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -17,46 +17,15 @@ from rich.table import Table
 
 import onebend
 from onebend.beam.stiffness import half_width_words
-from onebend.cli import BY
-from onebend.cli.common import (
-    LEAST,
-    MOST,
-    Goal,
-    Gravity,
-    Json,
-    Model,
-    Output,
-    Overwrite,
-    Point,
-    PushAt,
-    Quiet,
-    clean_errors,
-    made_from_files,
-    or_nan,
-    or_unlimited,
-    print_json,
-    print_summary,
-    progress_of,
-    put_in_place,
-    say,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.cli.control import show_loop
 from onebend.cli.models import gravity_on, read_trusted
+from onebend.control import loop_simulation
 from onebend.control.loop import controller
-from onebend.control.loop_simulation import (
-    MOST_DRAWN,
-    LoopCamera,
-    drawn_beams,
-    simulate_trials,
-    trial_settings,
-    wrong_beams,
-)
 from onebend.errors import RecordingError
-from onebend.lab.commands import Bend, Camera, Distance, Fps, Seconds, Sensor, Tilt
-from onebend.lab.forecast import BudgetEntry, Setup, known_beam, setup_of
-from onebend.lab.random_bench import FilmRequest, PushName
+from onebend.lab import study_report
+from onebend.lab.forecast import BudgetEntry, Tolerances, known_beam, setup_of
+from onebend.lab.random_bench import FilmRequest
 from onebend.lab.rehearsal import (
     MEDIAN,
     NINETY,
@@ -69,15 +38,10 @@ from onebend.lab.rehearsal import (
     summary_of,
     writer_of,
 )
-from onebend.lab.study import SensorKind, StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
-from onebend.lab.study_report import (
-    REPRODUCE_FORMAT,
-    below_printed,
-    draw_figures,
-    summary_of as study_summary_of,
-    writer,
-)
+from onebend.lab.sensed_force import FeltBy, felt_by
+from onebend.lab.study import StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
 from onebend.learning.design import PLACES, identified_words
+from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
 from onebend.report.pictures import draw
 from onebend.report.wording import UNKNOWN, millimetres, significant
@@ -87,133 +51,95 @@ from onebend.results.provenance import inputs_of
 
 # Commands that bend a learned beam, or rehearse to.
 
-KError = Annotated[
-    float,
-    typer.Option(
+
+@dataclass(frozen=True)
+class LoopRehearsal:
+    """The beams, the robot and the sensor that a loop is rehearsed with."""
+
+    k_error: float = option(
         "--k-error",
-        min=0.0,
-        max=0.95,
+        0.3,
+        "Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
         metavar="SHARE",
-        help="Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
-    ),
-]
-
-
-Draws = Annotated[
-    int | None,
-    typer.Option(
-        "--draws", min=1, max=MOST_DRAWN, metavar="N", help="Rehearse on N beams drawn from the band of k(s) instead."
-    ),
-]
-
-
-Noise = Annotated[
-    float,
-    typer.Option("--noise-mm", min=0.0, max=1e3, metavar="MM", help="Of each coordinate the camera sees, one sd."),
-]
-
-
-Delay = Annotated[
-    float,
-    typer.Option("--delay-ms", min=0.0, max=10_000.0, metavar="MS", help="From a frame's exposure to its answer."),
-]
-
-
-Rate = Annotated[
-    float, typer.Option("--fps", min=0.1, max=100_000.0, metavar="HZ", help="Frames of the camera a second.")
-]
-
-
-Duration = Annotated[
-    float, typer.Option("--duration-s", min=2.0, max=600.0, metavar="S", help="Of each rehearsal; at least two.")
-]
-
-
-LoopMaxForce = Annotated[
-    float | None, typer.Option("--max-force-N", min=LEAST, max=MOST, metavar="N", help="No larger force.")
-]
-
-
-Feeling = Annotated[
-    Literal["nothing", "log", "shape"],
-    typer.Option(
-        "--felt",
-        help="What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
-    ),
-]
-
-
-ForceOff = Annotated[
-    float,
-    typer.Option(
-        "--force-off-N",
-        min=0.0,
-        max=1000.0,
+        within=(0.0, 0.95),
+    )
+    draws: int | None = option(
+        "--draws",
+        None,
+        "Rehearse on N beams drawn from the band of k(s) instead.",
         metavar="N",
-        help="By so much the robot's force is off, across it, and the log of --felt log, along it.",
-    ),
-]
-
-
-Hidden = Annotated[bool, typer.Option("--hidden", help="The camera never sees the point, nor a tag on it.")]
+        within=(1, loop_simulation.MOST_DRAWN),
+    )
+    max_force: float = option("--max-force-N", math.inf, "No larger force.", metavar="N", within=POSITIVE)
+    felt: FeltBy = option(
+        "--felt",
+        "nothing",
+        "What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+    )
+    force_off: float = option(
+        "--force-off-N",
+        0.0,
+        "By so much the robot's force is off, across it, and the log of --felt log, along it.",
+        metavar="N",
+        within=(0.0, 1000.0),
+    )
+    hidden: bool = option("--hidden", False, "The camera never sees the point, nor a tag on it.")
+    duration: float = option("--duration-s", 8.0, "Of each rehearsal; at least two.", metavar="S", within=(2.0, 600.0))
 
 
 def loop(
-    model: Model,
+    model: common.Model,
     *,
-    goal: Goal,
-    push_at: PushAt = 1.0,
-    point: Point = 1.0,
-    k_error: KError = 0.3,
-    draws: Draws = None,
-    delay_ms: Delay = 50.0,
-    fps: Rate = 30.0,
-    noise_mm: Noise = 0.05,
-    max_force: LoopMaxForce = None,
-    gravity: Gravity = (0.0, 0.0),
-    felt: Feeling = "nothing",
-    force_off: ForceOff = 0.0,
-    hidden: Hidden = False,
-    duration: Duration = 8.0,
-    output: Output = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    goal: common.Goal,
+    push_at: common.PushAt = 1.0,
+    point: common.Point = 1.0,
+    gravity: common.Gravity = (0.0, 0.0),
+    camera: loop_simulation.LoopCamera,
+    asked: LoopRehearsal,
+    output: common.Output = None,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
 ) -> None:
     """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
-    from onebend.lab.sensed_force import felt_by  # here: learning and lab, which `reach` does without
-
-    with clean_errors():
+    with common.clean_errors():
         stored = read_trusted(model)
-        beam, delay = stored.beam, 1e-3 * delay_ms
-        beams = wrong_beams(beam, k_error) if draws is None else drawn_beams(beam, stored.uncertain, draws)
-        settings = trial_settings(fps, delay, k_error, or_unlimited(max_force))
+        beam = stored.beam
+        beams = (
+            loop_simulation.wrong_beams(beam, asked.k_error)
+            if asked.draws is None
+            else loop_simulation.drawn_beams(beam, stored.uncertain, asked.draws)
+        )
+        settings = loop_simulation.trial_settings(camera.fps, camera.delay, asked.k_error, asked.max_force)
         control = controller(
             beam, goal, push_s=push_at, point_s=point, gravity=gravity_on(beam, gravity), settings=settings
         )
         feel = felt_by(
-            felt,
+            asked.felt,
             control,
             stiffness=stored.uncertain,
             instruments=stored.bench,
-            force_off=force_off,
-            hidden=hidden,
+            force_off=asked.force_off,
+            hidden=asked.hidden,
         )
-        eye = LoopCamera(fps=fps, delay=delay, noise=1e-3 * noise_mm, hidden=((0.0, math.inf),) if hidden else ())
-        trials = tuple(simulate_trials(control, beams, eye=eye, duration=duration, force_off=force_off, feel=feel))
+        eye = replace(camera, hidden=((0.0, math.inf),)) if asked.hidden else camera
+        trials = tuple(
+            loop_simulation.simulate_trials(
+                control, beams, eye=eye, duration=asked.duration, force_off=asked.force_off, feel=feel
+            )
+        )
         known = control.margins()
-        rehearsed: dict[str, object] = {"felt": felt, "force_off_N": force_off, "hidden": hidden}
+        rehearsed = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
         summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
 
-            with workplace(output, LOOP_FORMAT, overwrite) as place:
+            with common.workplace(output, LOOP_FORMAT, overwrite) as place:
                 pictures = draw({"loop": lambda: looping(control, trials)})
                 inputs = inputs_of([model_file(model)])
-                put_in_place(place, loop_writer(trials, pictures, summary), pictures.failed, inputs=inputs)
-    if as_json:
-        print_summary(summary, output)
-    else:
-        show_loop(screen(), control, known, trials, output, rehearsed)
+                common.put_in_place(place, loop_writer(trials, pictures, summary), pictures.failed, inputs=inputs)
+    common.answer(
+        as_json, summary, lambda console: show_loop(console, control, known, trials, output, rehearsed), output
+    )
 
 
 # What `onebend rehearse` says.
@@ -251,13 +177,8 @@ def errors_table(rehearsal: Rehearsal) -> Table:
     p, o = rehearsal.predicted, rehearsal.obtained
     title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("s", justify="right")
-    table.add_column("k \\[N m]", justify="right")
-    names = ["predicted", "9 in 10"]
-    names += [] if o is None else ["obtained", "9 in 10", "in the band"]
-    for name in names:
-        table.add_column(name, justify="right")
+    names = [] if o is None else ["obtained", "9 in 10", "in the band"]
+    table = common.listing(title, "s", "k [N m]", "predicted", "9 in 10", *names)
     for i in range(0, len(PLACES), EVERY):
         cells = [_percent(MEDIAN * p.error[i]), _percent(NINETY * p.error[i])]
         if o is not None:
@@ -269,13 +190,8 @@ def errors_table(rehearsal: Rehearsal) -> Table:
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Table:
     """The band if one nuisance were known exactly."""
-    table = Table(
-        title="What costs most: how well k(s) would be known if one thing were known exactly",
-        title_justify="left",
-        box=None,
-    )
-    for name in ("known exactly", "k(s) then", "removes"):
-        table.add_column(name, justify="left" if name == "known exactly" else "right")
+    title = "What costs most: how well k(s) would be known if one thing were known exactly"
+    table = common.listing(title, "<known exactly", "k(s) then", "removes")
     for entry in budget:
         table.add_row(escape(entry.name), half_width_words(0.5 * entry.mean_width), share_words(entry.share))
     return table
@@ -283,9 +199,8 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
 
 def advice_table(rehearsal: Rehearsal) -> Table:
     """Changes, best first."""
-    table = Table(title="What to change, by how much it narrows the band", title_justify="left", box=None)
-    for name in ("", "change", "k(s) then", "removes"):
-        table.add_column(name, justify="left" if name == "change" else "right")
+    title = "What to change, by how much it narrows the band"
+    table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
         table.add_row(str(i), escape(change.text), change.quality.mean_words, share_words(change.share))
     return table
@@ -312,11 +227,10 @@ def share_words(share: float) -> str:
 
 
 def _percent(log_error: float) -> str:
-    """A size of log k as one of k."""
     return f"{100.0 * np.expm1(log_error):.2g}" if log_error < 1.0 else f"x {np.exp(log_error):.2g}"
 
 
-TURN_DEG = round(math.degrees(Setup.turn_sd), 6)  # 1.5, not 1.5000000000000002
+SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # by all pushes
 
 Rehearsed = Annotated[
     str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
@@ -327,7 +241,6 @@ TagPlaces = Annotated[
         "--tags", metavar="S,S,...", help="Where the tags sit along the beam; default: thirds, or the model's."
     ),
 ]
-SlowPush = Annotated[PushName, typer.Option("--push", help="slow: at the tip. s08, s06: slow, there.")]
 PushesAt = Annotated[
     list[float] | None,
     typer.Option(
@@ -340,27 +253,6 @@ Forces = Annotated[
 Directions = Annotated[
     list[float] | None,
     typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
-]
-GainSd = Annotated[
-    float | None,
-    typer.Option("--gain-sd", min=0.0, max=0.5, metavar="SD", help="Of the force's scale; default: the sensor's."),
-]
-PlacementSd = Annotated[
-    float,
-    typer.Option("--placement-mm", min=1e-3, max=MOST, metavar="MM", help="How well the tags are placed, one sd."),
-]
-TurnSd = Annotated[
-    float, typer.Option("--turn-deg", min=1e-3, max=MOST, metavar="DEG", help="How well the tags are turned, one sd.")
-]
-ClockSd = Annotated[
-    float | None,
-    typer.Option(
-        "--clock-sd-s",
-        min=0.0,
-        max=MOST,
-        metavar="S",
-        help="How well the clocks agree; 0: one clock; default: found from the data.",
-    ),
 ]
 Runs = Annotated[
     int,
@@ -381,50 +273,35 @@ def rehearse(
     *,
     output: RehearsalFolder = None,
     tags: TagPlaces = None,
-    push: SlowPush = "slow",
     push_at: PushesAt = None,
     force: Forces = None,
-    bend: Bend = 65.0,
     direction: Directions = None,
-    seconds: Seconds = None,
-    sensor: Sensor = "franka",
-    gain_sd: GainSd = None,
-    camera: Camera = "hd",
-    fps: Fps = None,
-    tilt: Tilt = None,
-    distance: Distance = None,
-    placement: PlacementSd = 1e3 * Setup.placement_sd,
-    turn: TurnSd = TURN_DEG,
-    clock_sd: ClockSd = None,
+    push: Annotated[FilmRequest, SHARED],
+    known_to: Tolerances,
     runs: Runs = 24,
     seed: RunSeed = 0,
     jobs: Jobs = None,
     count: Advices = 8,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
-    with clean_errors():
-        first = FilmRequest(push, bend=math.radians(bend), seconds=or_nan(seconds), sensor=sensor, camera=camera)
-        first = replace(first, fps=or_nan(fps), tilt=math.radians(or_nan(tilt)), distance=or_nan(distance))
+    with common.clean_errors():
         setup = setup_of(
             known_beam(design),
-            wishes_of(first, push_at or [], force or [], direction or []),
+            wishes_of(push, push_at or [], force or [], direction or []),
             tags=places_of(tags),
-            gain_sd=or_nan(gain_sd),
-            placement_sd=1e-3 * placement,
-            turn_sd=math.radians(turn),
-            clock_sd=or_nan(clock_sd),
+            known_to=known_to,
         )
         work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
         found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
     if as_json:
-        print_json(summary_of(found, written_by=BY))
+        common.print_json(summary_of(found, written_by=BY))
         return
-    show_rehearsal(screen(), found)
+    show_rehearsal(common.screen(), found)
     if output is not None:
-        say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
+        common.say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
 
 
 def _carried_out(
@@ -432,13 +309,13 @@ def _carried_out(
 ) -> Rehearsal:
     """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
     if output is None:
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             return work(progress=progress)
-    with workplace(output, REHEARSE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
+    with common.workplace(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
         inputs = inputs_of([source])
         found = work(keep=place.work, progress=progress)
         pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-        put_in_place(place, writer_of(found, pictures, written_by=BY), pictures.failed, inputs=inputs)
+        common.put_in_place(place, writer_of(found, pictures, written_by=BY), pictures.failed, inputs=inputs)
     return found
 
 
@@ -499,7 +376,7 @@ def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> No
                 millimetres(film.true.rms[-1]),
             )
     console.print(table)
-    below, known = below_printed(outcome)
+    below, known = study_report.below_printed(outcome)
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     reached = sum(done.found.converged for done in tasks)
     console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
@@ -516,23 +393,6 @@ ReproduceOut = Annotated[
 ]
 
 
-Quick = Annotated[bool, typer.Option("--quick", help="Shorter pushes, 12 frames/s: a third of the time.")]
-
-
-WithoutVideo = Annotated[
-    bool, typer.Option("--without-video", help="Tags' poses with a camera's noise instead of films: a minute.")
-]
-
-
-ReproduceSensor = Annotated[
-    SensorKind,
-    typer.Option("--sensor", help="paper: errors as large as the paper's. franka: as measured on such a robot."),
-]
-
-
-ReproduceSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of all that is drawn.")]
-
-
 Processes = Annotated[
     int | None, typer.Option("--processes", min=1, metavar="N", help="That work at once; default: one a core.")
 ]
@@ -541,24 +401,21 @@ Processes = Annotated[
 def reproduce(
     *,
     output: ReproduceOut,
-    quick: Quick = False,
-    without_video: WithoutVideo = False,
-    sensor: ReproduceSensor = "paper",
-    seed: ReproduceSeed = 0,
+    setting: StudySettings,
     processes: Processes = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
-    with clean_errors(), workplace(output, REPRODUCE_FORMAT, overwrite) as place, progress_of(quiet) as progress:
-        setting = StudySettings(seed=seed, quick=quick, video=not without_video, sensor=sensor)
+    with (
+        common.clean_errors(),
+        common.workplace(output, study_report.REPRODUCE_FORMAT, overwrite) as place,
+        common.progress_of(quiet) as progress,
+    ):
         found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
-        pictures = draw_figures(found, progress=progress)
-        summary = study_summary_of(found, written_by=BY)
-        write = writer(found, pictures, summary, place.work, version=onebend.__version__)
-        put_in_place(place, write, pictures.failed, made_from=made_from_files((), {"study": setting}))
-    if as_json:
-        print_json(summary | {"output": str(output)})
-    else:
-        show_reproduced(screen(), found, output)
+        pictures = study_report.draw_figures(found, progress=progress)
+        summary = study_report.summary_of(found, written_by=BY)
+        write = study_report.writer(found, pictures, summary, place.work, version=onebend.__version__)
+        common.put_in_place(place, write, pictures.failed, made_from=common.made_from_files((), {"study": setting}))
+    common.answer(as_json, summary | {"output": str(output)}, lambda console: show_reproduced(console, found, output))

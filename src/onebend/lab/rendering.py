@@ -295,11 +295,8 @@ class Camera:
 
 
 def view_from(camera: Camera, points: Array) -> View:
-    """How `camera` sees the table when it looks at the middle of `points` (N, 2) [m].
-
-    Raises:
-        RecordingError: not all of the points are in the picture.
-    """
+    """How `camera` sees the table when it looks at the middle of `points` (N, 2) [m]. Raises `RecordingError`: not all
+    of the points are in the picture."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     distance = camera.distance
     if isfinite(distance):

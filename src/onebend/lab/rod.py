@@ -97,11 +97,8 @@ class _Cells:
 
 
 def march(task: RodTask, step: float = STEP, *, at: Array | None = None) -> RodMotion:
-    """Follow the push from rest at even times, at most `step` [s] apart; cells end at places `at` too.
-
-    Raises:
-        MechanicsError: the beam snaps through, or inertia or weight are asked for and its mass is not known.
-    """
+    """Follow the push from rest at even times, at most `step` [s] apart; cells end at places `at` too. Raises
+    `MechanicsError`: the beam snaps through, or inertia or weight are asked for and its mass is not known."""
     count = int(np.ceil(task.until / step - 1e-9))
     time: Array = step * np.arange(count + 1, dtype=float)
     cells = cells_of(task, at)
@@ -269,11 +266,8 @@ LARGEST_RESIDUAL = 10.0  # of the largest moment: what is left at the force may 
 def stretched(
     beam: Beam, force: Array, at_s: float, s: Array, axial_stiffness: float, start: Equilibrium
 ) -> tuple[Array, Array]:
-    """(T, S, 2) m positions and (T, S) rad angles at `s` (S,), from the shapes `start` of the unstretched beam.
-
-    Raises:
-        MechanicsError: no shape was found: the axial stiffness is too small for the force.
-    """
+    """(T, S, 2) m positions and (T, S) rad angles at `s` (S,), from the shapes `start` of the unstretched beam. Raises
+    `MechanicsError`: no shape was found: the axial stiffness is too small for the force."""
     edges = np.unique(np.concatenate([np.linspace(0.0, 1.0, STEPS + 1), [at_s], beam.stiffness.jumps, s]))
     tip = start.xy(np.array([at_s]))[:, 0]
     moment = tip[:, 0] * force[:, 1] - tip[:, 1] * force[:, 0]

@@ -100,11 +100,8 @@ class SensedForce:
         instruments: Instruments | None = None,
         seed: int = 0,
     ) -> None:
-        """`truth` is the beam that moves, `model` what is thought of it, with its band `stiffness`.
-
-        Raises:
-            LearningError: as `sense`.
-        """
+        """`truth` is the beam that moves, `model` what is thought of it, with its band `stiffness`. Raises
+        `LearningError`: as `sense`."""
         self._bench = VirtualBench(truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base)
         self._seen, self._rng = seen, np.random.default_rng(seed)
         rest = truth.equilibrium((0.0, 0.0))
@@ -118,7 +115,6 @@ class SensedForce:
         self._live = OnlineSense(model, at_rest, stiffness=relative, instruments=instruments)
 
     def __call__(self, seen: Exposure) -> LiveForce:
-        """The force of this frame."""
         shown = turned(
             self._markers(np.full(1, seen.time, dtype=np.float64), seen.pose(self._places)[None]), self._turn
         )
@@ -145,7 +141,6 @@ class SensedForce:
 
 
 def _at_rest(shown: Markers, length: float, seen: SensedTags, push_s: float) -> Observations:
-    """What a recording says of the beam before anything touches it."""
     count = len(shown.time)
     in_frame, rest, _ = to_beam_frame(shown, np.ones(count, dtype=bool), seen.placement_sd, np.zeros((count, 2)))
     return Observations(

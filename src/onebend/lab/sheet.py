@@ -71,12 +71,8 @@ class Page:
 
 
 def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Path, ...]:
-    """Write pages as one PDF, or as an SVG a page (`name.svg`, `name-2.svg`, ...); the paths written.
-
-    Raises:
-        MechanicsError: a file name that ends in neither.
-        OSError: the file cannot be written.
-    """
+    """Write pages as one PDF, or as an SVG a page (`name.svg`, `name-2.svg`, ...); the paths written. Raises
+    `MechanicsError`: a file name that ends in neither. Raises `OSError`: the file cannot be written."""
     files = files_of(path, pages, title)
     for one, data in files.items():
         one.write_bytes(data)
@@ -198,12 +194,8 @@ class Sheet:
 
 
 def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
-    """The tags of a sheet in rows, upright, as many pages as they need.
-
-    Raises:
-        MechanicsError: a tag that is larger than the page.
-        RecordingError: an unknown family, or an id that it does not have.
-    """
+    """The tags of a sheet in rows, upright, as many pages as they need. Raises `MechanicsError`: a tag that is larger
+    than the page. Raises `RecordingError`: an unknown family, or an id that it does not have."""
     tags = [printed_tag(tag_id, sheet.family) for tag_id in sheet.ids]
     width, height = PAGES[sheet.page]
     pitch = sheet.outer(tags[0]) + GAP
@@ -226,12 +218,9 @@ def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
 
 
 def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> Page:
-    """A page with a recording's tags at their places along the beam, to lay the beam on; lying where it is long.
-
-    Raises:
-        MechanicsError: the beam is longer than the page, or two tags overlap.
-        RecordingError: an id that the family does not have.
-    """
+    """A page with a recording's tags at their places along the beam, to lay the beam on; lying where it is long. Raises
+    `MechanicsError`: the beam is longer than the page, or two tags overlap. Raises `RecordingError`: an id that the
+    family does not have."""
     entries = (*recording.tags.on_base, *recording.tags.on_beam)
     family = recording.tags.family
     sheet = Sheet(tuple(entry.id for entry in entries), recording.tags.size, family, rim, page)

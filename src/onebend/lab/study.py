@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from scipy.integrate import solve_bvp
@@ -32,6 +32,7 @@ from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
 from onebend.learning.verdict import fit_remarks, fitted_rms
+from onebend.options import option
 from onebend.progress import (
     Progress,
     Silent,
@@ -45,7 +46,7 @@ from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.records import Array, Observations
 from onebend.results.model import origin_of, read_model, save_model
-from onebend.results.observations_file import load_observations, save_observations
+from onebend.results.observations_file import fields_from, load_observations, save_observations, to_data
 
 # How the paper's experiments are reproduced: beams, pushes, and the robot's force estimate.
 
@@ -84,10 +85,12 @@ STRATEGIES = (
 class StudySettings:
     """Settings of one study. With the version they determine its results."""
 
-    seed: int = 0
-    quick: bool = False  # shorter pushes and fewer frames/s
-    video: bool = True  # False: the tags' poses with a camera's noise, no picture
-    sensor: SensorKind = "paper"
+    quick: bool = option("--quick", False, "Shorter pushes, 12 frames/s: a third of the time.")
+    video: bool = option("--without-video", True, "Tags' poses with a camera's noise instead of films: a minute.")
+    sensor: SensorKind = option(
+        "--sensor", "paper", "paper: errors as large as the paper's. franka: as measured on such a robot."
+    )
+    seed: int = option("--seed", 0, "Of all that is drawn.", metavar="N", within=(0, None))
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -97,12 +100,7 @@ class StudySettings:
 
     @property
     def fps(self) -> float:
-        """Frames/s."""
         return 12.0 if self.quick else 30.0
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
 
 
 def gain_of(setting: StudySettings) -> float:
@@ -242,7 +240,6 @@ class FilmJob:
 
     @property
     def name(self) -> str:
-        """Of the recording."""
         return name_of(self.beam, self.strategy)
 
     @property
@@ -255,10 +252,6 @@ class FilmJob:
         """Where its observations go."""
         return self.work / OBSERVED / f"{self.name}.parquet"
 
-    def load(self) -> Observations:
-        """Its observations."""
-        return load_observations(self.observed)
-
 
 def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
     """All twelve, each beam's training push first."""
@@ -266,14 +259,15 @@ def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
 
 
 def make_recording(job: FilmJob) -> FilmJob:
-    """Film and find the tags, unless that was done; a file is either complete or absent.
-
-    Raises:
-        RecordingError, ObservationError: as for a real recording.
-    """
+    """Film and find the tags, unless that was done; a file is either complete or absent. Raises `RecordingError`,
+    `ObservationError`: as for a real recording."""
     if job.observed.exists():
         return job
-    observations = _filmed(job) if job.setting.video else _without_video(job)
+    filming, seed = filmed_push(job.setting, job.beam, job.strategy), seed_of(job.setting, job.beam, job.strategy)
+    if job.setting.video:
+        observations = _filmed(job, filming, seed)
+    else:
+        observations = observe_virtual(virtual_recording(filming.bench, seed=seed))
     job.observed.parent.mkdir(parents=True, exist_ok=True)
     unfinished = job.observed.with_suffix(".tmp")
     save_observations(unfinished, observations)
@@ -281,20 +275,14 @@ def make_recording(job: FilmJob) -> FilmJob:
     return job
 
 
-def _filmed(job: FilmJob) -> Observations:
+def _filmed(job: FilmJob, filming: Filming, seed: int) -> Observations:
     if not job.folder.exists():
         unfinished = job.folder.with_name(job.name + ".unfinished")
         shutil.rmtree(unfinished, ignore_errors=True)
         unfinished.parent.mkdir(parents=True, exist_ok=True)
-        seed = seed_of(job.setting, job.beam, job.strategy)
-        film(filmed_push(job.setting, job.beam, job.strategy), unfinished, seed=seed)
+        film(filming, unfinished, seed=seed)
         unfinished.rename(job.folder)
     return observe(read_recording(job.folder), settings=ObserveSettings(threads=1))
-
-
-def _without_video(job: FilmJob) -> Observations:
-    bench = filmed_push(job.setting, job.beam, job.strategy).bench
-    return observe_virtual(virtual_recording(bench, seed=seed_of(job.setting, job.beam, job.strategy)))
 
 
 # Each beam learned from its training push alone, by the paper's method and by the fit; kept in files.
@@ -324,17 +312,9 @@ class LearnJob:
     training: Path  # observations of the slow push
     written_by: str
 
-    def load(self) -> LearnedBeam:
-        """What was learned. Raises `ResultsError` where its files are damaged."""
-        return _load(self.folder)
-
 
 def learn_beam(job: LearnJob) -> LearnJob:
-    """Learn, unless that was done.
-
-    Raises:
-        LearningError: the push does not determine a beam.
-    """
+    """Learn, unless that was done. Raises `LearningError`: the push does not determine a beam."""
     if not (job.folder / FACTS_FILE).exists():
         observations = load_observations(job.training)
         job.folder.mkdir(parents=True, exist_ok=True)
@@ -372,7 +352,6 @@ def _save(
     paper: Beam | None,
     posterior: Posterior,
 ) -> None:
-    """Write all files of a beam, the facts last: where that file exists, all do."""
     if paper is not None:
         save_model(job.folder / PAPER_FILE, paper, written_by=job.written_by)
     save_model(
@@ -384,9 +363,7 @@ def _save(
         bench=instruments_of(posterior),
     )
     facts = {
-        "trials": [
-            asdict(trial) | {"coefficients": trial.coefficients.tolist(), "rms": trial.rms.tolist()} for trial in trials
-        ],
+        "trials": [to_data(trial) for trial in trials],
         "chosen": chosen,
         "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
         "remarks": [f"{remark.level}: {remark.text}" for remark in fit_remarks(posterior)],
@@ -396,15 +373,15 @@ def _save(
     unfinished.replace(job.folder / FACTS_FILE)
 
 
-def _load(folder: Path) -> LearnedBeam:
+def load_learned(folder: Path) -> LearnedBeam:
+    """What was learned. Raises `ResultsError` where its files are damaged."""
     try:
         facts = json.loads((folder / FACTS_FILE).read_text(encoding="utf-8"))
-        trials = tuple(_trial(trial) for trial in facts["trials"])
         stored = read_model(folder / FIT_FILE)
         if stored.uncertain is None:
             raise ResultsError(f"{folder / FIT_FILE}: holds no band. Remove the folder and run again")
         return LearnedBeam(
-            trials=trials,
+            trials=tuple(Trial(**fields_from(Trial, trial)) for trial in facts["trials"]),
             chosen=facts["chosen"],
             paper=None if facts["chosen"] is None else read_model(folder / PAPER_FILE).beam,
             fit=stored.beam,
@@ -414,11 +391,6 @@ def _load(folder: Path) -> LearnedBeam:
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ResultsError(f"{folder}: its files are damaged ({error}). Remove the folder and run again") from error
-
-
-def _trial(data: dict[str, Any]) -> Trial:
-    arrays = {name: np.asarray(data[name], dtype=float) for name in ("coefficients", "rms")}
-    return Trial(**{**data, **arrays})
 
 
 # The six manipulation tasks (Section V-C, Fig. 8), and what their forces do to the true beam.
@@ -491,11 +463,9 @@ def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Tas
 def true_place(beam: Beam, force: Array, s: float) -> Array:
     """(2,) m: where `force` at `s` puts the point `s` of a beam that is straight at rest, by a solver of its own.
 
-    SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`,
-    from no force to the whole of it; it shares nothing with the statics that the force was found by.
-
-    Raises:
-        MechanicsError: the solver finds no shape.
+    SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`, from
+    no force to the whole of it; it shares nothing with the statics that the force was found by. Raises
+    `MechanicsError`: the solver finds no shape.
     """
     length = beam.length
     t, guess = np.linspace(0.0, 1.0, 101), np.zeros((4, 101))
@@ -586,7 +556,10 @@ def gather(
     gain = gain_of(setting)
     beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
     return StudyOutcome(
-        work, setting, gain, tuple(beam_outcome(name, gain, films, learned[name].load()) for name in beams)
+        work,
+        setting,
+        gain,
+        tuple(beam_outcome(name, gain, films, load_learned(learned[name].folder)) for name in beams),
     )
 
 
@@ -600,7 +573,7 @@ def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedB
 
 
 def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> ValidatedFilm:
-    observations = job.load()
+    observations = load_observations(job.observed)
     return ValidatedFilm(
         strategy=job.strategy,
         observations=observations,
@@ -652,7 +625,7 @@ def reproduce(
 def claim(work: Path, setting: StudySettings) -> None:
     """Write the settings into the working folder, or check that they are the same as those there."""
     file = work / SETTING_FILE
-    text = json.dumps(setting.as_dict(), sort_keys=True)
+    text = json.dumps(asdict(setting), sort_keys=True)
     if file.exists():
         if file.read_text(encoding="utf-8") != text:
             raise ResultsError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from math import atan2, degrees, nan
 from pathlib import Path
@@ -15,23 +15,7 @@ from matplotlib.figure import Figure
 
 from onebend.files.publish import write_summary
 from onebend.files.single_file import link_tree
-from onebend.lab.study import (
-    LEARNED,
-    OBSERVED,
-    PRINTED,
-    RECORDINGS,
-    WAYS,
-    BeamOutcome,
-    PrintedTrial,
-    S,
-    StudyOutcome,
-    ValidatedFilm,
-    assumed,
-    printed_m3,
-    quick_words,
-    rms_or_nan,
-)
-from onebend.learning.outcome import Trial
+from onebend.lab import study
 from onebend.progress import Progress, Silent
 from onebend.recording.entries import VideoEntry
 from onebend.recording.video import frame_at
@@ -63,7 +47,7 @@ class ResultTable:
         return {"title": self.title, "rows": rows}
 
 
-def all_tables(outcome: StudyOutcome) -> tuple[ResultTable, ...]:
+def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
     """Tables I to VI, then what the paper says in its text alone."""
     return (
         *(selection_table(beam) for beam in outcome.beams),
@@ -74,16 +58,18 @@ def all_tables(outcome: StudyOutcome) -> tuple[ResultTable, ...]:
     )
 
 
-def selection_table(beam: BeamOutcome) -> ResultTable:
+def selection_table(beam: study.BeamOutcome) -> ResultTable:
     """Tables I to III: every (n, m) by the paper's method on the training push."""
-    said = PRINTED[beam.name]
+    said = study.PRINTED[beam.name]
     printed = {(row.n, row.m): row for row in said.trials or ()}
     rows: list[tuple[Cell, ...]] = []
     for i, trial in enumerate(beam.learned.trials):
         there = printed.get((trial.n, trial.m))
         who = (("paper", (trial.n, trial.m) == said.chosen), ("ours", i == beam.learned.chosen))
         chosen = [name for name, it_is in who if it_is]
-        rows.append((trial.n, trial.m, *_printed(there), *_ours(trial), " and ".join(chosen), trial.why_out))
+        theirs = (nan,) * 4 if there is None else (*there.rms, there.bic)
+        ours = (*map(float, trial.rms), trial.bic if np.isfinite(trial.bic) else nan)
+        rows.append((trial.n, trial.m, *theirs, *ours, " and ".join(chosen), trial.why_out))
     return ResultTable(
         f"table-{said.selection_table}",
         f"Table {said.selection_table}: RMS of errors of the {beam.name} beam",
@@ -92,21 +78,13 @@ def selection_table(beam: BeamOutcome) -> ResultTable:
     )
 
 
-def _printed(row: PrintedTrial | None) -> tuple[float, ...]:
-    return (nan,) * 4 if row is None else (*row.rms, row.bic)
-
-
-def _ours(trial: Trial) -> tuple[float, ...]:
-    return (*map(float, trial.rms), trial.bic if np.isfinite(trial.bic) else nan)
-
-
 def _named(by: str) -> tuple[str, ...]:
     return tuple(f"{by}_{marker}_m" for marker in MARKERS)
 
 
-def validation_table(beam: BeamOutcome) -> ResultTable:
+def validation_table(beam: study.BeamOutcome) -> ResultTable:
     """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
-    said = PRINTED[beam.name]
+    said = study.PRINTED[beam.name]
     printed = dict(said.validation or ())
     unknown = (nan,) * 3
     rows: list[tuple[Cell, ...]] = [
@@ -120,15 +98,15 @@ def validation_table(beam: BeamOutcome) -> ResultTable:
     )
 
 
-def _three(film: ValidatedFilm) -> tuple[float, ...]:
-    return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in rms_or_nan(each))
+def _three(film: study.ValidatedFilm) -> tuple[float, ...]:
+    return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in study.rms_or_nan(each))
 
 
-def training_table(outcome: StudyOutcome) -> ResultTable:
+def training_table(outcome: study.StudyOutcome) -> ResultTable:
     """The training push: the chosen row of Tables I to III beside the fit."""
     rows: list[tuple[Cell, ...]] = []
     for beam in outcome.beams:
-        said = PRINTED[beam.name]
+        said = study.PRINTED[beam.name]
         printed = {(row.n, row.m): row.rms for row in said.trials or ()}.get(said.chosen, (nan,) * 3)
         fitted = map(float, beam.learned.fitted_rms)
         rows.append((beam.name, *printed, *_three(beam.films[0]), *fitted))
@@ -136,7 +114,7 @@ def training_table(outcome: StudyOutcome) -> ResultTable:
     return ResultTable("training", "The training push", columns, tuple(rows))
 
 
-def manipulation_table(outcome: StudyOutcome) -> ResultTable:
+def manipulation_table(outcome: study.StudyOutcome) -> ResultTable:
     """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
     rows: list[tuple[Cell, ...]] = []
     for beam in outcome.beams:
@@ -146,7 +124,7 @@ def manipulation_table(outcome: StudyOutcome) -> ResultTable:
                 (
                     beam.name,
                     f"{done.task.name}, s = {done.task.s:g}",
-                    WAYS[done.way],
+                    study.WAYS[done.way],
                     *map(float, done.goal),
                     float(np.hypot(*force)),
                     degrees(atan2(force[1], force[0])),
@@ -162,7 +140,7 @@ def manipulation_table(outcome: StudyOutcome) -> ResultTable:
     )
 
 
-def stiffness_errors(outcome: StudyOutcome) -> ResultTable:
+def stiffness_errors(outcome: study.StudyOutcome) -> ResultTable:
     """How far k(s) is from the truth as the force's scale shows it, and whether the band holds it."""
     rows: list[tuple[Cell, ...]] = []
     for beam in outcome.beams:
@@ -171,7 +149,7 @@ def stiffness_errors(outcome: StudyOutcome) -> ResultTable:
         rows.append(
             (
                 beam.name,
-                "n = {}, m = {}".format(*PRINTED[beam.name].chosen),
+                "n = {}, m = {}".format(*study.PRINTED[beam.name].chosen),
                 "none" if chosen is None else f"n = {chosen.n}, m = {chosen.m}",
                 nan if paper is None else 100.0 * beam.error(paper),
                 100.0 * beam.error(beam.learned.fit),
@@ -182,7 +160,7 @@ def stiffness_errors(outcome: StudyOutcome) -> ResultTable:
     return ResultTable("stiffness", "k(s) against the truth", (*columns, "band_holds_percent"), tuple(rows))
 
 
-def stiffness_curves(beam: BeamOutcome) -> ResultTable:
+def stiffness_curves(beam: study.BeamOutcome) -> ResultTable:
     """k(s) at 201 places [N m]."""
     s = np.linspace(0.0, 1.0, 201)
     band, paper = beam.learned.uncertain.band(s), beam.learned.paper
@@ -213,10 +191,12 @@ def _or_none(cell: Cell) -> Cell | None:
     return None if isinstance(cell, float) and not np.isfinite(cell) else cell
 
 
-def below_printed(outcome: StudyOutcome) -> tuple[int, int]:
+def below_printed(outcome: study.StudyOutcome) -> tuple[int, int]:
     """In how many validations that the paper prints the fit's error at the tip is below the printed one, and of how
     many."""
-    films = [(film, printed_m3(beam.name, film.strategy.name)) for beam in outcome.beams for film in beam.films[1:]]
+    films = [
+        (film, study.printed_m3(beam.name, film.strategy.name)) for beam in outcome.beams for film in beam.films[1:]
+    ]
     known = [(film.fit.rms[-1], printed) for film, printed in films if printed is not None]
     return sum(bool(ours < printed) for ours, printed in known), len(known)
 
@@ -234,7 +214,7 @@ WORST, MIDDLE, BEST = "worst", "average", "best"
 SHOWN = ("slow", "s06")  # Fig. 4
 
 
-def draw_figures(outcome: StudyOutcome, *, progress: Progress = Silent()) -> Pictures:
+def draw_figures(outcome: study.StudyOutcome, *, progress: Progress = Silent()) -> Pictures:
     """By name; Fig. 4 only where there are films."""
     wanted: dict[str, Draw] = {
         "summary": partial(summary, outcome),
@@ -250,19 +230,19 @@ def draw_figures(outcome: StudyOutcome, *, progress: Progress = Silent()) -> Pic
 
 
 @styled
-def summary(outcome: StudyOutcome) -> Figure:
+def summary(outcome: study.StudyOutcome) -> Figure:
     """The error at the tip in every validation: printed, the paper's method, the fit, the true beam."""
     figure, axes = blank(3.5, 1, len(outcome.beams), sharey=True)
     kinds = (("printed in the paper", FAINT), ("paper's method", ORANGE), ("onebend's fit", BLUE))
     for panel, beam in zip(axes, outcome.beams, strict=True):
         for x, film in enumerate(beam.films[1:]):
-            printed = printed_m3(beam.name, film.strategy.name)
+            printed = study.printed_m3(beam.name, film.strategy.name)
             values = (printed, None if film.paper is None else film.paper.rms[-1], film.fit.rms[-1])
             for i, (value, (_, tint)) in enumerate(zip(values, kinds, strict=True)):
                 if value is not None:
                     panel.bar(x + 0.27 * (i - 1), MM * value, width=0.25, color=tint)
             panel.plot([x - 0.4, x + 0.4], [MM * film.true.rms[-1]] * 2, color=INK, linewidth=1.4)
-        if printed_m3(beam.name, "fast") is None:
+        if study.printed_m3(beam.name, "fast") is None:
             panel.annotate("no printed figures\nat hand", (0.02, 0.98), xycoords="axes fraction", va="top", fontsize=8,
                         color=MUTED)  # fmt: skip
         panel.set_xticks(range(len(beam.films) - 1), [film.strategy.name for film in beam.films[1:]])
@@ -277,14 +257,14 @@ def summary(outcome: StudyOutcome) -> Figure:
 
 
 @styled
-def designs(outcome: StudyOutcome) -> Figure:
+def designs(outcome: study.StudyOutcome) -> Figure:
     """Fig. 3: the three beams, to scale."""
     figure, axes = blank(3.6, len(outcome.beams), 1, sharex=True)
     for panel, beam in zip(axes, outcome.beams, strict=True):
-        half = 0.5 * MM * np.asarray(beam.design.width(S))
-        panel.fill_between(MM * beam.design.length * S, -half, half, color=BLUE, alpha=0.25, linewidth=0)
-        panel.plot(MM * beam.design.length * S, half, color=BLUE)
-        panel.plot(MM * beam.design.length * S, -half, color=BLUE)
+        half = 0.5 * MM * np.asarray(beam.design.width(study.S))
+        panel.fill_between(MM * beam.design.length * study.S, -half, half, color=BLUE, alpha=0.25, linewidth=0)
+        panel.plot(MM * beam.design.length * study.S, half, color=BLUE)
+        panel.plot(MM * beam.design.length * study.S, -half, color=BLUE)
         panel.axvspan(-6.0, 0.0, color=MUTED, alpha=0.5, linewidth=0)
         for i, s in enumerate(beam.films[0].observations.marker_s):
             panel.plot(MM * beam.design.length * s, 0.0, shape(i), color=hue_of(i), markersize=5)
@@ -294,7 +274,7 @@ def designs(outcome: StudyOutcome) -> Figure:
 
 
 @styled
-def frames(outcome: StudyOutcome) -> Figure:
+def frames(outcome: study.StudyOutcome) -> Figure:
     """Fig. 4: frames of the films at the largest push, at s = 1 and s = 0.6."""
     figure, axes = blank(2.15 * len(outcome.beams), len(outcome.beams), len(SHOWN))
     pairs = [
@@ -303,14 +283,14 @@ def frames(outcome: StudyOutcome) -> Figure:
     for panel, (one, film) in zip(axes, pairs, strict=True):
         panel.set_axis_off()
         t = largest_push(film.fit)
-        file = outcome.work / RECORDINGS / film.observations.source.name / "video.mp4"
+        file = outcome.work / study.RECORDINGS / film.observations.source.name / "video.mp4"
         panel.imshow(frame_at(VideoEntry(file=file), int(film.fit.frame[t])))
         panel.set_title(f"{one.name}, pushed at s = {film.fit.push_s[t]:.2g}, {np.hypot(*film.fit.force[t]):.2f} N")
     return figure
 
 
 @styled
-def training(outcome: StudyOutcome) -> Figure:
+def training(outcome: study.StudyOutcome) -> Figure:
     """Force and markers of each training push over time: measured (dots) and simulated under the logged force."""
     figure, axes = blank(4.8, 2, len(outcome.beams), sharex=True)
     for i, beam in enumerate(outcome.beams):
@@ -334,16 +314,18 @@ def training(outcome: StudyOutcome) -> Figure:
 
 
 @styled
-def stiffness(outcome: StudyOutcome) -> Figure:
+def stiffness(outcome: study.StudyOutcome) -> Figure:
     """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
     figure, axes = blank(3.9, 1, len(outcome.beams))
     for panel, beam in zip(axes, outcome.beams, strict=True):
-        band, true = beam.learned.uncertain.band(S), np.asarray(beam.true.stiffness(S))
-        panel.fill_between(S, band.low, band.high, color=BLUE, alpha=0.2, linewidth=0, label="its 95 % band")
-        panel.plot(S, band.k, color=BLUE, label="onebend's fit")
+        band, true = beam.learned.uncertain.band(study.S), np.asarray(beam.true.stiffness(study.S))
+        panel.fill_between(study.S, band.low, band.high, color=BLUE, alpha=0.2, linewidth=0, label="its 95 % band")
+        panel.plot(study.S, band.k, color=BLUE, label="onebend's fit")
         if beam.learned.paper is not None:
-            panel.plot(S, beam.learned.paper.stiffness(S), color=ORANGE, linestyle="--", label="paper's method")
-        panel.plot(S, true, color=INK, linewidth=1.3, label="true")
+            panel.plot(
+                study.S, beam.learned.paper.stiffness(study.S), color=ORANGE, linestyle="--", label="paper's method"
+            )
+        panel.plot(study.S, true, color=INK, linewidth=1.3, label="true")
         panel.set(ylim=(0.0, 1.6 * float(true.max())), xlabel="s", title=f"{beam.name} beam")
     axes[0].set_ylabel("k(s) [N m], on the scale of the log")
     handles, labels = axes[0].get_legend_handles_labels()
@@ -351,7 +333,7 @@ def stiffness(outcome: StudyOutcome) -> Figure:
     return figure
 
 
-def ranked(outcome: StudyOutcome) -> tuple[tuple[str, BeamOutcome, ValidatedFilm], ...]:
+def ranked(outcome: study.StudyOutcome) -> tuple[tuple[str, study.BeamOutcome, study.ValidatedFilm], ...]:
     """The validations with the fit's largest, middle and smallest error at the tip."""
     every = [(beam, film) for beam in outcome.beams for film in beam.films[1:]]
     order = sorted(every, key=lambda pair: -float(pair[1].fit.rms[-1]))
@@ -359,7 +341,7 @@ def ranked(outcome: StudyOutcome) -> tuple[tuple[str, BeamOutcome, ValidatedFilm
 
 
 @styled
-def three_validations(outcome: StudyOutcome) -> Figure:
+def three_validations(outcome: study.StudyOutcome) -> Figure:
     """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
     figure, axes = blank(3.5, 1, 3, sharex=True, sharey=True)
     for panel, (word, one, film) in zip(axes, ranked(outcome), strict=True):
@@ -373,7 +355,7 @@ def three_validations(outcome: StudyOutcome) -> Figure:
     return figure
 
 
-def _shape(panel: Axes, one: BeamOutcome, film: ValidatedFilm, t: int) -> None:
+def _shape(panel: Axes, one: study.BeamOutcome, film: study.ValidatedFilm, t: int) -> None:
     pairs = ((one.learned.fit, BLUE, "-", "onebend's fit"), (one.learned.paper, ORANGE, "--", "paper's method"))
     for beam, tint, line, name in pairs:
         drawn = None if beam is None else centreline(beam, film.fit, film.observations, t)
@@ -386,7 +368,7 @@ def _shape(panel: Axes, one: BeamOutcome, film: ValidatedFilm, t: int) -> None:
 
 
 @styled
-def manipulations(outcome: StudyOutcome) -> Figure:
+def manipulations(outcome: study.StudyOutcome) -> Figure:
     """Fig. 8: two tasks a beam, on the way to the goal, and where the same force puts the true beam."""
     shown = [(beam, done) for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     figure, axes = blank(2.6 * len(outcome.beams), len(outcome.beams), 2)
@@ -437,28 +419,28 @@ FILES = (
 )
 
 
-def page(outcome: StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
+def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
     """The report as HTML. `figures`: PNGs by name, as `draw_figures` gives them; missing ones are left out."""
     setting = outcome.setting
     content = {
         "version": version,
         "video": setting.video,
         "seed": setting.seed,
-        "quick": quick_words(setting),
+        "quick": study.quick_words(setting),
         "cards": cards(outcome),
         "selections": [shown(selection_table(beam)) for beam in outcome.beams],
         "training": shown(training_table(outcome)),
         "stiffness": shown(stiffness_errors(outcome)),
         "validations": [shown(validation_table(beam)) for beam in outcome.beams],
         "manipulation": shown(manipulation_table(outcome)),
-        "assumed": assumed(outcome),
+        "assumed": study.assumed(outcome),
         "remarks": [f"{beam.name} beam, {text}" for beam in outcome.beams for text in beam.learned.remarks],
         "files": [file for file in FILES if setting.video or not file[0].startswith("recordings")],
     }
     return render("onebend.lab", "study.html", figures, content)
 
 
-def cards(outcome: StudyOutcome) -> list[dict[str, str]]:
+def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
     """The outcome in four figures."""
     below, known = below_printed(outcome)
     films = [film for beam in outcome.beams for film in beam.films[1:]]
@@ -469,31 +451,23 @@ def cards(outcome: StudyOutcome) -> list[dict[str, str]]:
     worst = largest(float(film.fit.rms[-1]) for film in films)
     floor = largest(float(film.true.rms[-1]) for film in films)
     off = largest(done.off for done in reached)
-    return [
-        {
-            "what": "validations below the printed tip error",
-            "value": f"{below} of {known}",
-            "note": f"of Tables IV and V; the largest of all: {millimetres(worst)} mm, the true beam's: "
-            f"{millimetres(floor)} mm",
-        },
-        {
-            "what": "k(s) is off by",
-            "value": f"{significant(min(fits), 2)} … {significant(max(fits), 2)} %",
-            "note": f"the paper's method: {significant(min(papers), 2)} … {significant(max(papers), 2)} %"
-            if papers
-            else "the paper's method gave no beam",
-        },
-        {
-            "what": "tasks reached in the model",
-            "value": f"{len(reached)} of {len(tasks)}",
-            "note": f"to {length_words(largest(done.found.error for done in reached))}",
-        },
-        {
-            "what": "the true beam is then off by",
-            "value": f"{millimetres(off)} mm",
-            "note": "at most, under the same force",
-        },
-    ]
+    largest_tip = f"the largest of all: {millimetres(worst)} mm, the true beam's: {millimetres(floor)} mm"
+    others = f"the paper's method: {significant(min(papers), 2)} … {significant(max(papers), 2)} %" if papers else ""
+    figures = (
+        ("validations below the printed tip error", f"{below} of {known}", f"of Tables IV and V; {largest_tip}"),
+        (
+            "k(s) is off by",
+            f"{significant(min(fits), 2)} … {significant(max(fits), 2)} %",
+            others or "the paper's method gave no beam",
+        ),
+        (
+            "tasks reached in the model",
+            f"{len(reached)} of {len(tasks)}",
+            f"to {length_words(largest(done.found.error for done in reached))}",
+        ),
+        ("the true beam is then off by", f"{millimetres(off)} mm", "at most, under the same force"),
+    )
+    return [{"what": what, "value": value, "note": note} for what, value, note in figures]
 
 
 def shown(table: ResultTable) -> dict[str, Any]:
@@ -559,13 +533,13 @@ def _cell(column: str, cell: Cell) -> str:
 REPRODUCE_FORMAT = "onebend-reproduce-1"
 
 
-def summary_of(outcome: StudyOutcome, *, written_by: str) -> dict[str, Any]:
+def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any]:
     """What `--json` prints and `summary.json` holds; SI."""
     below, known = below_printed(outcome)
     return {
         "format": REPRODUCE_FORMAT,
         "written_by": written_by,
-        "setting": outcome.setting.as_dict(),
+        "setting": asdict(outcome.setting),
         "force_scale": outcome.gain,
         "validations_below_printed": below,
         "validations_printed": known,
@@ -574,7 +548,7 @@ def summary_of(outcome: StudyOutcome, *, written_by: str) -> dict[str, Any]:
 
 
 def writer(
-    outcome: StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
+    outcome: study.StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
 ) -> Callable[[Path], None]:
     """What `publish` needs to fill a folder; recordings and models come there from `work`."""
 
@@ -585,7 +559,7 @@ def writer(
         for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
             write_table(folder / "tables" / f"{table.key}.csv", table)
         pictures.write(folder / "figures")
-        for name in (RECORDINGS, OBSERVED, LEARNED):
+        for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
             if (work / name).exists():
                 link_tree(work / name, folder / name)
         write_summary(folder, summary)

@@ -129,12 +129,9 @@ class TrueStiffness:
 
 @one_blas_thread
 def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
-    """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other.
-
-    Raises:
-        MechanicsError: the beam snaps through under the push.
-        RecordingError: a frame rate that is not positive, or no tag.
-    """
+    """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other. Raises
+    `MechanicsError`: the beam snaps through under the push. Raises `RecordingError`: a frame rate that is not positive,
+    or no tag."""
     if not bench.fps > 0.0 or not bench.tags:
         raise RecordingError("a virtual recording needs a frame rate above zero and at least one tag on the beam")
     camera_rng, sensor_rng = (np.random.default_rng([seed, stream]) for stream in (0, 1))
@@ -165,11 +162,8 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
 def motion_of(
     bench: VirtualBench, until: float, *, at: Array | None = None, gravity: tuple[float, float] = (0.0, 0.0)
 ) -> RodMotion | None:
-    """The beam through the push where effects bear on it or on the log; None: it is as `beam.statics` has it.
-
-    Raises:
-        MechanicsError: it snaps through, or weight or inertia are asked for and its mass is not known.
-    """
+    """The beam through the push where effects bear on it or on the log; None: it is as `beam.statics` has it. Raises
+    `MechanicsError`: it snaps through, or weight or inertia are asked for and its mass is not known."""
     effects = bench.effects
     if not (effects.moves_otherwise or effects.posture_bias):
         return None
@@ -198,11 +192,8 @@ def true_stiffness(bench: VirtualBench, motion: RodMotion | None, s: Array) -> T
 
 @one_blas_thread
 def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = ObserveSettings()) -> Observations:
-    """The real way from markers and log to observations: clocks, contact, zero, filter, frame.
-
-    Raises:
-        ObservationError: as for a real recording.
-    """
+    """The real way from markers and log to observations: clocks, contact, zero, filter, frame. Raises
+    `ObservationError`: as for a real recording."""
     return assemble(virtual.recording, virtual.markers, virtual.log, None, settings)
 
 
@@ -291,10 +282,8 @@ def observe_from_truth(
     """Observations on a clock that is `clock_error` [s] off, stated as good to `clock_sd` [s] (0: known).
 
     With an `error` (T, 2) [N] the force is the true one plus this, and the log is not used; without it the log is
-    zeroed in the true rests and low-passed at `cutoff` [Hz].
-
-    Raises:
-        RecordingError: an error whose shape is not that of the force at the frames.
+    zeroed in the true rests and low-passed at `cutoff` [Hz]. Raises `RecordingError`: an error whose shape is not that
+    of the force at the frames.
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
@@ -341,7 +330,6 @@ def _untouched(bench: VirtualBench, time: Array) -> BoolArray:
 
 
 def _clock(bench: VirtualBench, error: float, sd: float) -> ClockOffset | None:
-    """What is found of the clocks where they are not known."""
     return ClockOffset(bench.clock.offset + error, sd, bench.clock.declared, True) if sd > 0.0 else None
 
 

@@ -1,26 +1,74 @@
 from .allowances import Allowance as Allowance
 from .attribution import Attribution as Attribution
 from .criticism import Criticism as Criticism, Finding as Finding, Score as Score, Suspect as Suspect
-from .design import Limits as Limits, Plan as Plan, PlanSettings as PlanSettings, Proposal as Proposal, Quality as Quality, after_push as after_push, information as information, information_along as information_along, plan as plan
+from .design import (
+    Limits as Limits,
+    Plan as Plan,
+    PlanSettings as PlanSettings,
+    Proposal as Proposal,
+    Quality as Quality,
+    after_push as after_push,
+    information as information,
+    information_along as information_along,
+    plan as plan,
+)
 from .endings import Edge as Edge
 from .fit_data import AtRest as AtRest, FitData as FitData, OwnWeight as OwnWeight
 from .force_error import Filtered as Filtered, ForceError as ForceError
-from .frequencies import FrequencyData as FrequencyData, Posture as Posture, PredictedFrequencies as PredictedFrequencies
-from .instruments import ForceDoubt as ForceDoubt, Instruments as Instruments, PlannedPush as PlannedPush, instruments_of as instruments_of
+from .frequencies import (
+    FrequencyData as FrequencyData,
+    Posture as Posture,
+    PredictedFrequencies as PredictedFrequencies,
+)
+from .instruments import (
+    ForceDoubt as ForceDoubt,
+    Instruments as Instruments,
+    PlannedPush as PlannedPush,
+    instruments_of as instruments_of,
+)
 from .linear import FitProblem as FitProblem, Hyperparameters as Hyperparameters, RecordingNoise as RecordingNoise
 from .normal import Conditioning as Conditioning, JointCovariance as JointCovariance
-from .optimizer import FitSettings as FitSettings, Miss as Miss, OptimizerSettings as OptimizerSettings, Optimum as Optimum
+from .optimizer import (
+    FitSettings as FitSettings,
+    Miss as Miss,
+    OptimizerSettings as OptimizerSettings,
+    Optimum as Optimum,
+)
 from .outcome import Learned as Learned, Trial as Trial
 from .paper import RegressionSettings as RegressionSettings, regress as regress
-from .parameters import Block as Block, KnownShape as KnownShape, Layout as Layout, LearnedMass as LearnedMass, Priors as Priors, Spline as Spline
+from .parameters import (
+    Block as Block,
+    KnownShape as KnownShape,
+    Layout as Layout,
+    LearnedMass as LearnedMass,
+    Priors as Priors,
+    Spline as Spline,
+)
 from .posterior import Nuisance as Nuisance
 from .prediction import Prediction as Prediction, Slopes as Slopes
 from .push_place import PlaceSearch as PlaceSearch
 from .sensing.contacts import Smoothed as Smoothed
 from .sensing.forces import Misfit as Misfit
-from .sensing.sense import ContactMoment as ContactMoment, LiveForce as LiveForce, OnlineSense as OnlineSense, SenseSettings as SenseSettings, Sensed as Sensed, Touch as Touch
+from .sensing.sense import (
+    ContactMoment as ContactMoment,
+    LiveForce as LiveForce,
+    OnlineSense as OnlineSense,
+    Sensed as Sensed,
+    SenseSettings as SenseSettings,
+    Touch as Touch,
+)
 from .sensing.sensor import SensorCheck as SensorCheck
 from .start import start_of as start_of, with_mass as with_mass
 from .static_poses import HeldEnds as HeldEnds, SeenPoses as SeenPoses
-from .swing import Damping as Damping, DampingSettings as DampingSettings, FilmPart as FilmPart, Swing as Swing, SwingFit as SwingFit
-from .swing_frequencies import FoundFrequencies as FoundFrequencies, SwingFrequency as SwingFrequency, frequencies_of as frequencies_of
+from .swing import (
+    Damping as Damping,
+    DampingSettings as DampingSettings,
+    FilmPart as FilmPart,
+    Swing as Swing,
+    SwingFit as SwingFit,
+)
+from .swing_frequencies import (
+    FoundFrequencies as FoundFrequencies,
+    SwingFrequency as SwingFrequency,
+    frequencies_of as frequencies_of,
+)

@@ -32,6 +32,7 @@ from onebend.learning.prediction import (
     push_moment,
     tag_blocks,
 )
+from onebend.options import POSITIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, IntArray
 
@@ -292,8 +293,16 @@ _MARGIN = 1.15  # of the force: so far beyond the largest the beam must still st
 class Limits:
     """What the experimenter allows. Angles in radians."""
 
-    force: float | None = None  # N; None: twice the largest so far, no limit before the first push
-    tip_turn: float | None = None  # the tip's turn from rest; None: 90 deg, and the curvature limit counts too
+    force: float | None = option(  # before the first push no limit
+        "--max-force-N", None, "Default: twice the largest so far.", metavar="N", within=POSITIVE
+    )
+    tip_turn: float | None = option(
+        "--max-tip-angle-deg",
+        None,
+        "Default: 90, and at most 1.25 times the largest curvature so far.",
+        metavar="DEG",
+        within=(1.0, 180.0),
+    )
     curvature: float = 1.25  # times the largest curvature reached so far
     slant: float = np.deg2rad(75.0)  # between the force and the beam's normal: beyond, the tool slips off
 
@@ -526,7 +535,7 @@ class PlanSettings:
     sizes: tuple[float, ...] = (1.0, 0.6)  # as shares of the largest force that the limits allow
     limits: Limits = field(default_factory=Limits)
     better_sensor: float = 5.0  # times smaller errors of the force sensor thought of
-    count: int = 8  # proposals
+    count: int = option("--count", 8, "How many proposals.", metavar="N", within=(1, None))
     apart: float = 0.15  # in s: nearer pushes with the same needs count as one
 
 

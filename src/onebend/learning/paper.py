@@ -26,6 +26,7 @@ from onebend.learning.frames import (
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.validation import marker_misfit, validate
+from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, Observations, Remark, covariance_with_camera
 
@@ -350,11 +351,17 @@ class RegressionSettings:
     """How k(s) is learned from states and forces."""
 
     method: Method = "regression"  # "paper": the literal rows of (17), tags' positions only
-    family: Family = "gaussians"
-    width: float | None = None  # sigma of the Gaussians in units of s; None: the distance of their centres
-    bic: Bic = "textbook"
-    n: int | None = None  # fix the number of modes
-    m: int | None = None  # fix the number of stiffness functions
+    family: Family = option("--family", "gaussians", "The functions that k(s) is made of.")
+    width: float | None = option(
+        "--width",
+        None,
+        "Sigma of the Gaussians as a part of L; default: their distance.",
+        metavar="SIGMA",
+        within=(0.001, 1e9),
+    )
+    bic: Bic = option("--bic", "textbook", "How complexity counts; paper: as its tables follow.")
+    n: int | None = option("--n", None, "Fix the number of curvature modes.", metavar="N")
+    m: int | None = option("--m", None, "Fix the number of stiffness functions.", metavar="M")
     most_n: int | None = None  # the paper's z; None: all that the tags can tell, at most 8
 
     @property

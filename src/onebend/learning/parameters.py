@@ -15,6 +15,7 @@ from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
 from onebend.errors import LearningError
 from onebend.learning.allowances import Allowance
 from onebend.learning.frames import zeroed_coordinates
+from onebend.options import NOT_NEGATIVE, option
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import (
     CLAMP_SD,
@@ -384,7 +385,14 @@ class Priors:
     curvature: float | None = None  # rad, Legendre states of q0; frozen where rest = "straight"; None: as turns
     mounting: float | None = None  # rad, a tag's turn on the beam; None: as the recording says
     placement: float | None = None  # m, a tag's place along and across; None: as the recording says
-    clamp: float | None = None  # rad, the clamp's direction against the beam's own at rest; see `clamp_sd`
+    clamp: float | None = option(  # against the beam's own direction at rest; see `clamp_sd`
+        "--clamp-sd-deg",
+        None,
+        f"How far the clamp may be turned, one sd, whatever recording.toml says; default: as that says, or "
+        f"{np.degrees(CLAMP_SD):.2g}. It trades off against k.",
+        metavar="DEG",
+        within=NOT_NEGATIVE,
+    )
     origin: float | None = None  # m, the clamp's place against the base tag; None: as the recording says
     scale: float | None = None  # of lengths in the picture, where the camera is not calibrated; see `scale_sd`
     mass: float = 0.02  # of the beam's mass as weighed; where gravity acts in the plane

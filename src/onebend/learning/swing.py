@@ -17,6 +17,7 @@ from onebend.beam.vibration import Vibration, settle, vibration_of
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.frames import whitening
 from onebend.learning.parameters import Priors
+from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.signals import MAD_TO_SD
 from onebend.records import Array, Observations, Remark, covariance_with_camera
@@ -37,8 +38,10 @@ _NYQUIST = 0.45  # of the frame rate: faster swings cannot be told from slower o
 class FilmPart:
     """Which frames to take, on the film's clock [s]; None: from the release found in the data, to the end."""
 
-    begin: float | None = None
-    end: float | None = None
+    begin: float | None = option(
+        "--from-s", None, "The beam swings freely from here on in the film; default: found.", metavar="SECONDS"
+    )
+    end: float | None = option("--to-s", None, "And to here in the film; default: to the end.", metavar="SECONDS")
 
 
 @dataclass(frozen=True)
@@ -459,7 +462,12 @@ _GRID = np.linspace(0.0, 1.0, 41)
 class DampingSettings:
     """How the swing is fitted."""
 
-    mass_along: MassAlong = "even"  # how a mass known as a whole lies along the beam; "width": as the root 3 of k
+    mass_along: MassAlong = option(
+        "--mass-along",
+        "even",
+        "How a mass known only as a whole lies along the beam. even; width: as the third root of k, as where only "
+        "the width in the plane of bending varies.",
+    )
     modes: int = 10  # curvature modes of the simulated beam
     start_modes: int = 4  # vibration modes that the first frame's state is made of
     most_periods: float = 20.0  # later frames show little but noise

@@ -10,8 +10,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 COMMANDS = {
     "record": Place(
-        "onebend.live.commands",
-        "record",
+        "onebend.live.commands:record",
         "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
         "out/my-push --play examples/linear-beam/train",
     ),

@@ -17,21 +17,7 @@ from onebend.errors import RecordingError, ResultsError
 from onebend.extras import require
 from onebend.files.publish import check_place, enter
 from onebend.files.single_file import as_parquet, write_file
-from onebend.many.tasks import (
-    EVERY,
-    PLACES,
-    RECORDS,
-    Item,
-    ItemResult,
-    Record,
-    TaskSettings,
-    cluster,
-    dashboard_of,
-    folder_path,
-    items_of,
-    read_record,
-    results_of,
-)
+from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
 from onebend.records import Array
 from onebend.report.page import render
@@ -108,7 +94,6 @@ def limit_of(count: int) -> float:
 
 
 def _spread(values: Array) -> float:
-    """Robust sd, by the median of absolute deviations."""
     return max(MAD_TO_SD * float(np.median(np.abs(values - np.median(values)))), 1e-12)
 
 
@@ -135,29 +120,37 @@ class BatchOutcome:
     """All recordings of a batch in the order of the list."""
 
     out: Path
-    items: tuple[Item, ...]
-    records: tuple[Record, ...]
+    items: tuple[tasks.Item, ...]
+    records: tuple[tasks.Record, ...]
     scores: Scores
     learned_now: int  # recordings that this run learned from, or tried to; the others were there
 
     @property
-    def failed(self) -> tuple[tuple[Item, str], ...]:
+    def failed(self) -> tuple[tuple[tasks.Item, str], ...]:
         """Recordings without k(s), each with its reason."""
         return tuple((item, one.reason) for item, one in zip(self.items, self.records, strict=True) if one.reason)
 
     @property
-    def outliers(self) -> tuple[tuple[Item, str], ...]:
+    def learned(self) -> tuple[tuple[str, tasks.Record], ...]:
+        """Recordings with k(s), by name."""
+        rows = zip(self.items, self.records, strict=True)
+        return tuple((item.name, one) for item, one in rows if one.k is not None)
+
+    @property
+    def outliers(self) -> tuple[tuple[tasks.Item, str], ...]:
         """Recordings unlike the others of their group, each with its reason."""
         return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
 
 
-def outcome_of(out: Path, items: Sequence[Item], records: Sequence[Record], learned_now: int) -> BatchOutcome:
+def outcome_of(
+    out: Path, items: Sequence[tasks.Item], records: Sequence[tasks.Record], learned_now: int
+) -> BatchOutcome:
     """The records, and how each is beside the others."""
-    count = len(PLACES[::EVERY])
+    count = len(tasks.PLACES[:: tasks.EVERY])
     log_k, covariance = np.full((len(records), count), np.nan), np.full((len(records), count, count), np.nan)
     for i, one in enumerate(records):
         if one.k is not None and one.covariance is not None:
-            log_k[i], covariance[i] = np.log(one.k[::EVERY]), one.covariance
+            log_k[i], covariance[i] = np.log(one.k[:: tasks.EVERY]), one.covariance
     found = scores(log_k, covariance, [item.group for item in items])
     return BatchOutcome(out, tuple(items), tuple(records), found, learned_now)
 
@@ -194,19 +187,19 @@ def run_batch(
     """
     require(("dask", "distributed"), "batch")
     target = Path(os.path.realpath(out))
-    items = items_of(Path(source), target)
+    items = tasks.items_of(Path(source), target)
     if folders:
         for item in items:
-            folder_path(item, target)
+            tasks.folder_path(item, target)
     check_place(target)
     place = enter(target, BATCH_FORMAT)
     try:
         _take(target)
-        settings = TaskSettings(target, version("onebend"), folders)
-        with cluster(scheduler, workers, processes=processes) as client:
-            began(dashboard_of(client))
+        settings = tasks.TaskSettings(target, version("onebend"), folders)
+        with tasks.cluster(scheduler, workers, processes=processes) as client:
+            began(tasks.dashboard_of(client))
             results = _all(client, items, settings, progress)
-        for left in (target / RECORDS).glob(".*.json"):
+        for left in (target / tasks.RECORDS).glob(".*.json"):
             left.unlink(missing_ok=True)  # begun by workers that were lost
     finally:
         place.remove()
@@ -224,10 +217,12 @@ def _take(out: Path) -> None:
     write_file(marker, to_json({"format": BATCH_FORMAT, "written_by": f"onebend {version('onebend')}"}) + "\n")
 
 
-def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: Progress) -> list[ItemResult]:
-    found: dict[int, ItemResult] = {}
+def _all(
+    client: Any, items: Sequence[tasks.Item], settings: tasks.TaskSettings, progress: Progress
+) -> list[tasks.ItemResult]:
+    found: dict[int, tasks.ItemResult] = {}
     try:
-        for i, result in track(progress, "Recordings", results_of(client, items, settings), len(items)):
+        for i, result in track(progress, "Recordings", tasks.results_of(client, items, settings), len(items)):
             found[i] = result
     except BaseException as error:
         error.add_note(
@@ -238,10 +233,10 @@ def _all(client: Any, items: Sequence[Item], settings: TaskSettings, progress: P
     return [found[i] for i in range(len(items))]
 
 
-def _record(out: Path, item: Item, result: ItemResult) -> Record:
+def _record(out: Path, item: tasks.Item, result: tasks.ItemResult) -> tasks.Record:
     if not result.hash:
-        return Record(hash="", reason=result.reason)
-    record = read_record(out, result.hash)
+        return tasks.Record(hash="", reason=result.reason)
+    record = tasks.read_record(out, result.hash)
     if record is None:
         raise ResultsError(
             f"{out}: the record of {item.name} is not there, though a worker wrote it. The workers of a cluster must "
@@ -258,10 +253,7 @@ AT = (0, 25, 50, 75, 100)  # of PLACES: where the table of recordings has k
 
 def recordings_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording: its name, group and the list's own columns; k at five places with its band; the verdict.
-
-    Raises:
-        RecordingError: a column of the list has the name of one of ours.
-    """
+    Raises `RecordingError`: a column of the list has the name of one of ours."""
     ours = _columns(outcome)
     labels = _labels(outcome)
     both = [name for name in labels if name in ours]
@@ -273,15 +265,15 @@ def recordings_table(outcome: BatchOutcome) -> pa.Table:
 
 def curves_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and place: `name, s, k_N_m, k_lo_N_m, k_hi_N_m, identified`, at 101 places."""
-    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
+    there = outcome.learned
 
     def joined(name: str, kind: type) -> np.ndarray:
         return np.concatenate([np.zeros(0, kind), *(getattr(one, name) for _, one in there)]).astype(kind)
 
     return pa.table(
         {
-            "name": pa.array([name for name, _ in there for _ in PLACES], pa.string()),
-            "s": np.tile(PLACES, len(there)),
+            "name": pa.array([name for name, _ in there for _ in tasks.PLACES], pa.string()),
+            "s": np.tile(tasks.PLACES, len(there)),
             "k_N_m": joined("k", float),
             "k_lo_N_m": joined("low", float),
             "k_hi_N_m": joined("high", float),
@@ -295,8 +287,7 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
     `with_0` to `with_1`, and the part of it that comes from the prior, `prior_with_0` to `prior_with_1`; what the force
     sensor's scale does to all of k is apart (`gain_sd`).
     """
-    there = [(item.name, one) for item, one in zip(outcome.items, outcome.records, strict=True) if one.k is not None]
-    places = PLACES[::EVERY]
+    there, places = outcome.learned, tasks.PLACES[:: tasks.EVERY]
     columns: dict[str, Any] = {
         "name": pa.array([name for name, _ in there for _ in places], pa.string()),
         "s": np.tile(places, len(there)),
@@ -309,31 +300,31 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
 
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
-    rows = [
-        (item.name, *values)
-        for item, one in zip(outcome.items, outcome.records, strict=True)
-        for values in one.nuisances
-    ]
-    columns = list(zip(*rows, strict=True)) if rows else [()] * 6
-    kinds = (pa.string(), pa.string(), pa.string(), pa.float64(), pa.float64(), pa.float64())
-    names = ("name", "nuisance", "unit", "value", "sd", "prior_sd")
-    return pa.table({name: pa.array(values, kind) for name, values, kind in zip(names, columns, kinds, strict=True)})
+    rows = [(name, one) for name, record in outcome.learned for one in record.nuisances]
+    text, number = pa.string(), pa.float64()
+    columns = {"name": pa.array([name for name, _ in rows], text)}
+    for name, field, kind in (
+        *(("nuisance", "name", text), ("unit", "unit", text)),
+        *(("value", "value", number), ("sd", "sd", number), ("prior_sd", "prior_sd", number)),
+    ):
+        columns[name] = pa.array([getattr(one, field) for _, one in rows], kind)
+    return pa.table(columns)
 
 
 def _columns(outcome: BatchOutcome) -> dict[str, Any]:
     records, text = outcome.records, pa.string()
     found: dict[str, Any] = {
-        "name": pa.array([item.name for item in outcome.items], text),
-        "group": pa.array([item.group for item in outcome.items], text),
-        "reason": pa.array([one.reason for one in records], text),
-        "grade": pa.array([one.grade for one in records], text),
-        "doubts": pa.array(["; ".join(one.doubts) for one in records], text),
-        "warnings": pa.array(["; ".join(one.warnings) for one in records], text),
+        **{name: pa.array([getattr(one, name) for one in outcome.items], text) for name in ("name", "group")},
+        **{name: pa.array([getattr(one, name) for one in records], text) for name in ("reason", "grade")},
+        **{name: pa.array(["; ".join(getattr(one, name)) for one in records], text) for name in ("doubts", "warnings")},
         LENGTH: np.array([one.length for one in records]),
     }
     for i in AT:
         for name, field in (("k", "k"), ("k_lo", "low"), ("k_hi", "high")):
-            found[f"{name}_at_{PLACES[i]:g}_N_m"] = np.array([_at(one, field, i) for one in records])
+            curves = [getattr(one, field) for one in records]
+            found[f"{name}_at_{tasks.PLACES[i]:g}_N_m"] = np.array(
+                [np.nan if one is None else one[i] for one in curves]
+            )
     return found | {
         "identified": np.array([np.nan if one.identified is None else one.identified.mean() for one in records]),
         "gain_sd": np.array([one.gain_sd for one in records]),
@@ -349,13 +340,7 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
     }
 
 
-def _at(record: Record, field: str, i: int) -> float:
-    curve = getattr(record, field)
-    return float("nan") if curve is None else float(curve[i])
-
-
 def _labels(outcome: BatchOutcome) -> dict[str, pa.Array]:
-    """The list's own columns: numbers where every cell is one or empty, else text."""
     rows: Sequence[Mapping[str, str]] = [dict(item.labels) for item in outcome.items]
     names = rows[0] if rows else ()
     return {name: _column([row.get(name, "") for row in rows]) for name in names if name != LENGTH}
@@ -396,10 +381,9 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
 
 
 def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
-    learned = [one for one in outcome.records if one.k is not None]
-    doubted = sum(bool(one.doubts) for one in learned)
+    doubted = sum(bool(one.doubts) for _, one in outcome.learned)
     return [
-        {"what": "learned", "value": f"{len(learned)} of {len(outcome.records)}", "note": "recordings"},
+        {"what": "learned", "value": f"{len(outcome.learned)} of {len(outcome.records)}", "note": "recordings"},
         {"what": "in doubt", "value": str(doubted), "note": "with a doubt as to all of k(s)"},
         {"what": "unlike the others", "value": str(len(outcome.outliers)), "note": "of their group"},
     ]
@@ -417,7 +401,6 @@ def _table(outcome: BatchOutcome) -> dict[str, Any]:
 
 
 def _cell(cell: Any) -> dict[str, str]:
-    """What is shown, and what is sorted by."""
     if isinstance(cell, str):
         return {"words": one_line(cell), "value": one_line(cell)}
     if not np.isfinite(cell):
@@ -425,7 +408,7 @@ def _cell(cell: Any) -> dict[str, str]:
     return {"words": str(cell) if isinstance(cell, int) else significant(cell), "value": repr(cell)}
 
 
-def _range(records: Sequence[Record]) -> tuple[float, float]:
+def _range(records: Sequence[tasks.Record]) -> tuple[float, float]:
     """The axis of k [N m] of all pictures: every curve, and no band farther away than a factor of two."""
     curves = [one.k for one in records if one.k is not None]
     if not curves:
@@ -439,7 +422,7 @@ def _group(outcome: BatchOutcome, name: str, least: float, most: float) -> dict[
     for item, one, why in zip(outcome.items, outcome.records, outcome.scores.reasons, strict=True):
         if item.group != name or one.k is None or one.low is None or one.high is None:
             continue
-        s = PLACES[::STEP]
+        s = tasks.PLACES[::STEP]
         band = [*_points(s, one.low[::STEP], least, most), *_points(s, one.high[::STEP], least, most)[::-1]]
         curve = _points(s, one.k[::STEP], least, most)
         pictures.append(
@@ -464,7 +447,7 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
         "format": BATCH_FORMAT,
         "written_by": written_by,
         "recordings": len(outcome.items),
-        "learned": sum(one.k is not None for one in outcome.records),
+        "learned": len(outcome.learned),
         "worked_on_now": outcome.learned_now,
         "failed": [{"name": item.name, "reason": why} for item, why in outcome.failed],
         "in_doubt": [item.name for item, one in zip(outcome.items, outcome.records, strict=True) if one.doubts],
@@ -473,12 +456,8 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
 
 
 def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str) -> None:
-    """Tables, page and summary into the results folder, in place of earlier ones.
-
-    Raises:
-        RecordingError: a column of the list has the name of one of the results'.
-        ResultsError: a file cannot be written.
-    """
+    """Tables, page and summary into the results folder, in place of earlier ones. Raises `RecordingError`: a column of
+    the list has the name of one of the results'. Raises `ResultsError`: a file cannot be written."""
     made: dict[str, str | bytes] = {
         "recordings.parquet": as_parquet(recordings_table(outcome)),
         "curves.parquet": as_parquet(curves_table(outcome)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,35 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 import onebend
-from onebend.cli import BY
-from onebend.cli.common import (
-    MOST,
-    Json,
-    Overwrite,
-    Quiet,
-    clean_errors,
-    print_json,
-    progress_of,
-    put_in_place,
-    say,
-    screen,
-    workplace,
-)
+from onebend.cli import BY, common
 from onebend.errors import ResultsError
-from onebend.many import batch as batches, population_report as populations
+from onebend.many import batch as batches, population_report, population_report as populations
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
-from onebend.many.population_report import (
-    SPREAD,
-    PopulationOutcome,
-    PopulationSettings,
-    count_words,
-    draw_figures as draw_figures_of,
-    group_name,
-    judged_words,
-    percent,
-    population as outcome_of,
-)
 from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
@@ -51,10 +28,9 @@ MOST_ROWS = 20  # rows of each kind that are shown of a batch
 
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
     """How many were learned, which were not and why, and which are unlike the others."""
-    learned = sum(one.k is not None for one in outcome.records)
     there = len(outcome.items) - outcome.learned_now
     before = f", {there} of them before" if there else ""
-    console.print(f"{learned} of {len(outcome.items)} recordings learned{before}.", markup=False)
+    console.print(f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}.", markup=False)
     doubted = sum(bool(one.doubts) for one in outcome.records)
     if doubted:
         console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
@@ -71,7 +47,7 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
     )
 
 
-def show_population(console: Console, outcome: PopulationOutcome, output: Path) -> None:
+def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
     """The groups' means, the spread, what is unlike the others, and where the report is."""
     named = outcome.named
     middle = len(named.trial.s) // 2
@@ -79,19 +55,16 @@ def show_population(console: Console, outcome: PopulationOutcome, output: Path) 
     table.add_column("group")
     for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
         table.add_column(head, justify="right")
-    for i, name in enumerate(named.groups):
-        curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
+    curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
+    for i, row in enumerate(population_report.group_rows(outcome)):
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]
-        count = str(int(np.sum(named.trial.group_of == i)))
-        half = percent(float(np.expm1(outcome.half[i])))
-        table.add_row(group_name(name), count, *values, half, count_words(outcome.needed[i]))
+        end = population_report.percent(row["half_band"]), population_report.count_words(row["objects_needed"])
+        table.add_row(population_report.group_name(row["group"]), str(row["objects"]), *values, *end)
     console.print(table)
-    for key, one in vars(outcome.shares).items():
-        what, of_log_k = SPREAD[key]
-        numbers = [np.expm1(value) if of_log_k else value for value in (one.value, one.low, one.high)]
+    for what, numbers in population_report.spread_rows(outcome):
+        value, low, high = map(population_report.percent, numbers)
         if np.isfinite(numbers[0]):
-            text = f"{what}: {percent(numbers[0])} (95 %: {percent(numbers[1])} to {percent(numbers[2])})"
-            console.print(text, markup=False)
+            console.print(f"{what}: {value} (95 %: {low} to {high})", markup=False)
     rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
     for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
         if shown:
@@ -99,7 +72,7 @@ def show_population(console: Console, outcome: PopulationOutcome, output: Path) 
             for name, why in shown[:MOST_ROWS]:
                 listed.add_row(one_line(name), one_line(why))
             console.print(listed)
-    if words := judged_words(outcome):
+    if words := population_report.judged_words(outcome):
         console.print(words, markup=False)
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
@@ -133,47 +106,32 @@ def batch(
     scheduler: Scheduler = None,
     workers: Workers = None,
     folders: Folders = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped."""
 
     def began(link: str) -> None:
         if link and not quiet:
-            say(f"The cluster's page: {link}", err=True)
+            common.say(f"The cluster's page: {link}", err=True)
 
-    with clean_errors():
+    with common.clean_errors():
         if scheduler is not None and workers is not None:
             raise ResultsError("a cluster has its own workers. Give --scheduler or --workers, not both")
-        with progress_of(quiet) as progress:
+        with common.progress_of(quiet) as progress:
             outcome = run_batch(
                 source, output, scheduler=scheduler, workers=workers, folders=folders, progress=progress, began=began
             )
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
-    if as_json:
-        print_json({**summary, "output": str(output)})
-    else:
-        show_batch(screen(), outcome)
+    common.answer(as_json, {**summary, "output": str(output)}, lambda console: show_batch(console, outcome))
 
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
-By = Annotated[str, typer.Option("--by", metavar="COLUMN", help="Of recordings.parquet, that names the group.")]
-Object = Annotated[
-    str | None,
-    typer.Option("--object", metavar="COLUMN", help="That names the object; default: every recording has its own."),
-]
 PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
-Band = Annotated[
-    float, typer.Option("--band", min=0.01, max=MOST, metavar="PERCENT", help="Wished half band of the means, of k.")
-]
 ToleranceFile = Annotated[
     Path | None,
     typer.Option("--tolerance", metavar="CSV", help="With s, low_N_m, high_N_m: objects pass or fail against it."),
-]
-Passes = Annotated[
-    float,
-    typer.Option("--pass-from", min=0.01, max=0.99, metavar="P", help="Probability of lying inside that passes."),
 ]
 
 
@@ -181,30 +139,23 @@ def population(
     results: Batch,
     *,
     output: PopulationOut,
-    by: By = "group",
-    same: Object = None,
-    band: Band = 5.0,
+    setting: population_report.PopulationSettings,
     tolerance: ToleranceFile = None,
-    passes: Passes = 0.5,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    overwrite: common.Overwrite = False,
+    as_json: common.Json = False,
+    quiet: common.Quiet = False,
 ) -> None:
     """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
     with (
-        clean_errors(),
-        workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
-        progress_of(quiet) as progress,
+        common.clean_errors(),
+        common.workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
+        common.progress_of(quiet) as progress,
     ):
-        limits = None if tolerance is None else read_tolerance(tolerance)
-        setting = PopulationSettings(by, same, band / 100.0, limits, passes)
+        setting = replace(setting, tolerance=None if tolerance is None else read_tolerance(tolerance))
         inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
-        found = outcome_of(read_batch(results, by, same), setting)
-        pictures = draw_figures_of(found, progress=progress)
+        found = population_report.population(read_batch(results, setting.by, setting.same), setting)
+        pictures = population_report.draw_figures(found, progress=progress)
         summary = populations.summary_of(found, written_by=BY)
         write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
-        put_in_place(place, write, pictures.failed, inputs=inputs)
-    if as_json:
-        print_json(summary | {"output": str(output)})
-    else:
-        show_population(screen(), found, output)
+        common.put_in_place(place, write, pictures.failed, inputs=inputs)
+    common.answer(as_json, summary | {"output": str(output)}, lambda console: show_population(console, found, output))

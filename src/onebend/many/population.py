@@ -170,6 +170,11 @@ def covariance(spreads: Spreads, s: Array) -> Array:
     return found
 
 
+def lasting_covariance(spreads: Spreads, s: Array) -> Array:
+    """(N, 1, S, S) the part of `covariance` that an object keeps."""
+    return np.asarray((spreads.lasting[:, None, None] * covariance(spreads, s))[:, None])
+
+
 def log_prior(spreads: Spreads, trial: PopulationTrial) -> Array:
     """(N,) for equal steps of the logarithms of both sd: p(sd) = 1 / (sd + e), with e the sd of one recording's fit.
 
@@ -240,7 +245,7 @@ def _on_grid(trial: PopulationTrial, axes: list[Array]) -> Fit:
 def _given(trial: PopulationTrial, spreads: Spreads) -> tuple[Means, Array]:
     """The groups' means, and (N,) the logarithm of the evidence."""
     objects = objects_of(trial, spreads)
-    spread = spreads.lasting[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    spread = lasting_covariance(spreads, trial.s)
     groups = means(objects.mean, objects.covariance + spread, trial.group_of)
     return groups, objects.log_evidence.sum(axis=1) + groups.log_evidence.sum(axis=1)
 
@@ -255,13 +260,11 @@ def objects_of(trial: PopulationTrial, spreads: Spreads) -> Means:
 
 
 def _shares(found: Fit, axes: list[Array]) -> list[Array]:
-    """The weight at each point of each axis."""
     whole = found.weight.reshape([len(axis) for axis in axes] + [len(LENGTHS)])
     return [np.asarray(whole.sum(axis=tuple(j for j in range(whole.ndim) if j != i))) for i in range(len(axes))]
 
 
 def _closer(axis: Array, share: Array) -> Array:
-    """The axis from one point before where the weight begins to one after where it ends."""
     before = np.cumsum(share)
     first = max(int(np.searchsorted(before, TAIL)) - 1, 0)
     last = min(int(np.searchsorted(before, 1.0 - TAIL)) + 1, len(axis) - 1)
@@ -329,7 +332,6 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
 
 
 def _not_negative(matrices: Array) -> Array:
-    """The matrices with eigenvalues below zero at zero: rounding, and what else the parts of a covariance share."""
     values, vectors = np.linalg.eigh(0.5 * (matrices + np.swapaxes(matrices, -1, -2)))
     return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
@@ -453,10 +455,10 @@ def shrunken(fit: Fit) -> Objects:
     What all fits of a group are off by alike is in the covariances.
     """
     trial, spreads = fit.trial, fit.spreads
-    size = (len(fit.weight), trial.objects, len(trial.s))
-    step = max(1, 4_000_000 // (len(trial.log_k) * size[-1] ** 2))
-    total, square = np.zeros(size[1:]), np.zeros((*size[1:], size[-1]))
-    for first in range(0, size[0], step):
+    count, places = trial.objects, len(trial.s)
+    step = max(1, AT_ONCE // (len(trial.log_k) * places**2))
+    total, square = np.zeros((count, places)), np.zeros((count, places, places))
+    for first in range(0, len(fit.weight), step):
         rows = slice(first, first + step)
         mean, cov = _drawn(fit, spreads.chosen(rows), rows)
         share = fit.weight[rows]
@@ -468,7 +470,7 @@ def shrunken(fit: Fit) -> Objects:
 def _drawn(fit: Fit, spreads: Spreads, rows: slice) -> tuple[Array, Array]:
     trial = fit.trial
     objects = objects_of(trial, spreads)
-    spread = spreads.lasting[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    spread = lasting_covariance(spreads, trial.s)
     precision, _ = inverse(objects.covariance + spread)
     pull = spread @ precision  # towards the object's own recordings
     centre, error = fit.mean[rows][:, trial.group_of], fit.covariance[rows][:, trial.group_of]
@@ -485,7 +487,7 @@ def banded(objects: Objects, common_sd: float) -> Curves:
 
 def next_object(fit: Fit) -> Objects:
     """log k of one more object of each group, before it is recorded."""
-    spread = fit.spreads.lasting[:, None, None, None] * covariance(fit.spreads, fit.trial.s)[:, None]
+    spread = lasting_covariance(fit.spreads, fit.trial.s)
     return Objects(*moments(fit.weight, fit.mean, fit.covariance + fit.trial.alike + spread))
 
 
@@ -511,7 +513,7 @@ def foretold(fit: Fit, means: Curves, group: int, places: BoolArray) -> Array:
     trial = fit.trial
     now, rest = int(np.sum(trial.group_of == group)), trial.objects - trial.groups
     objects = objects_of(trial, fit.spreads)
-    spread = fit.spreads.lasting[:, None, None, None] * covariance(fit.spreads, trial.s)[:, None]
+    spread = lasting_covariance(fit.spreads, trial.s)
     precision, _ = inverse((objects.covariance + spread)[:, trial.group_of == group])
     one, _ = inverse(precision.mean(axis=1))
     variance = fit.weight @ np.diagonal(one, axis1=-2, axis2=-1)[:, places]
@@ -549,7 +551,7 @@ def outliers(fit: Fit) -> tuple[str, ...]:
     trial, heavy = fit.trial, np.argsort(-fit.weight)[:HEAVY]
     spreads, weight = fit.spreads.chosen(heavy), fit.weight[heavy]
     objects = objects_of(trial, spreads)
-    spread = spreads.lasting[:, None, None, None] * covariance(spreads, trial.s)[:, None]
+    spread = lasting_covariance(spreads, trial.s)
     wide = objects.covariance + spread
     waves = legvander(2.0 * trial.s - 1.0, ORDERS - 1) / len(trial.s)
     reasons = []
@@ -642,14 +644,14 @@ def _between(fit: Fit) -> tuple[Estimate, Estimate]:
     """The groups' means scattered about one mean, with h / (1 - h) of the covariance within groups; h is flat."""
     heavy = np.argsort(-fit.weight)[:HEAVY_SHARES]
     spreads = fit.spreads.chosen(heavy)
-    within = spreads.lasting[:, None, None] * covariance(spreads, fit.trial.s)
+    within = lasting_covariance(spreads, fit.trial.s)
     log, every = [], np.zeros(fit.trial.groups, dtype=int)
     for share in STEPS:
-        scatter = share / (1.0 - share) * within[:, None]
+        scatter = share / (1.0 - share) * within
         log.append(means(fit.mean[heavy], fit.covariance[heavy] + scatter, every).log_evidence[:, 0])
     joint = np.array(log) + np.log(fit.weight[heavy])
     weight = np.exp(joint - joint.max())
-    rms = np.sqrt(np.mean(np.diagonal(within, axis1=1, axis2=2), axis=1))
+    rms = np.sqrt(np.mean(_variances(within[:, 0]), axis=1))
     sd = np.sqrt(STEPS / (1.0 - STEPS))[:, None] * rms
     return _estimate(STEPS, weight.sum(axis=1)), _estimate(sd.ravel(), weight.ravel())
 
@@ -686,11 +688,8 @@ class Judgement:
 
 
 def read_tolerance(path: Path) -> Tolerance:
-    """The band of a CSV with the columns `s, low_N_m, high_N_m`.
-
-    Raises:
-        ResultsError: it cannot be read, or is no band; the message names the line.
-    """
+    """The band of a CSV with the columns `s, low_N_m, high_N_m`. Raises `ResultsError`: it cannot be read, or is no
+    band; the message names the line."""
     rows = list(csv_rows(path, ResultsError))
     header = [name.strip() for name in rows[0][1]] if rows else []
     if absent := [name for name in COLUMNS if name not in header]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -16,30 +16,8 @@ from matplotlib.figure import Figure
 from onebend.errors import ResultsError
 from onebend.files.publish import write_summary
 from onebend.files.single_file import as_csv, as_parquet
-from onebend.many.population import (
-    NUMBERS,
-    Curves,
-    Estimate,
-    Judgement,
-    Named,
-    Objects,
-    Shares,
-    Tolerance,
-    banded,
-    differences,
-    fit,
-    foretold,
-    group_means,
-    half_band,
-    inside_of,
-    judge,
-    needed,
-    next_object,
-    outliers,
-    shares,
-    shrunken,
-    within,
-)
+from onebend.many import population as model
+from onebend.options import option
 from onebend.progress import Progress, Silent
 from onebend.records import Array, BoolArray
 from onebend.report.page import render
@@ -48,7 +26,6 @@ from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
 from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import figure_text, one_line
 
-WISHED = 0.05  # half band of a group's mean, as a share of k
 MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with the first
 
 
@@ -56,11 +33,22 @@ MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with th
 class PopulationSettings:
     """What is asked."""
 
-    by: str = "group"
-    same: str | None = None  # column that names the object
-    wished: float = WISHED  # half band of the groups' means, as a share of k
-    tolerance: Tolerance | None = None
-    passes: float = 0.5  # probability of lying inside, from which an object passes
+    by: str = option("--by", "group", "Of recordings.parquet, that names the group.", metavar="COLUMN")
+    same: str | None = option(
+        "--object", None, "That names the object; default: every recording has its own.", metavar="COLUMN"
+    )
+    wished: float = option(
+        "--band",
+        0.05,
+        "Wished half band of the means, of k.",
+        metavar="PERCENT",
+        within=(0.01, 1e9),
+        scale=0.01,
+    )
+    tolerance: model.Tolerance | None = None
+    passes: float = option(
+        "--pass-from", 0.5, "Probability of lying inside that passes.", metavar="P", within=(0.01, 0.99)
+    )
 
 
 @dataclass(frozen=True)
@@ -68,56 +56,59 @@ class PopulationOutcome:
     """The answers, with the trial that they are from."""
 
     setting: PopulationSettings
-    named: Named
-    means: Curves  # of log k, G
+    named: model.Named
+    means: model.Curves  # of log k, G
     told: BoolArray  # (G, S) where the data of half the recordings or more tell k
     pairs: tuple[tuple[int, int], ...]  # of groups
-    ratios: Curves  # of the logarithm, a pair each
-    objects: Objects
-    curves: Curves  # of log k, O
+    ratios: model.Curves  # of the logarithm, a pair each
+    objects: model.Objects
+    curves: model.Curves  # of log k, O
     within: Array  # (S,) sd of log k within groups
-    shares: Shares
+    shares: model.Shares
     outliers: tuple[str, ...]  # O reasons
     half: tuple[float, ...]  # G half bands of log k, the median over the places that are told
     bands: Array  # (G, len(NUMBERS)) the same for that many objects
     needed: tuple[float, ...]  # G objects for the wished band; inf: no number gives it
-    judgement: Judgement | None
+    judgement: model.Judgement | None
     next_inside: Array | None  # (G,) probability that one more object of the group lies inside the tolerance
 
 
-def population(named: Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
-    """Learn the population from its objects.
-
-    Raises:
-        ResultsError: a number that was asked for makes no sense.
-    """
+def population(named: model.Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
+    """Learn the population from its objects. Raises `ResultsError`: a number that was asked for makes no sense."""
     if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
         raise ResultsError("a wished band is above 0, and a probability between 0 and 1. Correct it")
-    trial, found = named.trial, fit(named.trial)
-    means, told = group_means(found), named.identified >= 0.5
+    trial, found = named.trial, model.fit(named.trial)
+    means, told = model.group_means(found), named.identified >= 0.5
     groups = range(trial.groups)
     pairs = list(combinations(groups, 2))
     if trial.groups > MOST_COMPARED:
         pairs = [(i, 0) for i in groups if i]
-    objects, tolerance = shrunken(found), setting.tolerance
-    bands = [foretold(found, means, i, told[i]) if told[i].any() else np.full(NUMBERS[-1], np.nan) for i in groups]
+    objects, tolerance = model.shrunken(found), setting.tolerance
+    bands = [
+        model.foretold(found, means, i, told[i]) if told[i].any() else np.full(model.NUMBERS[-1], np.nan)
+        for i in groups
+    ]
     return PopulationOutcome(
         setting=setting,
         named=named,
         means=means,
         told=told,
         pairs=tuple(pairs),
-        ratios=differences(found, pairs) if pairs else Curves(*[np.zeros((0, len(trial.s)))] * 3),
+        ratios=model.differences(found, pairs) if pairs else model.Curves(*[np.zeros((0, len(trial.s)))] * 3),
         objects=objects,
-        curves=banded(objects, trial.common_sd),
-        within=within(found),
-        shares=shares(found),
-        outliers=outliers(found),
-        half=tuple(half_band(means, i, told[i]) for i in groups),
-        bands=np.array([one[np.array(NUMBERS) - 1] for one in bands]),
-        needed=tuple(needed(one, float(np.log1p(setting.wished))) for one in bands),
-        judgement=None if tolerance is None else judge(objects, trial.s, trial.common_sd, tolerance, setting.passes),
-        next_inside=None if tolerance is None else inside_of(next_object(found), trial.s, trial.common_sd, tolerance),
+        curves=model.banded(objects, trial.common_sd),
+        within=model.within(found),
+        shares=model.shares(found),
+        outliers=model.outliers(found),
+        half=tuple(model.half_band(means, i, told[i]) for i in groups),
+        bands=np.array([one[np.array(model.NUMBERS) - 1] for one in bands]),
+        needed=tuple(model.needed(one, float(np.log1p(setting.wished))) for one in bands),
+        judgement=None
+        if tolerance is None
+        else model.judge(objects, trial.s, trial.common_sd, tolerance, setting.passes),
+        next_inside=None
+        if tolerance is None
+        else model.inside_of(model.next_object(found), trial.s, trial.common_sd, tolerance),
     )
 
 
@@ -175,7 +166,7 @@ def _ratios(outcome: PopulationOutcome) -> dict[str, Any]:
 
 
 def _spread(outcome: PopulationOutcome) -> dict[str, Any]:
-    found = vars(outcome.shares)
+    found = {one.name: getattr(outcome.shares, one.name) for one in fields(model.Shares)}
     return {
         "quantity": _texts(found),
         **{name: np.array([getattr(one, name) for one in found.values()]) for name in ("value", "low", "high")},
@@ -211,8 +202,8 @@ def _curves(outcome: PopulationOutcome) -> dict[str, Any]:
 
 def _needed(outcome: PopulationOutcome) -> dict[str, Any]:
     return {
-        "group": _texts([name for name in outcome.named.groups for _ in NUMBERS]),
-        "objects": np.tile(NUMBERS, len(outcome.named.groups)),
+        "group": _texts([name for name in outcome.named.groups for _ in model.NUMBERS]),
+        "objects": np.tile(model.NUMBERS, len(outcome.named.groups)),
         "half_band": np.expm1(outcome.bands).ravel(),
     }
 
@@ -227,11 +218,10 @@ def _texts(words: Any) -> pa.Array:
 
 
 def _each(names: Any, outcome: PopulationOutcome) -> pa.Array:
-    """A name for every place of its curve."""
     return _texts(name for name in names for _ in outcome.named.trial.s)
 
 
-def _curve(curves: Curves, outcome: PopulationOutcome, name: str, unit: str) -> dict[str, Any]:
+def _curve(curves: model.Curves, outcome: PopulationOutcome, name: str, unit: str) -> dict[str, Any]:
     return {
         "s": np.tile(outcome.named.trial.s, len(curves.mean)),
         f"{name}{unit}": np.exp(curves.mean).ravel(),
@@ -247,7 +237,6 @@ MOST = 24  # groups that have a panel
 
 
 def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -> Pictures:
-    """By name."""
     wanted: dict[str, Draw] = {"means": partial(means, outcome), "groups": partial(panels, outcome)}
     if outcome.pairs:
         wanted["ratios"] = partial(ratios, outcome)
@@ -314,7 +303,7 @@ def bands(outcome: PopulationOutcome) -> Figure:
     count = min(len(outcome.named.groups), MOST)
     for i in range(count):
         name = figure_text(outcome.named.groups[i] or "all")
-        axes.plot(NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
+        axes.plot(model.NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
     axes.axhline(100.0 * outcome.setting.wished, color=INK, linestyle="--", linewidth=1.0)
     axes.set(xlabel="objects of the group", ylabel="half band of its mean [%]", xscale="log", yscale="log")
     axes.legend(ncols=4)
@@ -341,9 +330,18 @@ def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str,
         "title": one_line(f"Population {name}"),
         "cards": _cards(outcome),
         "group_heads": ("group", "objects", "recordings", "half band of the mean", "objects for the wished band"),
-        "group_rows": _group_rows(outcome),
+        "group_rows": [
+            (
+                group_name(one["group"]),
+                str(one["objects"]),
+                str(one["recordings"]),
+                f"± {percent(one['half_band'])}",
+                count_words(one["objects_needed"]),
+            )
+            for one in group_rows(outcome)
+        ],
         "spread_heads": ("", "value", "95 % from", "to"),
-        "spread_rows": [_spread_row(*SPREAD[key], value) for key, value in vars(outcome.shares).items()],
+        "spread_rows": [(what, *map(percent, values)) for what, values in spread_rows(outcome)],
         "outliers": [(one_line(one), why) for one, why in zip(named.objects, outcome.outliers, strict=True) if why],
         "tolerance": judged_words(outcome),
         "judged_heads": ("object", "group", "probability inside", ""),
@@ -387,36 +385,28 @@ def judged_words(outcome: PopulationOutcome) -> str:
 def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
     trial = outcome.named.trial
     far = sum(bool(why) for why in outcome.outliers)
-    level = outcome.shares.level_sd
+    spread = percent(float(np.expm1(outcome.shares.level_sd.value)))
     return [
         {"what": "objects", "value": str(trial.objects), "note": f"in {trial.groups} groups"},
         {"what": "recordings", "value": str(len(trial.log_k)), "note": f"{len(outcome.named.left_out)} left out"},
-        {
-            "what": "spread of k within groups",
-            "value": percent(float(np.expm1(level.value))),
-            "note": "sd of the level",
-        },
+        {"what": "spread of k within groups", "value": spread, "note": "sd of the level"},
         {"what": "unlike the others", "value": str(far), "note": "objects"},
     ]
 
 
-def _group_rows(outcome: PopulationOutcome) -> list[tuple[str, ...]]:
-    trial = outcome.named.trial
-    return [
-        (
-            group_name(name),
-            str(int(np.sum(trial.group_of == i))),
-            str(int(np.sum(trial.group_of[trial.object_of] == i))),
-            f"± {percent(float(np.expm1(outcome.half[i])))}",
-            count_words(outcome.needed[i]),
-        )
-        for i, name in enumerate(outcome.named.groups)
-    ]
+def group_rows(outcome: PopulationOutcome) -> list[dict[str, Any]]:
+    """The rows of the table `groups`."""
+    return [dict(one) for one in pa.table(_groups(outcome)).to_pylist()]
 
 
-def _spread_row(what: str, of_log_k: bool, one: Estimate) -> tuple[str, ...]:
-    values = np.array([one.value, one.low, one.high])
-    return (what, *(percent(float(value)) for value in (np.expm1(values) if of_log_k else values)))
+def spread_rows(outcome: PopulationOutcome) -> list[tuple[str, list[float]]]:
+    """Each spread in words, with its value and the ends of its band, as shares."""
+    rows = []
+    for key, (what, of_log_k) in SPREAD.items():
+        one: model.Estimate = getattr(outcome.shares, key)
+        values = np.array([one.value, one.low, one.high])
+        rows.append((what, (np.expm1(values) if of_log_k else values).tolist()))
+    return rows
 
 
 def _judged_rows(outcome: PopulationOutcome) -> list[tuple[Any, ...]]:
@@ -439,24 +429,15 @@ POPULATION_FORMAT = "onebend-population-1"
 def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]:
     """What `--json` prints and `summary.json` holds."""
     named, judged = outcome.named, outcome.judgement
-    trial = named.trial
+    told = ("group", "objects", "half_band", "objects_needed", "next_object_inside")
     return {
         "format": POPULATION_FORMAT,
         "written_by": written_by,
         "by": outcome.setting.by,
         "object": outcome.setting.same,
         "wished_half_band": outcome.setting.wished,
-        "groups": [
-            {
-                "group": name,
-                "objects": int(np.sum(trial.group_of == i)),
-                "half_band": float(np.expm1(outcome.half[i])),
-                "objects_needed": outcome.needed[i],
-                "next_object_inside": None if outcome.next_inside is None else float(outcome.next_inside[i]),
-            }
-            for i, name in enumerate(named.groups)
-        ],
-        "spread": {name: vars(one) for name, one in vars(outcome.shares).items()},
+        "groups": [{name: row[name] for name in told} for row in group_rows(outcome)],
+        "spread": asdict(outcome.shares),
         "outliers": [
             {"object": name, "reason": why} for name, why in zip(named.objects, outcome.outliers, strict=True) if why
         ],
@@ -464,7 +445,7 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
         if judged is None
         else {
             "passed": int(judged.passed.sum()),
-            "objects": trial.objects,
+            "objects": named.trial.objects,
             "false_passes": judged.false_passes,
             "false_fails": judged.false_fails,
         },

@@ -26,6 +26,7 @@ from onebend.extras import package
 from onebend.files.publish import abandon, finish, prepare, publish, read_summary, sha256_of
 from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
+from onebend.learning.posterior import Nuisance
 from onebend.pipeline import Run, learn
 from onebend.progress import available_cores, interrupts_held, leave_interrupts_to_parent
 from onebend.recording.description import HOMES
@@ -37,8 +38,9 @@ from onebend.report.pictures import Pictures
 from onebend.report.verdict import verdict_of
 from onebend.report.wording import all_remarks
 from onebend.results.learned_files import LEARN_FORMAT, learned_writer, summary_of
+from onebend.results.observations_file import fields_from, to_data
 from onebend.results.provenance import InputFile, as_data, files_of, inputs_of, provenance
-from onebend.text_files import csv_rows, quoted, to_json
+from onebend.text_files import csv_rows, quoted
 
 # Which recordings are learned: those in a folder, or the rows of a CSV, which may state what differs between them.
 
@@ -59,11 +61,8 @@ class Item:
 
 def items_of(source: Path, out: Path) -> tuple[Item, ...]:
     """The recordings of `source`: a CSV with a column `path`, or a folder with recordings in it at any depth, without
-    those in `out`.
-
-    Raises:
-        RecordingError: there is none, two have one name, or a column or a cell of the list cannot be used.
-    """
+    those in `out`. Raises `RecordingError`: there is none, two have one name, or a column or a cell of the list cannot
+    be used."""
     if source.is_dir():
         found = _in_folder(source.resolve(), out.resolve())
         if not found:
@@ -113,10 +112,8 @@ def _item(
     if len(cells) > len(header):
         raise RecordingError(f"{path}, line {line}: {len(cells)} cells under {len(header)} columns. Quote the commas.")
     by_name = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if name}
-    if not by_name.get("path"):
-        raise RecordingError(f"{path}, line {line}: the path is empty. Name the recording's folder.")
-    if "\0" in by_name["path"]:
-        raise RecordingError(f"{path}, line {line}: the path is no path.")
+    if not by_name.get("path") or "\0" in by_name["path"]:
+        raise RecordingError(f"{path}, line {line}: the path is empty or no path. Name the recording's folder.")
     folder = folder_of(path.resolve().parent / by_name["path"])
     stated = tuple((*key, _value(by_name[name])) for name, key in keys.items() if by_name.get(name))
     labels = tuple((name, by_name.get(name, "")) for name in header if name and name not in OWN)
@@ -125,10 +122,7 @@ def _item(
 
 def _key(column: str, path: Path) -> tuple[str, str] | None:
     """Table and key of recording.toml that a column states, as `length_m` or `beam.length_m`; None: it is a label.
-
-    Raises:
-        RecordingError: several tables know the key.
-    """
+    Raises `RecordingError`: several tables know the key."""
     table, dot, name = column.partition(".")
     if dot:
         return (table, name) if table in HOMES.get(name, ()) else None
@@ -158,7 +152,7 @@ def _value(cell: str) -> Any:
 
 # What is kept of one recording: a small JSON file, whole or not there, under the hash of all that it was made from.
 
-FORMAT = "onebend-batch-record-3"
+FORMAT = "onebend-batch-record-4"
 RECORDS = ".records"  # in the results folder
 PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
 EVERY = 5  # of PLACES: where a record has the covariance of log k
@@ -183,7 +177,7 @@ class Record:
     error: float = np.nan  # m RMS of the worst tag
     doubts: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    nuisances: tuple[tuple[str, str, float, float, float], ...] = ()  # name, unit, value, sd, prior sd
+    nuisances: tuple[Nuisance, ...] = ()
     frames: int = 0
     seconds: float = np.nan  # that reading and learning took
     finished: str = ""  # UTC, ISO 8601
@@ -191,10 +185,7 @@ class Record:
 
 def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
     """SHA-256 over the content of the files, their names, and what they are learned with; the same on every machine.
-
-    Raises:
-        OSError: a file cannot be read.
-    """
+    Raises `OSError`: a file cannot be read."""
     entries = sorted((path.name, sha256_of(path)) for path in dict.fromkeys(files))
     text = json.dumps({"files": entries, "with": made_with}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
@@ -219,7 +210,7 @@ def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record
         error=verdict.error,
         doubts=run.posterior.stiffness.doubts,
         warnings=tuple(remark.text for _, remark in all_remarks(run) if remark.level == "warning"),
-        nuisances=tuple((n.name, n.unit, n.value, n.sd, n.prior_sd) for n in run.posterior.nuisances()),
+        nuisances=tuple(run.posterior.nuisances()),
         frames=len(run.recordings[0].time),
         seconds=seconds,
         finished=finished,
@@ -233,7 +224,8 @@ def record_path(out: Path, hashed: str) -> Path:
 
 def write_record(out: Path, record: Record) -> None:
     """Put the record in place, whole or not at all. Raises `ResultsError` where it cannot be written."""
-    write_file(record_path(out, record.hash), to_json({"format": FORMAT, **vars(record)}) + "\n", overwrite=True)
+    text = json.dumps({"format": FORMAT, **to_data(record)})
+    write_file(record_path(out, record.hash), text + "\n", overwrite=True)
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
@@ -242,35 +234,14 @@ def read_record(out: Path, hashed: str) -> Record | None:
         data = json.loads(record_path(out, hashed).read_text(encoding="utf-8"))
         if data.pop("format") != FORMAT or data["hash"] != hashed:
             return None
-        curves = {name: _curve(data[name]) for name in ("k", "low", "high")}
-        known = None if data["identified"] is None else np.array(data["identified"], dtype=bool)
-        if any(curve is not None and curve.shape != PLACES.shape for curve in (*curves.values(), known)):
-            return None
-        squares = {n: None if data[n] is None else np.array(data[n], dtype=float) for n in ("covariance", "prior_part")}
-        if any(one is not None and one.shape != (len(PLACES[::EVERY]),) * 2 for one in squares.values()):
-            return None
-        return Record(
-            **data
-            | curves
-            | squares
-            | {name: _number(data[name]) for name in ("length", "gain_sd", "error", "seconds")}
-            | {name: tuple(data[name]) for name in ("doubts", "warnings")}
-            | {
-                "identified": known,
-                "nuisances": tuple((n, unit, *map(_number, values)) for n, unit, *values in data["nuisances"]),
-            }
-        )
+        record = Record(**fields_from(Record, data))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
-
-
-def _curve(values: Any) -> Array | None:
-    return None if values is None else np.array([_number(value) for value in values])
-
-
-def _number(value: Any) -> float:
-    """A number, which is null in JSON where it is not finite."""
-    return np.nan if value is None else float(value)
+    count = len(PLACES[::EVERY])
+    curves, squares = (record.k, record.low, record.high, record.identified), (record.covariance, record.prior_part)
+    fits = [one is None or one.shape == PLACES.shape for one in curves]
+    fits += [one is None or one.shape == (count, count) for one in squares]
+    return record if all(fits) else None
 
 
 FOLDERS = "recordings"  # in the results folder: a folder of each, where asked for
@@ -416,11 +387,7 @@ def distributed() -> Any:
 @contextmanager
 def cluster(address: str | None = None, workers: int | None = None, *, processes: bool = True) -> Iterator[Any]:
     """A client of the scheduler at `address`, or of one here with `workers` of one thread each (default: one a core).
-
-    Raises:
-        MissingPackageError: Dask is not installed.
-        ResultsError: nobody answers at the address.
-    """
+    Raises `MissingPackageError`: Dask is not installed. Raises `ResultsError`: nobody answers at the address."""
     library = distributed()
     if address is not None:
         try:
@@ -444,7 +411,6 @@ def cluster(address: str | None = None, workers: int | None = None, *, processes
 
 
 def _prepared(library: Any) -> Any:
-    """A plugin for workers here, those that take the place of lost ones included."""
 
     class Prepared(library.WorkerPlugin):  # type: ignore[misc]
         name = "onebend"
@@ -469,11 +435,8 @@ def here(item: Item, settings: TaskSettings) -> ItemResult:
 def results_of(
     client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
 ) -> Iterator[tuple[int, ItemResult]]:
-    """Every item's number and result, as they come. A task whose worker is lost goes to another one.
-
-    Raises:
-        ResultsError: the scheduler is lost.
-    """
+    """Every item's number and result, as they come. A task whose worker is lost goes to another one. Raises
+    `ResultsError`: the scheduler is lost."""
     library, batch = distributed(), uuid4().hex
     futures = {}
     try:

@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
+from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.beam_frame import BaseLog, RestShape, gravity_in_frame, read_base_log, rest_shape, to_beam_frame
 from onebend.recording.camera import check_turns, measure_markers
@@ -60,7 +61,9 @@ FEWEST_FRAMES = 10
 class ObserveSettings:
     """How a recording is read."""
 
-    threads: int | None = None  # for the tags; None: one a core
+    threads: int | None = option(
+        "--threads", None, "Threads that look for tags; default: all cores.", metavar="N", within=(1, None)
+    )
     pairing: Literal["interpolate", "nearest"] = "interpolate"
     epsilon: float = 0.02  # s, the paper's margin: with "nearest", frames farther from any row of the log are dropped
     check_force: bool = True  # refuse a force that contradicts the bending

@@ -22,6 +22,7 @@ from onebend.control.reach_set import DragAnswer, DraggedPoint, HeldEnd, ReachMa
 from onebend.errors import ControlError, StudioError
 from onebend.records import Array
 from onebend.results.model import StoredModel, read_model
+from onebend.studio.jobs import asked_number
 from onebend.studio.places import hand_line, reach_line
 
 # What takes longer than a frame, in a process of its own: the map of the reachable set, the hand's edge, the ellipse.
@@ -98,8 +99,6 @@ def ellipse_of(
 
 PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
 Mode = Literal["point", "hand"]
-_NEAREST = 1e-6  # s: nearer to the clamp a force bends nothing
-_STRONGEST = 1e6  # N
 _SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # of the force, and N: so near the shown command comes to it
 _SAME_PLACE = 1e-10  # m: about as near as a place that `onebend reach` finds on its own grid is to the one here
 
@@ -131,7 +130,7 @@ class Bending:
         beam = stored.beam
         force = bending_force(beam)
         text = json.dumps(beam.as_dict(), sort_keys=True)
-        one = Bending(model, stored, text, _round(LARGEST_TIMES * force))
+        one = Bending(model, stored, text, float(f"{LARGEST_TIMES * force:.2g}"))
         one.point.under((0.0, 0.5 * BEGIN_TURN * force))
         return one
 
@@ -146,20 +145,15 @@ class Bending:
     def opened(self) -> dict[str, Any]:
         """What the page draws beside the answers: the beam itself, and how it is held."""
         beam, known = self.stored.beam, self.stored.uncertain
-        rest = self._line(self.pushed.start.q)
         return {
-            "model": self.model,
+            **{name: getattr(self, name) for name in ("model", "push_s", "point_s", "mode", "version")},
             "length_m": beam.length,
-            "rest_m": rest.tolist(),
+            "rest_m": self._line(self.pushed.start.q).tolist(),
             "places": PLACES.tolist(),
-            "push_s": self.push_s,
-            "point_s": self.point_s,
             "max_force_N": self.max_force,
             "largest_first_N": self.largest_first,
-            "mode": self.mode,
             "doubts": [] if known is None else list(known.doubts),
             "band": known is not None,
-            "version": self.version,
         }
 
     def change(self, wanted: dict[str, Any]) -> None:
@@ -167,10 +161,8 @@ class Bending:
         mode: Mode = "point" if wanted.get("rest") is True else wanted.get("mode", self.mode)
         if mode not in ("point", "hand"):
             raise StudioError("a beam is bent at a point or by a hand")
-        push_s, point_s = _place(wanted.get("push_s", self.push_s)), _place(wanted.get("point_s", self.point_s))
-        max_force = float(wanted.get("max_force_N", self.max_force))
-        if not 0.0 < max_force <= _STRONGEST:
-            raise StudioError(f"the largest force must be positive, and at most {_STRONGEST:g} N")
+        push_s, point_s = (asked_number(wanted, name, 1e-6, 1.0, getattr(self, name)) for name in ("push_s", "point_s"))
+        max_force = asked_number(wanted, "max_force_N", 1e-9, 1e6, self.max_force)
         if mode == "hand":
             push_s = point_s = 1.0
         same = (push_s, point_s, max_force) == (self.push_s, self.point_s, self.max_force)
@@ -214,9 +206,6 @@ class Bending:
     def shown(self, answer: DragAnswer, began: float) -> dict[str, Any]:
         """An answer for the page."""
         state, pose, known = answer.state, answer.pose, self.stored.uncertain
-        ellipse = None
-        if known is not None and self.hand is None:
-            ellipse = ellipse_of(self.pushed, known, state)
         return {
             "goal_m": answer.goal[:2].tolist(),
             "pose": pose.tolist(),
@@ -224,7 +213,7 @@ class Bending:
             "moment_N_m": float(state.load[2]),
             "push_m": self._at(state.q, self.push_s).tolist(),
             "line_m": np.round(self._line(state.q), 6).tolist(),
-            "ellipse": ellipse,
+            "ellipse": None if known is None or self.hand is not None else ellipse_of(self.pushed, known, state),
             "limit": answer.limit,
             "turned_away_rad": float(pose[2] - answer.goal[2]) if len(answer.goal) == 3 else 0.0,
             "away_m": float(np.hypot(*(pose[:2] - answer.goal[:2]))),
@@ -271,15 +260,3 @@ def outline_of(found: ReachMap) -> dict[str, Any]:
     corners = found.triangles
     points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
     return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
-
-
-def _place(value: Any) -> float:
-    place = float(value)
-    if not _NEAREST <= place <= 1.0:
-        raise StudioError(f"a place lies between {_NEAREST:g} and 1, the tip")
-    return place
-
-
-def _round(force: float) -> float:
-    """To two digits."""
-    return float(f"{force:.2g}")

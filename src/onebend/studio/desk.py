@@ -12,7 +12,7 @@ import itertools
 import json
 import multiprocessing
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from onebend.crash import words
+import onebend
+from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
 from onebend.progress import end_with_parent
 from onebend.studio.filming import RecorderProcess
@@ -55,9 +56,9 @@ class Client:
             self.waiting.put_nowait(message)
 
     async def write(self) -> None:
-        while True:
-            message = await self.waiting.get()
-            await self.socket.send_text(text_of(message))
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:
+                await self.socket.send_text(text_of(await self.waiting.get()))
 
 
 def text_of(message: dict[str, Any]) -> str:
@@ -129,38 +130,37 @@ class Desk:
         about = {"folder": str(self.places.root), "job": self._job(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:
-            while True:
-                message = await socket.receive_json()
-                await self._handle(client, message)
-        except (WebSocketDisconnect, ValueError, KeyError, RuntimeError, OverflowError):
-            pass  # it is gone, or it is not our page
+            while (message := await socket.receive())["type"] == "websocket.receive":
+                asked = request_of(message.get("text") or "")
+                if asked is None:
+                    with contextlib.suppress(WebSocketDisconnect):
+                        await socket.close()
+                    break
+                await self._watched(self._answer(client, **asked), client.put)
         finally:
             self.clients.discard(client)
             writer.cancel()
-            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-                await socket.close()
 
-    async def _handle(self, client: Client, message: Any) -> None:
-        if not isinstance(message, dict):
-            raise ValueError("not ours")
+    async def _answer(self, client: Client, do: Any, model: str, n: int, goal: list[float], settings: Any) -> None:
+        if do == "open":
+            await self._open(client, model)
+        elif do == "drag":
+            self._wanted[model] = (client.number, n, goal)
+            self._drags.set()
+        elif do == "set":
+            await self._set(model, settings)
+
+    async def _watched(self, work: Awaitable[None], put: Callable[[dict[str, Any]], None]) -> None:
+        """Do the work; send what ends it, so that nothing fails unseen."""
         try:
-            do = message.get("do")
-            if do == "open":
-                await self._open(client, str(message["model"]))
-            elif do == "drag":
-                goal = [float(one) for one in list(message["goal"])[:3]]
-                self._wanted[str(message["model"])] = (client.number, int(message["n"]), goal)
-                self._drags.set()
-            elif do == "set":
-                await self._set(str(message["model"]), dict(message["settings"]))
-        except (OnebendError, TypeError) as error:
-            client.put({"what": "error", "text": str(error)})
+            await work
+        except Exception as error:
+            put({"what": "error", "text": said_of(error)})
 
     async def _in_thread(self, work: Callable[[], Any]) -> Any:
         return await asyncio.get_running_loop().run_in_executor(self.thread, work)
 
     async def _open(self, client: Client, model: str) -> None:
-        """A beam as it stands: where another tab, or this one before, left it."""
         if model not in self.beams:
             folder = self.places.result(model)
             bending = await self._in_thread(lambda: _opened(model, folder))
@@ -214,9 +214,7 @@ class Desk:
                 try:
                     answer = await self._in_thread(partial(bending.drag, goal))
                 except Exception as error:  # whatever it is, the next drag is answered
-                    self.tell(
-                        {"what": "error", "text": str(error) if isinstance(error, OnebendError) else words(error)}
-                    )
+                    self.tell({"what": "error", "text": said_of(error)})
                     continue
                 self.tell({"what": "answer", "model": model, "by": who, "n": n, "answer": answer}, passing=True)
                 self._moves[model] = self._moves.get(model, 0) + 1
@@ -235,20 +233,16 @@ class Desk:
 
     async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
         """The outline of what forces up to `most` N can hold, of a beam as JSON."""
-        from onebend.studio import bending, bending as mapping  # here and below: loaded beside the page's first picture
+        from onebend.studio import bending  # here and below: loaded beside the page's first picture
 
-        return bending.outline_of(await self._aside(mapping.make_map, beam, push_s, point_s, most))
+        return bending.outline_of(await self._aside(bending.make_map, beam, push_s, point_s, most))
 
     async def _map(self, model: str) -> None:
         from onebend.studio import bending as mapping
 
         bending, version = self.beams[model], self.beams[model].version
         work = (mapping.make_map, bending.beam, bending.push_s, bending.point_s, bending.max_force)
-        try:
-            found = await self._aside(*work)
-        except OnebendError as error:
-            self.tell({"what": "error", "text": str(error)})
-            return
+        found = await self._aside(*work)
         if await self._in_thread(lambda: bending.take_map(version, found)):
             await self._show_map(model, bending, tuple(self.clients))
 
@@ -262,7 +256,6 @@ class Desk:
                 client.put({"what": "map", "model": model, "version": bending.version, "map": shown})
 
     async def _edge(self, model: str) -> None:
-        """The hand's edge, again and again until the hand rests."""
         from onebend.studio import bending as mapping
 
         if model in self._busy:
@@ -276,13 +269,10 @@ class Desk:
                     return
                 edge = await self._aside(mapping.hand_edge, bending.beam, state.q, state.load, bending.max_force)
                 self.tell({"what": "edge", "model": model, "edge": edge})
-        except OnebendError as error:
-            self.tell({"what": "error", "text": str(error)})
         finally:
             self._busy.discard(model)
 
     async def _ellipse(self, model: str, moves: int) -> None:
-        """By drawn beams, once the point rests."""
         await asyncio.sleep(_RESTS)
         bending = self.beams.get(model)
         if bending is None or bending.stored.uncertain is None or self._moves.get(model) != moves:
@@ -319,14 +309,37 @@ class Desk:
             self.tell({"what": "places"})
         self._last_state = state
 
-    def _spawn(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
+    def _spawn(self, work: Awaitable[None]) -> None:
+        task = asyncio.get_running_loop().create_task(self._watched(work, self.tell))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
 
+def request_of(text: str) -> dict[str, Any] | None:
+    """What a tab asks for; None where it is no message of the page."""
+    try:
+        message = json.loads(text)
+        return {
+            "do": message.get("do"),
+            "model": str(message["model"]),
+            "n": int(message.get("n", 0)),
+            "goal": [float(one) for one in message.get("goal", ())[:3]],
+            "settings": dict(message.get("settings", {})),
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        return None
+
+
+def said_of(error: Exception) -> str:
+    """The error in words. A fault of onebend's own is written to a file, and named in the terminal too."""
+    if isinstance(error, OnebendError):
+        return str(error)
+    text = f"{words(error)} {kept(error, onebend.__version__)}"
+    tell(text)
+    return text
+
+
 def _load() -> None:
-    """The mechanics, while the page is being fetched: who answers it is let in often."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(_TURN)
     try:

@@ -8,12 +8,12 @@ import contextlib
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.jobs import asked_number, begun
+from onebend.studio.jobs import asked_number, begun, ended, lines_of
 from onebend.studio.places import RECORDING, StudioFolder, is_file, plain_word, record_line
 
 _PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
@@ -31,7 +31,7 @@ class MadeRecording:
     """One recording that is being made, or was."""
 
     wanted: dict[str, Any]
-    length: float = 0.0  # m, of the beam
+    length_m: float = 0.0  # of the beam
     phase: str = "starting"  # recording, stopping, checking, done, failed
     state: dict[str, Any] = field(default_factory=dict)  # as `recorder.state_data` says
     curve: dict[str, Any] | None = None  # k(s) so far
@@ -45,19 +45,8 @@ class MadeRecording:
         return self.phase in _GOING
 
     def shown(self) -> dict[str, Any]:
-        """For the page."""
-        return {
-            "out": self.wanted["out"],
-            "length_m": self.length,
-            "command": self.wanted["command"],
-            "phase": self.phase,
-            "state": self.state,
-            "curve": self.curve,
-            "picture": self.picture,
-            "outcome": self.outcome,
-            "check": self.check,
-            "error": self.error,
-        }
+        own = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "wanted"}
+        return {"out": self.wanted["out"], "command": self.wanted["command"], **own}
 
 
 class RecorderProcess:
@@ -112,11 +101,7 @@ class RecorderProcess:
             return
         assert process.stdin is not None
         process.stdin.close()
-        try:
-            await asyncio.wait_for(process.wait(), _PATIENCE)
-        except TimeoutError:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
+        await ended(process, _PATIENCE)
 
     def _write(self, line: str) -> None:
         assert self._process is not None
@@ -125,10 +110,8 @@ class RecorderProcess:
             self._process.stdin.write(f"{line}\n".encode())
 
     async def _follow(self, made: MadeRecording, process: asyncio.subprocess.Process) -> None:
-        assert process.stdout is not None
-        async for line in process.stdout:
-            with contextlib.suppress(ValueError):
-                self._hear(made, json.loads(line))
+        async for said in lines_of(process):
+            self._hear(made, said)
         code = await process.wait()
         if made.phase in _GOING:
             failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
@@ -140,7 +123,6 @@ class RecorderProcess:
         self._tell({"what": "places"}, False)
 
     def _hear(self, made: MadeRecording, said: dict[str, Any]) -> None:
-        """One line of the process."""
         if "picture" in said:
             self._count += 1
             made.picture, self._pictures[self._count] = self._count, base64.b64decode(said["picture"])
@@ -150,7 +132,7 @@ class RecorderProcess:
             made.state, made.curve = said["state"], said.get("curve", made.curve)
             if made.phase == "starting":
                 made.phase = "recording"
-        made.length = said.get("length_m", made.length)
+        made.length_m = said.get("length_m", made.length_m)
         if "outcome" in said:
             made.outcome = said["outcome"]
             made.phase = "checking" if made.outcome["begun"] else made.phase

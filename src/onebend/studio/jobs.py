@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,7 +37,6 @@ class Job:
     ended: float | None = None
 
     def shown(self) -> dict[str, Any]:
-        """For the page."""
         return {
             **{name: value for name, value in self.wanted.items() if name != "folder"},
             "began": self.began,
@@ -96,19 +95,13 @@ class Jobs:
         self.changed()
         with contextlib.suppress(ProcessLookupError):
             process.send_signal(signal.SIGINT)
-        try:
-            await asyncio.wait_for(process.wait(), _PATIENCE)
-        except TimeoutError:
-            with contextlib.suppress(ProcessLookupError):
-                process.kill()
+        await ended(process, _PATIENCE)
         if self._task is not None:
             await self._task
 
     async def _follow(self, job: Job, process: asyncio.subprocess.Process) -> None:
-        assert process.stdout is not None
-        async for line in process.stdout:
-            with contextlib.suppress(ValueError):
-                job.hear(json.loads(line))
+        async for said in lines_of(process):
+            job.hear(said)
             self.changed()
         code = await process.wait()
         job.ended = time.time()
@@ -133,6 +126,23 @@ async def begun(module: str) -> asyncio.subprocess.Process:
         start_new_session=True,  # it ends when it is told to, not when the terminal is
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
+
+
+async def lines_of(process: asyncio.subprocess.Process) -> AsyncIterator[dict[str, Any]]:
+    """What the process says, line by line; what is no JSON is left out."""
+    assert process.stdout is not None
+    async for line in process.stdout:
+        with contextlib.suppress(ValueError):
+            yield json.loads(line)
+
+
+async def ended(process: asyncio.subprocess.Process, patience: float) -> None:
+    """Wait for the end of the process; it is killed after `patience` [s]."""
+    try:
+        await asyncio.wait_for(process.wait(), patience)
+    except TimeoutError:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
 
 
 def asked_number(asked: Mapping[str, Any], key: str, least: float, most: float, usual: float) -> float:

@@ -131,7 +131,6 @@ class StudioFolder:
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name has characters alone: one of other bytes cannot be said to a page, or by it."""
     return not any("\ud800" <= one <= "\udfff" for one in name)
 
 
@@ -155,7 +154,6 @@ def _changed(path: Path) -> float:
 
 
 def _about(path: Path) -> dict[str, Any]:
-    """What a list says of a result."""
     try:
         if path.stat().st_size > _LARGEST_SUMMARY:
             return {}
@@ -295,7 +293,6 @@ class Guard:
 
 
 def _same(one: str, other: str) -> bool:
-    """Compared in a time that does not tell where they differ."""
     return secrets.compare_digest(one.encode("utf-8", "replace"), other.encode())
 
 

@@ -24,18 +24,8 @@ from typing import Any, BinaryIO
 
 from PIL import Image
 
+from onebend import live
 from onebend.errors import OnebendError
-from onebend.live import (
-    CaptureOutcome,
-    CaptureSettings,
-    CaptureState,
-    PlayedClock,
-    camera_of,
-    copy_description,
-    force_of,
-    outcome_data,
-    record,
-)
 from onebend.live.commands import STAGE_NAMES
 from onebend.recording.folder import read_recording
 from onebend.recording.video import Picture
@@ -46,6 +36,10 @@ from onebend.text_files import to_json
 OFTEN = 0.2  # s between two pictures
 WIDEST = 800  # px of a picture that is shown
 QUALITY = 60  # of JPEG
+_AS_THEY_ARE = (
+    *("advice", "displacement", "largest", "half_width", "until", "seconds", "frames", "drops", "samples"),
+    *("lost_samples", "bytes", "disk_left"),
+)
 _PATIENCE = 3.0  # s for what is still to be said at the end
 
 
@@ -54,7 +48,7 @@ class Talk:
 
     def __init__(self, out: BinaryIO) -> None:
         self._out, self._one = out, threading.Lock()
-        self._newest: CaptureState | None = None
+        self._newest: live.CaptureState | None = None
         self._new, self._over = threading.Event(), False
         self._thread = threading.Thread(target=self._tell_states, daemon=True)
         self._thread.start()
@@ -65,7 +59,7 @@ class Talk:
             self._out.write((to_json(data, ascii_only=True, readable=False) + "\n").encode())
             self._out.flush()
 
-    def watch(self, state: CaptureState) -> None:
+    def watch(self, state: live.CaptureState) -> None:
         """What is known now; of states that come faster than they are told, the newest counts."""
         self._newest = state
         self._new.set()
@@ -77,7 +71,7 @@ class Talk:
         self._thread.join(_PATIENCE)
 
     def _tell_states(self) -> None:
-        told: CaptureState | None = None
+        told: live.CaptureState | None = None
         while True:
             self._new.wait()
             self._new.clear()
@@ -90,7 +84,7 @@ class Talk:
             time.sleep(OFTEN)
 
 
-def _said(state: CaptureState, before: CaptureState | None) -> dict[str, Any]:
+def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[str, Any]:
     """A state as a line; its picture and its curve only where they are new."""
     said: dict[str, Any] = {"state": state_data(state)}
     if state.picture is not None and (before is None or state.picture is not before.picture):
@@ -100,7 +94,7 @@ def _said(state: CaptureState, before: CaptureState | None) -> dict[str, Any]:
     return said
 
 
-def state_data(state: CaptureState) -> dict[str, Any]:
+def state_data(state: live.CaptureState) -> dict[str, Any]:
     """What is known while a push is recorded, for the page."""
     order = list(STAGE_NAMES)
     tags = [
@@ -110,25 +104,14 @@ def state_data(state: CaptureState) -> dict[str, Any]:
     return {
         "stages": list(STAGE_NAMES.values()),
         "stage": order.index(state.stage),
-        "advice": state.advice,
         "size_px": None if state.picture is None else state.picture.shape[::-1],
         "tags": tags,
         "tag_s": sorted({tag.s for tag in state.tags if not tag.on_base}),
         "force_N": state.force,
         "tare_N": state.tare,
-        "displacement": state.displacement,
-        "largest": state.largest,
-        "half_width": state.half_width,
-        "until": state.until,
         "k_says": "" if state.live is None else state.live.verdict.headline,
-        "seconds": state.seconds,
-        "frames": state.frames,
-        "drops": state.drops,
-        "samples": state.samples,
-        "lost_samples": state.lost_samples,
         "clock_sd_s": state.clock_sd,
-        "bytes": state.bytes,
-        "disk_left": state.disk_left,
+        **{name: getattr(state, name) for name in _AS_THEY_ARE},
     }
 
 
@@ -141,10 +124,10 @@ def small_jpeg(picture: Picture) -> bytes:
     return memory.getvalue()
 
 
-def settings_of(wanted: Mapping[str, Any]) -> CaptureSettings:
+def settings_of(wanted: Mapping[str, Any]) -> live.CaptureSettings:
     """How the page wants it."""
     until = wanted["until_percent"]
-    return CaptureSettings(
+    return live.CaptureSettings(
         until=math.nan if until is None else until / 100.0,
         begin_at_once=wanted["now"],
         follow=not wanted["no_learning"],
@@ -154,17 +137,17 @@ def settings_of(wanted: Mapping[str, Any]) -> CaptureSettings:
     )
 
 
-def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: threading.Event) -> CaptureOutcome:
+def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: threading.Event) -> live.CaptureOutcome:
     """Record, as `onebend record` does. Raises `OnebendError` where nothing could be recorded."""
     try:
-        force = force_of(wanted["force"]) if wanted["force"] else None
-        camera = camera_of(wanted["camera"])
+        force = live.force_of(wanted["force"]) if wanted["force"] else None
+        camera = live.camera_of(wanted["camera"])
         if wanted["like"]:
-            copy_description(Path(wanted["like"]), Path(wanted["out"]))
+            live.copy_description(Path(wanted["like"]), Path(wanted["out"]))
         talk.tell({"length_m": read_recording(wanted["out"], filmed=False).beam.length})
-        clock = PlayedClock() if wanted["fast"] else None
+        clock = live.PlayedClock() if wanted["fast"] else None
         settings = settings_of(wanted)
-        return record(wanted["out"], camera, force, settings, talk.watch, stop, begin=begin, clock=clock)
+        return live.record(wanted["out"], camera, force, settings, talk.watch, stop, begin=begin, clock=clock)
     finally:
         talk.end()
 
@@ -180,7 +163,6 @@ def check_data(folder: Path) -> dict[str, Any]:
 
 
 def _lines(handle: int) -> Iterator[str]:
-    """Of this input, without a lock on it: a thread that waits here is no reason not to end."""
     with open(handle, "rb", buffering=0) as stream:
         while line := stream.readline():
             yield line.decode("utf-8", "replace")
@@ -210,7 +192,7 @@ def main() -> int:
     except OnebendError as error:
         talk.tell({"error": str(error)})
         return 2
-    talk.tell({"outcome": outcome_data(outcome) | {"fault": outcome.fault, "begun": outcome.film is not None}})
+    talk.tell({"outcome": live.outcome_data(outcome) | {"fault": outcome.fault, "begun": outcome.film is not None}})
     if outcome.film is not None and not gone.is_set():
         talk.tell({"check": check_data(outcome.folder)})
     return 2 if outcome.film is None or outcome.fault else 0

@@ -17,17 +17,8 @@ import numpy as np
 
 from onebend.beam.problem import has_mass
 from onebend.cli.control import trial_name
+from onebend.control import loop_simulation
 from onebend.control.loop import Controller, controller
-from onebend.control.loop_simulation import (
-    AXIS_PLACES,
-    SETTLED,
-    LoopCamera,
-    LoopTrial,
-    drawn_beams,
-    simulate_trials,
-    trial_settings,
-    wrong_beams,
-)
 from onebend.errors import StudioError
 from onebend.results.model import read_model
 from onebend.studio.bending import BEGIN_TURN, LARGEST_TIMES, bending_force
@@ -59,7 +50,7 @@ def beam_data(name: str, folder: Path) -> dict[str, Any]:
     return {
         "name": name,
         "length_m": beam.length,
-        "rest_m": np.round(beam.equilibrium((0.0, 0.0)).xy(AXIS_PLACES), 6).tolist(),
+        "rest_m": np.round(beam.equilibrium((0.0, 0.0)).xy(loop_simulation.AXIS_PLACES), 6).tolist(),
         "goal_m": np.round(beam.equilibrium((force, 2.0 * force)).xy(1.0), 4).tolist(),
         "band": stored.uncertain is not None,
         "mass": has_mass(beam),
@@ -106,14 +97,20 @@ def work(wanted: Mapping[str, Any]) -> None:
     draws, k_error = wanted["draws"], wanted["k_error"]
     beam, delay = stored.beam, 1e-3 * wanted["delay_ms"]
     most = math.inf if wanted["max_force_N"] is None else wanted["max_force_N"]
-    beams = drawn_beams(beam, stored.uncertain, draws) if draws else wrong_beams(beam, k_error)
-    settings = trial_settings(wanted["fps"], delay, 0.3 if draws else k_error, most)
+    beams = (
+        loop_simulation.drawn_beams(beam, stored.uncertain, draws)
+        if draws
+        else loop_simulation.wrong_beams(beam, k_error)
+    )
+    settings = loop_simulation.trial_settings(wanted["fps"], delay, 0.3 if draws else k_error, most)
     where = {"push_s": wanted["push_s"], "point_s": wanted["point_s"]}
     control = controller(beam, wanted["goal_m"], **where, settings=settings)
     tell({"found": {"control": control_data(control)}})
-    eye = LoopCamera(fps=wanted["fps"], delay=delay, noise=1e-3 * wanted["noise_mm"])
+    eye = loop_simulation.LoopCamera(fps=wanted["fps"], delay=delay, noise=1e-3 * wanted["noise_mm"])
     tell({"stage": "simulating", "done": 0, "total": len(beams)})
-    for i, trial in enumerate(simulate_trials(control, beams, eye=eye, duration=wanted["duration_s"]), start=1):
+    for i, trial in enumerate(
+        loop_simulation.simulate_trials(control, beams, eye=eye, duration=wanted["duration_s"]), start=1
+    ):
         tell({"found": {"trial": trial_data(trial)}})
         tell({"stage": "simulating", "done": i, "total": len(beams)})
 
@@ -121,25 +118,19 @@ def work(wanted: Mapping[str, Any]) -> None:
 def control_data(control: Controller) -> dict[str, Any]:
     """Force, gains and margins; infinite where there is no limit."""
     known = control.margins()
-    return {
-        "force_N": control.reference.ends.tolist(),
-        "rise_s": control.reference.rise,
-        "rate_per_s": control.gains.rate,
-        "gain": known.gain,
-        "phase_rad": known.phase,
-        "delay_s": known.delay,
-        "softest": known.softest,
-    }
+    margins = {"gain": known.gain, "phase_rad": known.phase, "delay_s": known.delay, "softest": known.softest}
+    reference = {"force_N": control.reference.ends.tolist(), "rise_s": control.reference.rise}
+    return {**reference, "rate_per_s": control.gains.rate, **margins}
 
 
-def trial_data(trial: LoopTrial) -> dict[str, Any]:
+def trial_data(trial: loop_simulation.LoopTrial) -> dict[str, Any]:
     """One beam's run for the page, at no more than `MOST_MOMENTS` moments, evenly spread."""
     said: dict[str, Any] = {
         "name": trial_name(trial),
         "factor": trial.factor,
         "drawn": trial.beam.drawn,
         "steady_m": trial.steady,
-        "settled_s": trial.settled(SETTLED),
+        "settled_s": trial.settled(loop_simulation.SETTLED),
     }
     if trial.run is None:
         return said

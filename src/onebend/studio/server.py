@@ -93,15 +93,11 @@ class Asked:
         return _said({"folder": str(self.desk.places.root), "found": rows})
 
     async def result(self, request: Request) -> Response:
-        from onebend.studio.learned import result_data  # here: not before the first picture
-
         name = _name(request)
-        return _said(await run_in_threadpool(result_data, name, self.desk.places.result(name)))
+        return _said(await _of_room("learned", "result_data", name, self.desk.places.result(name)))
 
     async def film(self, request: Request) -> Response:
-        from onebend.studio.learned import film_data
-
-        return _said(await run_in_threadpool(film_data, self.desk.places.result(_name(request))))
+        return _said(await _of_room("learned", "film_data", self.desk.places.result(_name(request))))
 
     async def job(self, _request: Request) -> Response:
         job = self.desk.jobs.job
@@ -109,7 +105,7 @@ class Asked:
 
     async def recordings(self, request: Request) -> Response:
         what, asked = request.path_params["what"], await _posted(request)
-        found = await run_in_threadpool(of_room, "recordings", "answer", self.desk.places, what, asked)
+        found = await _of_room("recordings", "answer", self.desk.places, what, asked)
         if what == "new":
             self.desk.tell({"what": "places"})
         if what == "save" and "conflict" not in found:
@@ -117,17 +113,16 @@ class Asked:
         return _said(found)
 
     async def check_picture(self, request: Request) -> Response:
-        picture = await run_in_threadpool(of_room, "recordings", "check_picture_of", self.desk.places, _name(request))
+        picture = await _of_room("recordings", "check_picture_of", self.desk.places, _name(request))
         return Response(picture, media_type="image/png")
 
     async def beam(self, request: Request) -> Response:
         name = _name(request)
-        found = await run_in_threadpool(of_room, "rehearsing", "beam_data", name, self.desk.places.result(name))
-        return _said(found)
+        return _said(await _of_room("rehearsing", "beam_data", name, self.desk.places.result(name)))
 
     async def reach(self, request: Request) -> Response:
         asked = await _posted(request)
-        wanted = await run_in_threadpool(of_room, "rehearsing", "reach_asked", self.desk.places, asked)
+        wanted = await _of_room("rehearsing", "reach_asked", self.desk.places, asked)
         return _said(await self.desk.reach(*wanted))
 
     async def work(self, request: Request) -> Response:
@@ -139,7 +134,7 @@ class Asked:
         if what == "stop":
             await work.stop()
         elif what == "start":
-            await work.start(await run_in_threadpool(of_room, work.module, "wanted_work", self.desk.places, asked))
+            await work.start(await _of_room(work.module, "wanted_work", self.desk.places, asked))
         else:
             raise StudioError(f"work is started and stopped; there is no {what[:100]!r}")
         return _said({})
@@ -183,16 +178,9 @@ class Asked:
         out = asked_text(asked, "out") or f"{Path(recordings[0]).name}-results"
         if self.desk.places.path(out) == self.desk.places.root:
             raise StudioError("results go to a folder of their own")
-        replace = asked.get("replace") is True
-        wanted = {
-            "folder": str(self.desk.places.root),
-            "recordings": recordings,
-            "validate": validate,
-            "out": out,
-            "replace": replace,
-            "command": learn_line(recordings, validate, plain_word(out), replace),
-        }
-        await self.desk.jobs.start(wanted)
+        wanted = {"recordings": recordings, "validate": validate, "out": out, "replace": asked.get("replace") is True}
+        command = learn_line(recordings, validate, plain_word(out), wanted["replace"])
+        await self.desk.jobs.start({**wanted, "folder": str(self.desk.places.root), "command": command})
         return _said({"out": out})
 
     async def stop(self, _request: Request) -> Response:
@@ -213,13 +201,12 @@ def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request],
 
 
 def _said(data: Any, status: int = 200) -> Response:
-    """JSON, whatever the names and texts in it."""
     return Response(to_json(data, readable=False), status, media_type="application/json")
 
 
-def of_room(room: str, function: str, *arguments: Any) -> Any:
+async def _of_room(room: str, function: str, *arguments: Any) -> Any:
     """What a room's function gives; the room is loaded when it is first asked, by the thread that asks."""
-    return getattr(import_module(f"onebend.studio.{room}"), function)(*arguments)
+    return await run_in_threadpool(lambda: getattr(import_module(f"onebend.studio.{room}"), function)(*arguments))
 
 
 def _name(request: Request) -> str:
@@ -258,11 +245,8 @@ def opened_socket(port: int) -> socket.socket:
 
 
 def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
-    """Serve until interrupted; `ready` is given the address, with its token, when the page is there.
-
-    Raises:
-        StudioError: no such folder, or the port is taken.
-    """
+    """Serve until interrupted; `ready` is given the address, with its token, when the page is there. Raises
+    `StudioError`: no such folder, or the port is taken."""
     import uvicorn  # here: the application itself is made and tested without
 
     places = StudioFolder.of(folder)

@@ -20,6 +20,7 @@ from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edge
 from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
 from onebend.learning.sensing.model import Bench, Tags
 from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
+from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark
 
@@ -34,16 +35,38 @@ FROM_PRIOR = 0.25  # share of a variance left by the data from which it is said
 class SenseSettings:
     """What is known of the contact, and of forces before any shape was seen."""
 
-    place: Literal["known", "unknown"] = "known"
-    at_s: float | None = None  # where the force acts; None: as the recording says
-    at_sd: float | None = None  # m, one sd of that place; None: as the recording says
-    # N, one sd of each component before the shape is seen, mean zero; None: three times k/L, mean along the beam
-    force_prior: float | None = None
-    # whether the tags sit on the beam as they did when it was learned; "anew": they were put on again
-    tags: Literal["learned", "anew"] = "learned"
-    moment: bool = False  # whether the contact transmits a moment besides
-    moment_prior: float | None = None  # N m, one sd of it before the shape is seen; None: the force's times L
-    smooth: bool = False  # whether the force is told as a process over the frames besides
+    place: Literal["known", "unknown"] = option(
+        "--place",
+        "known",
+        "known: the force acts where the recording or --push-at says. unknown: it is sought.",
+    )
+    at_s: float | None = option(
+        "--push-at", None, "Where the force acts; default: as written.", metavar="S", within=(1e-6, 1.0)
+    )
+    at_sd: float | None = option(
+        "--push-sd-m", None, "One sd of that place; default: as written.", metavar="M", within=NOT_NEGATIVE
+    )
+    force_prior: float | None = option(
+        "--force-prior-N",
+        None,
+        "One sd of each component of the force before any shape is seen; default: three times k/L.",
+        metavar="N",
+        within=POSITIVE,
+    )
+    tags: Literal["learned", "anew"] = option(
+        "--tags", "learned", "learned: they sit where they did. anew: they were put on again."
+    )
+    moment: bool = option("--moment", False, "The contact transmits a moment besides, as a gripper does.")
+    moment_prior: float | None = option(
+        "--moment-prior-Nm",
+        None,
+        "One sd of the moment before; default: the force's times L.",
+        metavar="NM",
+        within=POSITIVE,
+    )
+    smooth: bool = option(
+        "--smooth", False, "Besides, the force as a process over the frames: what neighbours say counts."
+    )
 
 
 def check_settings(settings: SenseSettings, length: float) -> None:

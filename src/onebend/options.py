@@ -1,0 +1,136 @@
+"""Options of the command line, declared on the fields of the settings that they fill.
+
+`option` declares a field's option: its name, default, range and help stand there alone. A command takes the settings as
+one parameter, and `expanded` makes an option of each of its fields. An option has the unit at the end of its name, the
+field SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+POSITIVE, NOT_NEGATIVE = (1e-6, 1e9), (0.0, 1e9)  # ranges; numbers beyond them are no measures of a beam
+SCALES = {"deg": math.pi / 180.0, "mm": 1e-3, "ms": 1e-3, "kPa": 1e3, "percent": 1e-2}  # in SI, by the name's end
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a field; its range is in its own unit."""
+
+    name: str
+    help: str
+    metavar: str | None
+    within: tuple[float | None, float | None]
+    scale: float  # of the option's unit in SI
+
+    def shown(self, default: Any) -> Any:
+        """The field's default as the option's: None where it stands for something found later, or is a flag's."""
+        if isinstance(default, bool):
+            return False
+        if isinstance(default, float):
+            return round(default / self.scale, 9) if math.isfinite(default) else None
+        return None if isinstance(default, tuple) else default
+
+    def value(self, given: Any, default: Any) -> Any:
+        """A given option as the field has it. A flag turns its default around."""
+        if isinstance(default, bool):
+            return default != given
+        if isinstance(given, list):
+            return tuple(given)
+        return given * self.scale if isinstance(given, float) and self.scale != 1.0 else given
+
+
+@dataclass(frozen=True)
+class Only:
+    """Beside settings in `Annotated`: the command has options for these fields alone."""
+
+    names: tuple[str, ...]
+
+
+def option(
+    name: str,
+    default: Any,
+    help: str,
+    *,
+    metavar: str | None = None,
+    within: tuple[float | None, float | None] = (None, None),
+    scale: float | None = None,
+) -> Any:
+    """A field of settings with an option.
+
+    Args:
+        default: of the field, in SI units. The option has none where it is NaN, infinite or None.
+        within: the least and the largest value that may be given, in the option's unit.
+        scale: the option's unit in SI; None: by the end of its name.
+    """
+    size = SCALES.get(name.rsplit("-", 1)[-1], 1.0) if scale is None else scale
+    return field(default=default, metadata={"option": Option(name, help, metavar, within, size)})
+
+
+def expanded(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with an option for each declared field in place of its parameters that are settings."""
+    kinds = get_type_hints(command, include_extras=True)
+    parameters = list(signature(command).parameters.values())
+    settings = {one.name: kinds[one.name] for one in parameters if is_dataclass(_bare(kinds[one.name]))}
+    flat: list[Parameter] = []
+    for one in parameters:
+        own = _parameters(settings[one.name]) if one.name in settings else [one.replace(annotation=kinds[one.name])]
+        flat += own
+
+    @wraps(command)
+    def inside(**given: Any) -> None:
+        filled = {name: _filled(_bare(kind)(), given) for name, kind in settings.items()}
+        command(**filled, **{one.name: given[one.name] for one in parameters if one.name not in settings})
+
+    inside.__signature__ = signature(command).replace(parameters=flat)  # type: ignore[attr-defined]
+    inside.__annotations__ = {one.name: one.annotation for one in flat}
+    return inside
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _declared(settings: type) -> Iterator[tuple[str, Any, Any, Option | None]]:
+    """Name, type, default and option of each field with an option, or with settings of its own (without)."""
+    kinds = get_type_hints(settings)
+    for one in fields(settings):
+        if "option" in one.metadata or is_dataclass(kinds[one.name]):
+            yield one.name, kinds[one.name], one.default, one.metadata.get("option")
+
+
+def _parameters(settings: Any) -> Iterator[Parameter]:
+    import typer  # here: a library that only declares options does without
+
+    only = next((one.names for one in getattr(settings, "__metadata__", ()) if isinstance(one, Only)), None)
+    for name, kind, default, said in _declared(_bare(settings)):
+        if said is None:
+            yield from _parameters(kind)
+        elif only is None or name in only:
+            shown, (low, high) = said.shown(default), said.within
+            kind = list[get_args(kind)[0]] if get_origin(kind) is tuple else kind  # type: ignore[misc]
+            info = typer.Option(said.name, help=said.help, metavar=said.metavar, min=low, max=high)
+            yield Parameter(
+                _key(said), Parameter.KEYWORD_ONLY, default=shown,
+                annotation=Annotated[kind | None if shown is None else kind, info],
+            )  # fmt: skip
+
+
+def _filled(settings: Any, given: Mapping[str, Any]) -> Any:
+    """The settings with what was given."""
+    changes = {}
+    for name, _, default, said in _declared(type(settings)):
+        if said is None:
+            changes[name] = _filled(getattr(settings, name), given)
+        elif given.get(_key(said)) is not None:
+            changes[name] = said.value(given[_key(said)], default)
+    return replace(settings, **changes)
+
+
+def _key(said: Option) -> str:
+    return said.name.lstrip("-").replace("-", "_")

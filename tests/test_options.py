@@ -1,0 +1,86 @@
+"""Options from the fields of settings: names, units, ranges and defaults stand in the dataclass alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from inspect import Parameter, signature
+from typing import Annotated, Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from onebend.options import POSITIVE, Only, expanded, option
+
+
+@dataclass(frozen=True)
+class Inner:
+    angle: float = option("--angle-deg", math.radians(30.0), "An angle.", metavar="DEG", within=(0.0, 90.0))
+    limit: float = option("--limit-N", math.inf, "A limit; default: none.", metavar="N", within=POSITIVE)
+
+
+@dataclass(frozen=True)
+class Outer:
+    inner: Inner = field(default_factory=Inner)
+    places: tuple[float, ...] = option("--at", (1.0,), "Places.", metavar="S")
+    filmed: bool = option("--unfilmed", True, "No film.")
+    loud: bool = option("--loud", False, "Loud.")
+    length: float | None = option("--length-mm", None, "A length.", metavar="MM")
+    hidden: int = 7
+
+
+def answer(*words: str, kind: Any = Outer) -> Any:
+    """What a command with these settings is given, or its message where it refuses the words."""
+    given: list[Any] = []
+
+    def command(*, name: Annotated[str, typer.Option("--name")] = "beam", settings: Any) -> None:
+        given.append((name, settings))
+
+    command.__annotations__["settings"] = kind
+    app = typer.Typer()
+    app.command()(expanded(command))
+    done = CliRunner().invoke(app, words)
+    return given[0] if given else done.output
+
+
+def test_without_options_the_settings_are_the_defaults() -> None:
+    assert answer() == ("beam", Outer())
+
+
+def test_options_fill_the_fields_in_si_units() -> None:
+    name, found = answer(
+        *("--name", "rod", "--angle-deg", "60", "--limit-N", "2", "--at", "0.2", "--at", "0.5"),
+        *("--unfilmed", "--loud", "--length-mm", "12"),
+    )
+    assert name == "rod"
+    assert found.inner == Inner(math.radians(60.0), 2.0)
+    assert found.places == (0.2, 0.5)
+    assert (found.filmed, found.loud) == (False, True)
+    assert found.length == pytest.approx(0.012)
+    assert found.hidden == 7
+
+
+def test_a_range_is_in_the_option_s_unit() -> None:
+    assert "less than or equal to 90" in answer("--angle-deg", "91")
+    assert answer("--angle-deg", "90")[1].inner.angle == pytest.approx(0.5 * math.pi)
+
+
+def test_the_help_shows_the_default_in_the_option_s_unit_and_none_for_what_is_found_later() -> None:
+    shown = " ".join(answer("--help").split())
+    assert "[default: 30.0]" in shown
+    assert "inf" not in shown
+
+
+def test_a_command_may_take_some_fields_alone() -> None:
+    kind = Annotated[Outer, Only(("loud",))]
+    assert answer("--loud", kind=kind)[1] == Outer(loud=True)
+    assert "No such option" in answer("--unfilmed", kind=kind)
+
+
+def test_a_command_without_settings_keeps_its_parameters() -> None:
+    def command(*, name: str = "beam") -> None: ...
+
+    assert list(signature(expanded(command)).parameters.values()) == [
+        Parameter("name", Parameter.KEYWORD_ONLY, default="beam", annotation=str)
+    ]
