@@ -16,6 +16,7 @@ from onebend.learning.optimizer import FitSettings
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, Source, Stated, View
+from onebend.report.sentences import worded
 
 LENGTH = 0.15  # m
 MARKER_S = np.array([1 / 3, 2 / 3, 1.0])
@@ -195,7 +196,7 @@ def findings(validations: int = 2, *, fitted: bool = True) -> MadeUp:
         posterior=posterior() if fitted else None,
         recordings=(observations(one=training),),
         trainings=(training,),
-        remarks=learned(training).remarks,
+        remarks=worded(learned(training).remarks),
         validations=tuple(others),
         validation_observations=tuple(observations(one.name, one) for one in others),
     )

@@ -37,15 +37,14 @@ from onebend.report.confidence import (
     tradeoff_words,
     unidentified_words,
 )
+from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.verdict import hopeless, verdict_of
 from onebend.report.wording import (
     UNKNOWN,
     Findings,
-    all_remarks,
     bic_words,
     millimetres,
     only_frequencies,
-    pair_remarks,
     percent,
     significant,
     stage_rows,
@@ -347,7 +346,7 @@ def show_frequencies(console: Console, found: FoundFrequencies) -> None:
         highlight=False,
     )
     if found.remarks:
-        console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+        console.print(remarks_list([(found.name, remark) for remark in worded(found.remarks)]))
         console.print()
     console.print("For recording.toml:\n", highlight=False)
     console.print(frequency_entries(found), markup=False, highlight=False)
@@ -363,7 +362,7 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
         "(RMS) from the fitted motion.\n",
         highlight=False,
     )
-    console.print(remarks_list([(fit.swing.name, remark) for remark in fit.remarks]))
+    console.print(remarks_list([(fit.swing.name, remark) for remark in worded(fit.remarks)]))
     if out is not None:
         console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
 

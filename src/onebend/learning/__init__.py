@@ -52,7 +52,7 @@ if TYPE_CHECKING:
         OptimizerSettings as OptimizerSettings,
         Optimum as Optimum,
     )
-    from onebend.learning.outcome import Learned as Learned, Trial as Trial
+    from onebend.learning.outcome import Learned as Learned, Notice as Notice, Trial as Trial
     from onebend.learning.paper import RegressionSettings as RegressionSettings, regress as regress
     from onebend.learning.parameters import (
         Block as Block,
@@ -109,7 +109,7 @@ else:
             "onebend.learning.linear": "FitProblem Hyperparameters RecordingNoise",
             "onebend.learning.normal": "Conditioning JointCovariance",
             "onebend.learning.optimizer": "FitSettings Miss OptimizerSettings Optimum",
-            "onebend.learning.outcome": "Learned Trial",
+            "onebend.learning.outcome": "Learned Notice Trial",
             "onebend.learning.paper": "RegressionSettings regress",
             "onebend.learning.parameters": "Block KnownShape Layout LearnedMass Priors Spline",
             "onebend.learning.posterior": "Nuisance",

@@ -18,8 +18,9 @@ from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
 from onebend.beam.stiffness import UncertainStiffness, half_width
+from onebend.learning.outcome import Notice
 from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
-from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+from onebend.records import Array, BoolArray, IntArray, Observations
 
 _SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
 _ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too
@@ -248,7 +249,6 @@ _REACH = 0.999  # of the length: an end that was read as farther away is put whe
 _SETTLE = 3  # steps of the ends towards the points
 _STRIDE = 0.3  # of the length, rad: the longest of them
 _WEAK = 1e-6  # of the derivatives squared: what keeps an end in place that no point tells of
-_PLACES = (0.1, 0.5, 0.9)  # where k is compared if only its shape is known
 
 
 @dataclass(frozen=True)
@@ -393,38 +393,25 @@ def _closer(xy: Array, s: Array, solved: Equilibrium, ends: HeldEnds) -> Array:
     return np.asarray(step * np.minimum(1.0, _STRIDE / np.maximum(size, 1e-300)))
 
 
-def stated_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
-    """What was stated of how k varies; and what can be said of it where nothing sets its scale."""
-    known = known_shape(recordings)
-    said = () if known is None else (_of_shape(known),)
-    return said + (_no_scale(stiffness) if sets_no_scale(recordings) else ())
-
-
-def _of_shape(known: KnownShape) -> Remark:
-    text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
-    if known.section is not None:
-        text = 'k is taken as one modulus times the section\'s I(s), as stiffness_along = "section" says'
-        if known.errors(np.zeros(1)).size == 0:
-            sd = "I_sd" if known.section.moment is not None else "section_sd_m"
-            text += f" (exact, as no {sd} is stated)"
-    if known.varies > 0.0:
-        text += f", and as free to vary slowly by {100.0 * known.varies:.2g} % (sd) beside that"
-    return Remark("note", text)
-
-
-def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
-    s = np.array(_PLACES)
+def stated_notices(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Notice, ...]:
+    """A note on how k was stated to vary, and a warning if nothing determines the size of k(s)."""
+    shape = known_shape(recordings)
+    known = () if shape is None else (_of_shape(shape),)
+    if not sets_no_scale(recordings):
+        return known
+    s = np.array([0.1, 0.5, 0.9])
     rows, logs = stiffness.basis(s), stiffness.log_at(s)[0]
     rows = rows[[0, 2]] - rows[1]
     sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
     ratio, wide = np.exp(logs[[0, 2]] - logs[1]), np.exp(half_width(sd))
-    said = ", ".join(
-        f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
-        for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)
-    )
-    text = (
-        "the size of k(s) is not identifiable: neither weight nor a force of known size acts, only holders with "
-        f"unknown ones. Only ratios are known; k over k(0.5), with its 95 % band: {said}. Weigh the beam and let its "
-        "weight act, or hang on or measure one force"
-    )
-    return (Remark("warning", text, about="no scale"),)
+    ratios = np.stack([s[[0, 2]], ratio, ratio / wide, ratio * wide], axis=1)
+    return (*known, Notice("no scale", {"ratios": ratios.tolist()}))
+
+
+def _of_shape(known: KnownShape) -> Notice:
+    code, exact = "even k", ""
+    if known.section is not None:
+        code = "k by section"
+        if known.errors(np.zeros(1)).size == 0:
+            exact = "I_sd" if known.section.moment is not None else "section_sd_m"
+    return Notice(code, {"exact": exact, "varies": known.varies})

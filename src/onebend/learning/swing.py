@@ -16,10 +16,11 @@ from onebend.beam.stiffness import Profile, Scaled, Table, UncertainStiffness, U
 from onebend.beam.vibration import Vibration, settle, vibration_of
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.frames import whitening
+from onebend.learning.outcome import Notice
 from onebend.learning.parameters import Priors
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.signals import MAD_TO_SD
-from onebend.records import Array, Observations, Remark, covariance_with_camera
+from onebend.records import Array, Observations, covariance_with_camera
 
 # The frames of a recording in which the beam swings freely, and a first look at how fast and how damped it swings.
 
@@ -524,7 +525,7 @@ class SwingFit:
     swing: Swing
     predicted: Array  # (T, m, 3) tags as the fitted motion moves them: x, y, angle
     rms: Array  # (m,) m, distance of the tags from it
-    remarks: tuple[Remark, ...]
+    remarks: tuple[Notice, ...]
 
 
 @one_blas_thread
@@ -638,42 +639,26 @@ def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) 
         rms=np.sqrt(np.nanmean(away**2, axis=0)),
         remarks=(),
     )
-    return replace(fit, remarks=_remarks(fit, fitted))
+    return replace(fit, remarks=_notices(fit, fitted))
 
 
-def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
-    out: list[Remark] = []
+def _notices(fit: SwingFit, fitted: Fitted) -> tuple[Notice, ...]:
+    out: list[Notice] = []
     if fitted.moved:
-        text = "The fit still moved when its rounds were used up: its numbers are provisional. Film for longer."
-        out.append(Remark("warning", text, about="swing"))
+        out.append(Notice("swing moved"))
     travel = np.sqrt(np.nanmean(np.sum((fit.swing.seen - fit.swing.rest)[..., :2] ** 2, axis=-1), axis=0))
     worst = int(np.nanargmax(fit.rms / travel))
     if fit.rms[worst] > _FAR_OFF * travel[worst]:
-        text = (
-            f"The tag at s = {fit.swing.s[worst]:.3g} is {1000 * fit.rms[worst]:.2g} mm (RMS) from the fitted motion, "
-            f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) or "
-            "mass along it), or is touched while it swings. Learn k(s) again, and film a release that nothing touches."
-        )
-        out.append(Remark("warning", text, about="swing"))
+        values = {"s": float(fit.swing.s[worst]), "rms": float(fit.rms[worst]), "motion": float(travel[worst])}
+        out.append(Notice("swing missed", values))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:
-        text = "The damping is hardly seen: film the swing for longer, or from further out."
-        out.append(Remark("warning", text, about="swing"))
+        out.append(Notice("damping unseen"))
     if fit.mass_known:
-        out.append(_check_of_stiffness(fit))
-    if not fit.mass_known and not np.isfinite(fit.mass_sd):
-        out.append(Remark("note", "The model has no band on k(s), so nothing says how sure the mass is."))
+        sd = float(np.hypot(fit.factor_sd, fit.model_sd))
+        away = abs(np.log(fit.factor)) / sd if np.isfinite(sd) else 0.0
+        code = "swing agrees" if away <= _CONTRADICTS else "swing contradicts"
+        values = {"factor": fit.factor, "sd": sd, "swing_sd": fit.factor_sd, "model_sd": fit.model_sd, "away": away}
+        out.append(Notice(code if np.isfinite(sd) else "swing without a band", values))
+    elif not np.isfinite(fit.mass_sd):
+        out.append(Notice("mass without a band"))
     return tuple(out)
-
-
-def _check_of_stiffness(fit: SwingFit) -> Remark:
-    """k over mass against the model's."""
-    sd = float(np.hypot(fit.factor_sd, fit.model_sd))
-    said = f"k over mass is {fit.factor:.3f} times the model's"
-    if not np.isfinite(sd):
-        return Remark("note", f"The swing says that {said}; the model has no band that would say if this is much.")
-    said += f" (sd {sd:.2g}: {fit.factor_sd:.2g} from the swing, {fit.model_sd:.2g} from k(s) and how the mass lies)"
-    away = abs(np.log(fit.factor)) / sd
-    if away > _CONTRADICTS:
-        text = f"The swing contradicts the model: {said}. Weigh the beam, and check the force's gain."
-        return Remark("warning", text, about="swing")
-    return Remark("note", f"The swing agrees with the model to {away:.1f} sd: {said}.")

@@ -17,9 +17,10 @@ from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
 from onebend.errors import LearningError
+from onebend.learning.outcome import Notice
 from onebend.learning.swing import FilmPart, swinging_part
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, IntArray, Remark
+from onebend.records import Array, BoolArray
 
 _FEWEST = 30  # samples
 _FAST = 0.2  # of the sampling rate: a faster mode may be one that is faster still
@@ -60,7 +61,7 @@ class FoundFrequencies:
     samples: int
     rate: float  # samples/s
     left: float  # of the signals' own size, RMS: what no mode explains
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Notice, ...] = ()
 
     def sped_up(self, times: float) -> FoundFrequencies:
         """As it was, where the record plays so many times slower."""
@@ -96,15 +97,9 @@ def frequencies_of(
     found = swing_frequencies(time[looked_at], signals[looked_at], most=most, name=name)
     if len(looked_at) == len(inside):
         return found
-    return replace(found, remarks=(*found.remarks, _too_many(time, inside, looked_at)))
-
-
-def _too_many(time: Array, inside: IntArray, looked_at: IntArray) -> Remark:
-    text = (
-        f"{len(inside)} samples from {time[inside[0]]:.2f} to {time[inside[-1]]:.2f} s are more than are looked at: "
-        f"the first {len(looked_at)} are, to {time[looked_at[-1]]:.2f} s. For more of it write fewer samples a second"
-    )
-    return Remark("note", text)
+    values = {"samples": len(inside), "used": len(looked_at)}
+    values |= {"begin": time[inside[0]], "end": time[inside[-1]], "last": time[looked_at[-1]]}
+    return replace(found, remarks=(*found.remarks, Notice("many samples", values)))
 
 
 def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str = "the signals") -> FoundFrequencies:
@@ -139,7 +134,7 @@ def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str =
     modes = _modes(s, found, covariance)
     size = float(np.sqrt(np.sum(_left(s, found) ** 2) / np.sum(s.value**2)))
     ends = float(time[0]), float(time[-1])
-    return FoundFrequencies(name, modes, *ends, len(s.time), s.rate, size, _remarks(modes, s))
+    return FoundFrequencies(name, modes, *ends, len(s.time), s.rate, size, _notices(modes, s))
 
 
 def _prepared(time: Array, signals: Array, name: str) -> _Signals:
@@ -295,17 +290,8 @@ def _is_multiple(hz: float, base: float) -> bool:
     return any(abs(hz / (n * base) - 1.0) < _MULTIPLE for n in (2, 3))
 
 
-def _remarks(modes: tuple[SwingFrequency, ...], s: _Signals) -> tuple[Remark, ...]:
-    out = []
+def _notices(modes: tuple[SwingFrequency, ...], s: _Signals) -> tuple[Notice, ...]:
     fastest = modes[-1].frequency
-    if fastest > _FAST * s.rate:
-        text = (
-            f"{fastest:.4g} Hz is fast for {s.rate:.4g} samples a second, and may be the image of a faster mode: see "
-            "whether it stays where it is at another frame rate"
-        )
-        out.append(Remark("note", text))
-    for one in modes:
-        if one.multiple_of:
-            text = f"{one.frequency:.4g} Hz is a multiple of {one.multiple_of:.4g} Hz: the way the points move, no mode"
-            out.append(Remark("note", text))
-    return tuple(out)
+    fast = (Notice("fast mode", {"frequency": fastest, "rate": s.rate}),) if fastest > _FAST * s.rate else ()
+    multiples = [one for one in modes if one.multiple_of]
+    return (*fast, *(Notice("multiple", {"frequency": one.frequency, "of": one.multiple_of}) for one in multiples))

@@ -25,7 +25,7 @@ from onebend.learning.frames import (
     usable_frames,
 )
 from onebend.learning.frequencies import validated_frequencies
-from onebend.learning.outcome import Comparison
+from onebend.learning.outcome import Comparison, Notice
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.prediction import few_frames, variances
 from onebend.learning.static_poses import (
@@ -43,7 +43,6 @@ from onebend.learning.static_poses import (
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
-_MOST_NAMED = 6  # poses
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
@@ -87,10 +86,10 @@ def validate(
     predicted, stable, converged, by_sensor = (np.concatenate(values) for values in zip(*parts, strict=True))
     measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = np.sqrt(np.mean(by_sensor, axis=0))
-    remarks = _remarks(stable, converged)
+    notices: tuple[Notice | Remark, ...] = _notices(stable, converged)
     seen = seen_poses(observations, frames)
     if seen is not None:  # of static poses, which are one chunk
-        remarks += _pose_remarks(observations, frames, seen, solved, predicted)
+        notices += _pose_notices(observations, frames, seen, solved, predicted)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -105,7 +104,7 @@ def validate(
         rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
-        remarks=remarks + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
+        remarks=notices + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 
@@ -195,54 +194,28 @@ def _likely_rms(
     return np.asarray(np.sqrt(np.nan_to_num(sensor_rms) ** 2 + sum(parts.values())))
 
 
-def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
-    out = []
-    if not np.all(converged):
-        out.append(
-            Remark(
-                "warning",
-                f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
-                "branch that grows from rest (it would snap through); these frames are left out of the comparison: "
-                "check the force and its place",
-                about="no equilibrium",
-            )
-        )
-    if not np.all(stable | ~converged):
-        text = f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"
-        text += ": check the force's sign, and that it is this beam"
-        out.append(Remark("warning", text, about="no equilibrium"))
-    return tuple(out)
+def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:
+    lost, buckled = int(np.sum(~converged)), int(np.sum(converged & ~stable))
+    snaps = (Notice("snaps", {"lost": lost, "frames": len(converged)}),) if lost else ()
+    return (*snaps, *((Notice("buckled", {"frames": buckled}),) if buckled else ()))
 
 
-def _pose_remarks(
+def _pose_notices(
     o: Observations, frames: BoolArray, seen: SeenPoses, solved: Equilibrium, predicted: Array
-) -> tuple[Remark, ...]:
-    """Warnings on single poses: that no stable equilibrium is near the points, or another one than the stated history
-    leads to. Where most poses are far off, it is nothing of one pose."""
-    names, held = pose_names(o, frames), np.zeros(int(np.sum(frames)), dtype=bool) if o.held is None else o.held[frames]
+) -> tuple[Notice, ...]:
+    """Warnings on single poses: no stable equilibrium near the points, or another one than the stated history leads to.
+
+    There is none if most poses are far off: then no single pose is at fault.
+    """
+    names = pose_names(o, frames)
+    free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
     rms = pose_rms(o.xy[frames] - predicted)
-    unlike = unexplained(rms, o.length) & ~held
-    out = []
-    if unlike.any():
-        text = (
-            f"no stable equilibrium of the beam under its loads is near the points: {_poses_off(names, rms, unlike)} "
-            "(RMS). Check the loads, clamp_deg, and the points there, and that nothing touched the beam"
-        )
-        out.append(Remark("warning", text, about="pose"))
+    unlike = unexplained(rms, o.length) & free
     off, other = elsewhere(solved, seen)
-    other &= ~unlike & ~held
-    if other.any():
-        text = (
-            "the points show another equilibrium than the base's turning leads to, and were followed: it would be off "
-            f"by {_poses_off(names, off, other)} (RMS). Check turned_from_deg and order, and that nobody touched the "
-            "beam"
-        )
-        out.append(Remark("warning", text, about="pose history"))
-    return tuple(out)
+    found = (("pose", rms, unlike), ("pose history", off, other & ~unlike & free))
+    return tuple(Notice(code, {"poses": _farthest(names, far, which)}) for code, far, which in found if which.any())
 
 
-def _poses_off(names: tuple[str, ...], rms: Array, which: BoolArray) -> str:
-    """Poses with their distances [m], the farthest first."""
-    order = [i for i in np.argsort(-rms).tolist() if which[i]]
-    said = ", ".join(f"pose {names[i]} by {1e3 * rms[i]:.3g} mm" for i in order[:_MOST_NAMED])
-    return said + (f" and {len(order) - _MOST_NAMED} more" if len(order) > _MOST_NAMED else "")
+def _farthest(names: tuple[str, ...], rms: Array, which: BoolArray) -> tuple[tuple[str, float], ...]:
+    """Names of poses with their distances [m], the farthest first."""
+    return tuple((names[i], float(rms[i])) for i in np.argsort(-rms).tolist() if which[i])

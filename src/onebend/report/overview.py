@@ -11,7 +11,6 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from onebend.errors import ObservationError, OnebendError, told
-from onebend.learning.outcome import size_words
 from onebend.recording.bag_topics import bag_span
 from onebend.recording.beam_frame import read_base_log, rest_shape
 from onebend.recording.clock import ClockSettings, reach_of
@@ -28,6 +27,7 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
 from onebend.records import Array, ForceLog, Markers, Observations, Remark
+from onebend.report.sentences import size_words
 from onebend.report.wording import significant
 
 STEP, MOST_OFFSETS = 0.05, 2000  # s between offsets of the clocks that are tried, and how many at most

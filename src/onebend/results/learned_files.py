@@ -23,8 +23,9 @@ from onebend.records import Observations, StatedSection
 from onebend.report.confidence import identified_ranges
 from onebend.report.page import page, shown_made_from
 from onebend.report.pictures import Pictures
+from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.verdict import verdict_of
-from onebend.report.wording import Findings, all_remarks, pair_remarks
+from onebend.report.wording import Findings
 from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
@@ -187,7 +188,7 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
         "frames": len(fit.swing.time),
         "s": fit.swing.s,
         "rms_m": fit.rms,
-        "remarks": [remark.as_dict() for remark in fit.remarks],
+        "remarks": [remark.as_dict() for remark in worded(fit.remarks)],
     }
 
 
@@ -204,7 +205,7 @@ def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str
         "samples": found.samples,
         "samples_per_s": found.rate,
         "left": found.left,
-        "remarks": [remark.as_dict() for remark in found.remarks],
+        "remarks": [remark.as_dict() for remark in worded(found.remarks)],
     }
 
 
@@ -219,7 +220,7 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
         "sensor_rms_m": comparison.sensor_rms,
         "likely_rms_m": comparison.likely_rms,
         "all_stable": bool(np.all(comparison.stable)),
-        "remarks": [remark.as_dict() for remark in comparison.remarks],
+        "remarks": [remark.as_dict() for remark in worded(comparison.remarks)],
     }
 
 

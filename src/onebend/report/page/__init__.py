@@ -22,7 +22,7 @@ from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.frequencies import compared_frequencies, worst_off
 from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms, possible, unseen_words
+from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
 from onebend.report.confidence import (
     alarm_words,
@@ -46,12 +46,12 @@ from onebend.report.confidence import (
     unidentified_words,
 )
 from onebend.report.pictures import FilmStrip
+from onebend.report.sentences import all_remarks, posture_words, words
 from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import (
     LEVELS,
     UNKNOWN,
     Findings,
-    all_remarks,
     assumptions,
     bic_words,
     files_described,
@@ -451,6 +451,7 @@ def _content(findings: Findings) -> dict[str, Any]:
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
     """What the page says of the fit."""
     rms = zip(recordings, fitted_rms(posterior), strict=True)
+    unseen = unseen_place(possible(posterior))
     return {
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
@@ -458,7 +459,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
         "tests": model_test_rows(posterior),
         "testable": bool(possible(posterior).criticism.able),
         "alarm": alarm_words(posterior),
-        "unseen": unseen_words(possible(posterior)),
+        "unseen": "" if unseen is None else words(unseen),
         "blind": unidentified_words(posterior.stiffness, len(recordings)),
         "gain": " ".join(
             [
@@ -500,7 +501,7 @@ def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
         {
             "name": row.recording,
             "mode": str(row.mode),
-            "posture": row.posture,
+            "posture": posture_words(row.posture),
             "measured": f"{row.measured:.5g}",
             "sd": f"{row.sd:.2g}",
             "fitted": f"{row.fitted:.5g}",
