@@ -22,34 +22,10 @@ from onebend.learning.swing import Damping, SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
-from onebend.report.confidence import (
-    MeasuredBeam,
-    ModulusRows,
-    allowance_rows,
-    load_error_words,
-    measured_beam,
-    modulus_rows,
-    modulus_words,
-    mounting_words,
-    nuisance_rows,
-    scale_words,
-    stop_words,
-    tradeoff_words,
-    unidentified_words,
-)
+from onebend.report import confidence, wording
 from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.verdict import hopeless, verdict_of
-from onebend.report.wording import (
-    UNKNOWN,
-    Findings,
-    bic_words,
-    millimetres,
-    only_frequencies,
-    percent,
-    significant,
-    stage_rows,
-    tag_words,
-)
+from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
 
 if TYPE_CHECKING:
@@ -75,7 +51,7 @@ def selection_table(learned: Learned) -> Table:
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
-        cells = [str(trial.n), str(trial.m), *errors[i], bic_words(trial.bic)]
+        cells = [str(trial.n), str(trial.m), *errors[i], wording.bic_words(trial.bic)]
         style = "bold green" if chosen else "dim" if trial.why_out else ""
         table.add_row("➤" if chosen else "", *cells, escape("chosen" if chosen else trial.why_out), style=style)
     return table
@@ -88,7 +64,7 @@ def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
             list(map(millimetres, t.rms)) for t in learned.trials
         ]
     worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
-    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else UNKNOWN] for rms in worst]
+    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
@@ -104,7 +80,7 @@ def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
         for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
             beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
-            table.add_row(*whose, tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
+            table.add_row(*whose, wording.tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
     return table
 
 
@@ -113,7 +89,7 @@ def band_places(columns: int) -> Array:
     return np.linspace(0.0, 1.0, 11 if columns >= WIDE else 6)
 
 
-def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: ModulusRows | None = None) -> Table:
+def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: confidence.ModulusRows | None = None) -> Table:
     """k and its band at `band_places`, as they lie below a plot of so many columns; Young's modulus there below it."""
     s = band_places(columns)
     count, band = len(s), uncertain.band(s)
@@ -146,7 +122,7 @@ def half_widths(band: Band) -> list[str]:
 
 
 def estimate_table(
-    uncertain: UncertainStiffness, regression: Learned | None, modulus: ModulusRows | None = None
+    uncertain: UncertainStiffness, regression: Learned | None, modulus: confidence.ModulusRows | None = None
 ) -> Table:
     """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
@@ -161,7 +137,14 @@ def estimate_table(
             table.add_column(escape(name), justify="right", no_wrap=True)
     columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
     for i, (place, k, half, low, high, known) in enumerate(columns):
-        cells = [f"{place:.1f}", significant(k), half, significant(low), significant(high), "yes" if known else "no"]
+        cells = [
+            f"{place:.1f}",
+            significant(k),
+            half,
+            significant(low),
+            significant(high),
+            "yes" if known else "no",
+        ]
         if regression is not None:
             cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
         if modulus is not None:
@@ -176,7 +159,7 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
     table.add_column("", overflow="fold")
     for name in ("value", "sd before", "sd after", ""):
         table.add_column(name, justify="right" if name else "left", no_wrap=True)
-    for row in nuisance_rows(nuisances):
+    for row in confidence.nuisance_rows(nuisances):
         style = "yellow" if row.moved > 2.0 else ""
         table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
     return table
@@ -188,7 +171,7 @@ def allowance_table(posterior: Posterior) -> Table:
     table.add_column("", overflow="fold")
     for name in ("widens the band by", "k(s) without it", "sd from nothing"):
         table.add_column(name, justify="right")
-    for row in allowance_rows(posterior):
+    for row in confidence.allowance_rows(posterior):
         table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
     return table
 
@@ -199,10 +182,10 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     table.add_column("stage")
     table.add_column("s", justify="right")
     table.add_column("of the video", justify="right")
-    *stages, total = stage_rows(seconds)
+    *stages, total = wording.stage_rows(seconds)
     for name, value in stages:
-        table.add_row(escape(name), f"{value:.2f}", percent(value, video_seconds))
-    table.add_row(total[0], f"{total[1]:.2f}", percent(total[1], video_seconds), style="bold")
+        table.add_row(escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
+    table.add_row(total[0], f"{total[1]:.2f}", wording.percent(total[1], video_seconds), style="bold")
     return table
 
 
@@ -309,7 +292,9 @@ def swing_table(fit: SwingFit) -> Table:
         table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")
     else:
         table.add_row(
-            "mass \\[g]", significant(1000 * fit.mass), f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?"
+            "mass \\[g]",
+            significant(1000 * fit.mass),
+            f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?",
         )
     return table
 
@@ -462,7 +447,7 @@ _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
 def show_run(
-    console: Console, run: Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
+    console: Console, run: wording.Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
 ) -> None:
     """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it.
 
@@ -488,7 +473,7 @@ def show_run(
     say_path(console, "report" if report else "results", out / "report.html" if report else out)
 
 
-def verdict_rows(run: Findings) -> Table:
+def verdict_rows(run: wording.Findings) -> Table:
     """The verdict, a row each."""
     verdict = verdict_of(run)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
@@ -500,28 +485,28 @@ def verdict_rows(run: Findings) -> Table:
     return table
 
 
-def _stiffness(console: Console, run: Findings, *, log: bool) -> list[RenderableType]:
+def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[RenderableType]:
     """The plot as large as the screen lets it be, and the numbers below."""
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
-    measured = measured_beam(run)
-    words = modulus_words(measured)
+    measured = confidence.measured_beam(run)
+    words = confidence.modulus_words(measured)
     below: list[RenderableType] = [_sentences(words)] if words else []
     if run.posterior is None:
         return [stiffness_plot(run.beam, rows=rows), *below]
     uncertain = run.posterior.stiffness
-    numbers = band_table(uncertain, columns=columns, modulus=modulus_rows(measured, band_places(columns)))
+    numbers = band_table(uncertain, columns=columns, modulus=confidence.modulus_rows(measured, band_places(columns)))
     return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
 
 
-def _everything(run: Findings) -> list[RenderableType]:
+def _everything(run: wording.Findings) -> list[RenderableType]:
     """What the answer does not need: it stands in the report as well."""
     parts: list[RenderableType] = []
     if run.learned is not None:
         parts.append(selection_table(run.learned))
     if run.posterior is not None:
         parts += _fit(run, run.posterior)
-    seen = not only_frequencies(run.recordings)
+    seen = not wording.only_frequencies(run.recordings)
     if seen:
         parts.append(comparison_table(run.trainings, "Learned from, force as logged"))
     if seen and run.posterior is not None:
@@ -531,7 +516,7 @@ def _everything(run: Findings) -> list[RenderableType]:
     return [*parts, remarks_list(all_remarks(run))]
 
 
-def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
+def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
     """Why there are two errors of what was learned from."""
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
@@ -543,21 +528,26 @@ def _as_logged_words(run: Findings, posterior: Posterior) -> list[str]:
     return words
 
 
-def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
+def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
     """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
-    blind = unidentified_words(uncertain, len(run.recordings))
+    blind = confidence.unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [
-        estimate_table(uncertain, run.learned, modulus_rows(measured_beam(run), np.linspace(0.0, 1.0, 11)))
+        estimate_table(
+            uncertain, run.learned, confidence.modulus_rows(confidence.measured_beam(run), np.linspace(0.0, 1.0, 11))
+        )
     ]
-    force = [scale_words(posterior.gain_sd, run.recordings), *load_error_words(posterior.load_error)]
+    force = [
+        confidence.scale_words(posterior.gain_sd, run.recordings),
+        *confidence.load_error_words(posterior.load_error),
+    ]
     if len(run.recordings) > 1:
-        force.append(mounting_words(posterior))
-    found.append(_sentences([*blind, *force, f"The fit {stop_words(posterior)}."]))
+        force.append(confidence.mounting_words(posterior))
+    found.append(_sentences([*blind, *force, f"The fit {confidence.stop_words(posterior)}."]))
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
-    words = tradeoff_words(posterior)
+    words = confidence.tradeoff_words(posterior)
     return (
         [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
         if words
@@ -565,7 +555,7 @@ def _fit(run: Findings, posterior: Posterior) -> list[RenderableType]:
     )
 
 
-def show_times(console: Console, run: Findings, seconds: Mapping[str, float]) -> None:
+def show_times(console: Console, run: wording.Findings, seconds: Mapping[str, float]) -> None:
     """The time that each stage took."""
     console.print()
     console.print(stages_table(seconds, run.video_seconds))
@@ -600,15 +590,15 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
 def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
     """What `onebend show` draws."""
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
-    measured = MeasuredBeam(beam, uncertain, stored.section)
+    measured = confidence.MeasuredBeam(beam, uncertain, stored.section)
     if uncertain is None:
         console.print(stiffness_plot(beam))
     else:
         console.print(band_plot(uncertain, log=log))
-        console.print(band_table(uncertain, columns=61, modulus=modulus_rows(measured, band_places(61))))
-        for text in unidentified_words(uncertain):
+        console.print(band_table(uncertain, columns=61, modulus=confidence.modulus_rows(measured, band_places(61))))
+        for text in confidence.unidentified_words(uncertain):
             console.print(text, markup=False, highlight=False)
-    for text in modulus_words(measured):
+    for text in confidence.modulus_words(measured):
         console.print(text, markup=False, highlight=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
     if lowest <= 0.0:

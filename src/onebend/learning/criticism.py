@@ -13,20 +13,10 @@ from onebend.beam.grid import apply
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
+from onebend.learning import linear
 from onebend.learning.fit_data import REST_MODES, FitData
 from onebend.learning.frames import unwhitened, whitened
 from onebend.learning.hyperparameters import correlation_time
-from onebend.learning.linear import (
-    FitProblem,
-    ResidualRows,
-    Solved,
-    data_information,
-    force_shrinkage,
-    prior,
-    residual_rows,
-    solved,
-    split_off_force,
-)
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import Optimum
 from onebend.learning.parameters import Layout
@@ -304,21 +294,21 @@ class Score:
 class LinearisedFit:
     """The linearised model at the optimum."""
 
-    problem: FitProblem
+    problem: linear.FitProblem
     optimum: Optimum
-    rows: tuple[ResidualRows, ...]  # of each recording
+    rows: tuple[linear.ResidualRows, ...]  # of each recording
     known: tuple[IntArray, ...]  # indices of the parameters that each recording depends on
-    solved: Solved  # the posterior at the optimum's hyperparameters
+    solved: linear.Solved  # the posterior at the optimum's hyperparameters
     covariance: JointCovariance  # the same
     step: Array  # (P,) to where the slope is zero
 
 
-def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
+def linearised(problem: linear.FitProblem, optimum: Optimum) -> LinearisedFit:
     """The linearised model at an optimum."""
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
-    rows = each(residual_rows, optimum.predictions, noise)
-    before = prior(problem, optimum.hyperparameters)
-    posterior = solved(data_information(problem, rows, x, optimum.hyperparameters), before)
+    rows = each(linear.residual_rows, optimum.predictions, noise)
+    before = linear.prior(problem, optimum.hyperparameters)
+    posterior = linear.solved(linear.data_information(problem, rows, x, optimum.hyperparameters), before)
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
     return LinearisedFit(problem, optimum, rows, known, posterior, posterior.covariance, posterior.mean - x)
 
@@ -412,7 +402,7 @@ def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Arra
     recording's parameters (n, C), and the score (n,) at the optimum."""
     recording, rows, noise = fit.problem.recordings[number], fit.rows[number], fit.optimum.hyperparameters.noise[number]
     d = rows.root_weight[..., None] * whitened(recording.whiten, pattern)
-    unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
+    unexplained = d - rows.a @ (linear.force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
     weighted = unexplained.reshape(-1, d.shape[-1]) / noise.marker**2
     bb = weighted.T @ d.reshape(-1, d.shape[-1])
     return d, bb, rows.onto_parameters(weighted.reshape(d.shape)), weighted.T @ rows.r.ravel()
@@ -458,7 +448,7 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
     for number, change in changes.items():
         rows, noise = fit.rows[number], fit.optimum.hyperparameters.noise[number]
         plain = rows.r - rows.moved_by(fit.step[fit.known[number]])
-        old, new = (split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
+        old, new = (linear.split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
         time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)
         after += float(np.sum(new**2)) * time
@@ -466,7 +456,7 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
     return before / max(after, 1e-300), numbers
 
 
-def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
+def _moved(recording: FitData, rows: linear.ResidualRows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
     away = unwhitened(recording.whiten, change / weight)[..., :2]
@@ -581,7 +571,7 @@ class Criticism:
         }
 
 
-def criticise(problem: FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
+def criticise(problem: linear.FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
     """Test the model of a fit that has ended."""
     fit, layout = linearised(problem, optimum), problem.layout
     patterns = each(lambda now: alternatives(now.recording, layout, optimum.x, now), optimum.predictions)

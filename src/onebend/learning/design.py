@@ -19,19 +19,9 @@ from onebend.beam.sensitivity import of_mass
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, UncertainStiffness, half_width, half_width_words
 from onebend.errors import LearningError, MechanicsError
+from onebend.learning import prediction
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
-from onebend.learning.prediction import (
-    BentBeam,
-    TagMotion,
-    TagRide,
-    along_and_across,
-    balance_changes,
-    place_responses,
-    push_blocks,
-    push_moment,
-    tag_blocks,
-)
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, IntArray
 
@@ -56,7 +46,7 @@ class TagDerivatives:
 
     tags: Array  # (M,)
     blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by the names of `balance_changes` and `push_blocks`
-    motion: TagMotion  # with what holds the tags
+    motion: prediction.TagMotion  # with what holds the tags
 
     @property
     def push(self) -> Array:
@@ -100,8 +90,8 @@ def tag_derivatives(
     problem, nodes = solved.problem, solved.problem.grid.nodes
     per_length = mass / bench.length * MASS_MODES.curvature(nodes)
     pushed, push_s = _forces(candidate), np.asarray(candidate.at_s)
-    _, across = along_and_across(pushed, solved.angle(push_s[None])[:, 0])
-    beam = BentBeam(
+    _, across = prediction.along_and_across(pushed, solved.angle(push_s[None])[:, 0])
+    beam = prediction.BentBeam(
         solved,
         on_nodes,
         REST_MODES.curvature(nodes),
@@ -110,13 +100,15 @@ def tag_derivatives(
         np.zeros_like(nodes),
         of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
     )
-    changes = balance_changes(beam) | {"place": push_moment(problem, push_s, across)}  # between nodes, too
-    blocks = place_responses(solved, changes, tags)
-    blocks |= push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
+    changes = prediction.balance_changes(beam) | {
+        "place": prediction.push_moment(problem, push_s, across)
+    }  # between nodes, too
+    blocks = prediction.place_responses(solved, changes, tags)
+    blocks |= prediction.push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
     pose = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
     bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
     nothing = np.zeros(len(tags))
-    motion = TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
+    motion = prediction.TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
     return TagDerivatives(tags, blocks, motion)
 
 
@@ -258,8 +250,8 @@ def _of_coefficients(
 def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tuple[Array, Array]:
     """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
     own, motion = len(bench.tags), seen.motion
-    watched = TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
-    blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | tag_blocks(watched)
+    watched = prediction.TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
+    blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | prediction.tag_blocks(watched)
     by_tag = ("along", "across", "turn")
     shared = [blocks[name][..., :own] if name in by_tag else blocks[name] for name in bench.shared]
     wanted = [(blocks[name][..., own:], bench.placement_sd) for name in ("along", "across")]

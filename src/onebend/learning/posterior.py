@@ -19,6 +19,7 @@ from onebend.beam.grid import Modes
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
 from onebend.errors import LearningError
+from onebend.learning import optimizer
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.condensed import condensed
@@ -29,22 +30,6 @@ from onebend.learning.frequencies import GROSS, PredictedFrequencies, with_modes
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.normal import JointCovariance
-from onebend.learning.optimizer import (
-    FitSettings,
-    Miss,
-    Optimum,
-    carried_over,
-    doubts_of,
-    estimate_at,
-    find_on_branches,
-    first_problem,
-    first_recordings,
-    laplace_posterior,
-    misses,
-    shared_among,
-    whole_problem,
-    with_mass_found,
-)
 from onebend.learning.parameters import KNOWN, TOLD, Block, Layout, LearnedMass, with_shared_shape
 from onebend.learning.prediction import Prediction, predict, secant_of
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
@@ -55,7 +40,7 @@ from onebend.records import Array, BoolArray, Observations, PointMass
 # k(s) and its band, from the parameters' posterior.
 
 
-def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
+def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float) -> UncertainStiffness:
     """k(s) and its band at an optimum, with what stiffens the beam under its tags, and with the unknown place of a step
     between two knots of the spline."""
     layout = problem.layout
@@ -82,7 +67,7 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     )
 
 
-def prior_part(problem: FitProblem, optimum: Optimum, s: Array) -> Array:
+def prior_part(problem: FitProblem, optimum: optimizer.Optimum, s: Array) -> Array:
     """(S, S) the part of log k's covariance at `s` that comes from the prior, and not from errors of the data.
 
     The fit's log k is off by `C P^-1 (m - k)`, drawn towards the prior's mean m, plus what errors of the data do; C is
@@ -279,7 +264,7 @@ class Posterior:
     """What the data and the priors say about the beam."""
 
     problem: FitProblem
-    optimum: Optimum
+    optimum: optimizer.Optimum
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
@@ -317,9 +302,9 @@ class Posterior:
         return self.problem.predicted_frequencies(self.mean)
 
     @cached_property
-    def misses(self) -> tuple[Miss, ...]:
+    def misses(self) -> tuple[optimizer.Miss, ...]:
         """The recordings that the fit cannot explain; empty as a rule."""
-        return misses(self.recordings, self.slow)
+        return optimizer.misses(self.recordings, self.slow)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -337,7 +322,7 @@ class Posterior:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts
         for o in (recording.observations for recording in self.recordings):
-            doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
+            doubts += [f"{o.source.name}: {words}" if several else words for words in optimizer.doubts_of(o)]
         return tuple(doubts)
 
     @cached_property
@@ -438,7 +423,7 @@ def fit(
     recordings: Sequence[Observations],
     start: Profile | float | None = None,
     *,
-    settings: FitSettings = FitSettings(),
+    settings: optimizer.FitSettings = optimizer.FitSettings(),
     gain_sd: float = 0.0,
     progress: Progress = Silent(),
 ) -> Posterior:
@@ -453,7 +438,7 @@ def fit(
     check_same_beam(recordings)
     recordings = with_modes(recordings)
     try:
-        some = [recordings[i] for i in first_recordings(recordings, settings)]
+        some = [recordings[i] for i in optimizer.first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start
         return _fit(recordings, begin, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
@@ -467,7 +452,7 @@ def fit(
 def _fit(
     recordings: Sequence[Observations],
     start: Profile | float,
-    settings: FitSettings,
+    settings: optimizer.FitSettings,
     gain_sd: float,
     progress: Progress,
 ) -> Posterior:
@@ -476,21 +461,21 @@ def _fit(
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way, rounds=settings.first_rounds)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    settings = shared_among(settings, len(recordings))
+    settings = optimizer.shared_among(settings, len(recordings))
     recordings = with_shared_shape([condensed(one, settings.most_frames) for one in recordings])
-    some = first_recordings(recordings, settings)
-    problem, x = first_problem([recordings[i] for i in some], start, settings)
-    few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
-    hopeless = any(miss.hopeless for miss in misses(few.recordings, near.predictions))
+    some = optimizer.first_recordings(recordings, settings)
+    problem, x = optimizer.first_problem([recordings[i] for i in some], start, settings)
+    few, near = optimizer.find_on_branches(problem, optimizer.estimate_at(problem, x), early, progress)
+    hopeless = any(miss.hopeless for miss in optimizer.misses(few.recordings, near.predictions))
     if hopeless:  # nothing that is fitted means anything: a short look at all frames says so as clearly
         late = replace(late, rounds=_HOPELESS_ROUNDS, most_steps=_HOPELESS_STEPS)
-    recordings, near = with_mass_found(recordings, problem, near)
+    recordings, near = optimizer.with_mass_found(recordings, problem, near)
 
-    every = whole_problem(recordings, problem, settings)
-    begin = carried_over(few, near, every, some)
+    every = optimizer.whole_problem(recordings, problem, settings)
+    begin = optimizer.carried_over(few, near, every, some)
     del problem, few, near
-    whole, estimate = find_on_branches(every, begin, late, progress)
-    optimum = laplace_posterior(whole, estimate, late)
+    whole, estimate = optimizer.find_on_branches(every, begin, late, progress)
+    optimum = optimizer.laplace_posterior(whole, estimate, late)
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))

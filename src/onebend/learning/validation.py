@@ -14,6 +14,7 @@ from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
+from onebend.learning import static_poses
 from onebend.learning.fit_data import AtRest
 from onebend.learning.frames import (
     from_the_clamp,
@@ -28,18 +29,6 @@ from onebend.learning.frequencies import validated_frequencies
 from onebend.learning.outcome import Comparison, Notice
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.prediction import few_frames, variances
-from onebend.learning.static_poses import (
-    RESOLUTION,
-    SeenPoses,
-    elsewhere,
-    is_held,
-    pose_names,
-    pose_rms,
-    resolution_of,
-    seen_poses,
-    shapes_of,
-    unexplained,
-)
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
@@ -49,7 +38,7 @@ _CHUNK = 500  # frames solved together: their tangents stay in the cache
 def simulate(beam: Beam, loads: Loads) -> Iterator[Equilibrium]:
     """Equilibria of the beam, chunk by chunk of the frames: those of very many frames would fill the memory."""
     for i in range(0, loads.size, _CHUNK):
-        yield follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION))
+        yield follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), static_poses.RESOLUTION))
 
 
 @one_blas_thread
@@ -87,7 +76,7 @@ def validate(
     measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = np.sqrt(np.mean(by_sensor, axis=0))
     notices: tuple[Notice | Remark, ...] = _notices(stable, converged)
-    seen = seen_poses(observations, frames)
+    seen = static_poses.seen_poses(observations, frames)
     if seen is not None:  # of static poses, which are one chunk
         notices += _pose_notices(observations, frames, seen, solved, predicted)
     return Comparison(
@@ -120,9 +109,9 @@ def marker_misfit(
     """
     if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    problem = make_problem(beam, loads_of(observations, frames), resolution_of(observations))
+    problem = make_problem(beam, loads_of(observations, frames), static_poses.resolution_of(observations))
     if observations.static:
-        solved = shapes_of(observations, frames, problem)
+        solved = static_poses.shapes_of(observations, frames, problem)
     elif near is not None and np.array_equal(near.problem.grid.nodes, problem.grid.nodes):
         solved = refine(problem, near.q)
     else:
@@ -140,11 +129,13 @@ def solved_frames(
     and so those of a film near shapes (F, Q) of a similar beam, where these are known."""
     loads = loads_of(observations, frames)
     if not observations.static and near is not None:
-        yield refine(make_problem(beam, loads, RESOLUTION), near)
+        yield refine(make_problem(beam, loads, static_poses.RESOLUTION), near)
     elif not observations.static:
         yield from simulate(beam, loads)
     else:
-        yield shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))
+        yield static_poses.shapes_of(
+            observations, frames, make_problem(beam, loads, static_poses.resolution_of(observations))
+        )
 
 
 def mounting(beam: Beam, observations: Observations) -> Array:
@@ -186,7 +177,7 @@ def _likely_rms(
 ) -> Array:
     """(m,) RMS that the band of k(s) and the tolerances of this push give with the force's noise; NaN where no band is
     known, or where unknown wrenches hold the end."""
-    if stiffness is None or is_held(observations):
+    if stiffness is None or static_poses.is_held(observations):
         return np.full(len(observations.marker_s), np.nan)
     few = few_frames(frames)
     [solved] = solved_frames(beam, observations, few)
@@ -201,17 +192,17 @@ def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:
 
 
 def _pose_notices(
-    o: Observations, frames: BoolArray, seen: SeenPoses, solved: Equilibrium, predicted: Array
+    o: Observations, frames: BoolArray, seen: static_poses.SeenPoses, solved: Equilibrium, predicted: Array
 ) -> tuple[Notice, ...]:
     """Warnings on single poses: no stable equilibrium near the points, or another one than the stated history leads to.
 
     There is none if most poses are far off: then no single pose is at fault.
     """
-    names = pose_names(o, frames)
+    names = static_poses.pose_names(o, frames)
     free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
-    rms = pose_rms(o.xy[frames] - predicted)
-    unlike = unexplained(rms, o.length) & free
-    off, other = elsewhere(solved, seen)
+    rms = static_poses.pose_rms(o.xy[frames] - predicted)
+    unlike = static_poses.unexplained(rms, o.length) & free
+    off, other = static_poses.elsewhere(solved, seen)
     found = (("pose", rms, unlike), ("pose history", off, other & ~unlike & free))
     return tuple(Notice(code, {"poses": _farthest(names, far, which)}) for code, far, which in found if which.any())
 

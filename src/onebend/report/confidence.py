@@ -18,18 +18,9 @@ from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_leve
 from onebend.learning.verdict import possible, what_is_tested
 from onebend.recording.signals import runs
 from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection
+from onebend.report import wording
 from onebend.report.sentences import modulus_unit, odds, say, words
-from onebend.report.wording import (
-    ANOTHER,
-    Findings,
-    change_words,
-    is_forced,
-    millimetres,
-    only_frequencies,
-    only_static,
-    significant,
-    span,
-)
+from onebend.report.wording import millimetres, significant, span
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
@@ -99,7 +90,7 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
     return float(np.median(uncertain.half_width(s)))
 
 
-def stiffness_range(findings: Findings) -> tuple[float, float]:
+def stiffness_range(findings: wording.Findings) -> tuple[float, float]:
     """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
@@ -132,12 +123,12 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
 
 def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
     """What the scale of k(s) rests on: the scale of the force or of the loads, or the beam's own weight."""
-    if only_frequencies(recordings):
+    if wording.only_frequencies(recordings):
         return say("scale by mass")
-    forced = [one for one in recordings if is_forced(one)]
+    forced = [one for one in recordings if wording.is_forced(one)]
     if not forced:
         return say("scale by weight")
-    if not only_static(forced):
+    if not wording.only_static(forced):
         return say("gain", sd=gain_sd) if gain_sd > 0.0 else say("gain exact")
     sd = max(float(np.max(one.force_sd)) for one in forced)
     return say("loads", sd=significant(1e3 * sd)) if sd > 0.0 else say("loads exact")
@@ -191,7 +182,7 @@ def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
         AllowanceRow(
             name=share.name,
             widening=f"{share.widening:.2f}",
-            change=change_words(share.shift),
+            change=wording.change_words(share.shift),
             sds=f"{share.sds:.1f}",
             matters=share.matters,
         )
@@ -230,7 +221,7 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 def alarm_words(posterior: Posterior) -> str:
     """The threshold of the tests: among so many, some stand out by chance."""
     critic = possible(posterior).criticism
-    code = "alarm of poses" if only_static([one.observations for one in posterior.recordings]) else "alarm"
+    code = "alarm of poses" if wording.only_static([one.observations for one in posterior.recordings]) else "alarm"
     return say(code, tests=len(critic.able), odds=critic.alarm, written=max(critic.alarm, ALARM_WRITTEN))
 
 
@@ -245,11 +236,11 @@ def share_words(share: Attribution) -> str:
     """The effect of an allowance on k(s) and its band: `relaxation (left out, k(s) would be 9.8 % off)`."""
     effects = []
     if share.sure and share.shift > SHIFTS:
-        change = change_words(share.shift)
-        effects.append(say("share: another" if change == ANOTHER else "share: left out", change=change))
+        change = wording.change_words(share.shift)
+        effects.append(say("share: another" if change == wording.ANOTHER else "share: left out", change=change))
     if share.widening > WIDENS:
         effects.append(say("share: wider", times=share.widening))
-    effects = effects or [say("share: open", change=change_words(share.size))]
+    effects = effects or [say("share: open", change=wording.change_words(share.size))]
     return f"{share.name} ({', '.join(effects)})"
 
 
@@ -287,8 +278,8 @@ def mounting_words(posterior: Posterior) -> str:
     if len(posterior.recordings) == 1:
         return say("one mounting")
     likely, low, high = posterior.mountings
-    span = f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)" if high > low else ""
-    return "" if np.isnan(likely) else say("mountings", likely=likely, span=span)
+    interval = f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)" if high > low else ""
+    return "" if np.isnan(likely) else say("mountings", likely=likely, span=interval)
 
 
 def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
@@ -335,7 +326,7 @@ class MeasuredBeam:
         return modulus_along(self.beam, self.uncertain, self.section, s)
 
 
-def measured_beam(findings: Findings) -> MeasuredBeam:
+def measured_beam(findings: wording.Findings) -> MeasuredBeam:
     """The beam of the findings, with the section that its recordings state."""
     uncertain = None if findings.posterior is None else findings.posterior.stiffness
     return MeasuredBeam(findings.beam, uncertain, stated_section(findings.recordings))

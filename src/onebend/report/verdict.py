@@ -19,17 +19,7 @@ from onebend.learning.outcome import Comparison, another_beam, poor_fit
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import cause, fitted_rms, possible
 from onebend.records import Array
-from onebend.report.confidence import (
-    identified_ranges,
-    identified_words,
-    measured_beam,
-    narrower_words,
-    one_modulus_words,
-    share_words,
-    stiffness_range,
-    typical_half_width,
-    why_words,
-)
+from onebend.report import confidence
 from onebend.report.sentences import SENTENCES, remedy, say
 from onebend.report.wording import Findings, millimetres, only_frequencies, significant, span, tag_words
 
@@ -92,7 +82,7 @@ def verdict_of(findings: Findings) -> Verdict:
         known=_known(findings),
         rests_on=_rests_on(posterior),
         use=_use(findings, error),
-        narrower="" if posterior is None or posterior.doubts else narrower_words(posterior),
+        narrower="" if posterior is None or posterior.doubts else confidence.narrower_words(posterior),
         next=_next(findings, error),
         error=error.rms,
         error_of=error.of,
@@ -105,7 +95,7 @@ def _about(posterior: Posterior | None) -> str:
     if posterior is None:
         return ""
     code = "verdict: doubt" if posterior.doubts else "known: nowhere"
-    return "" if not posterior.doubts and identified_ranges(posterior.stiffness) else SENTENCES[code].about
+    return "" if not posterior.doubts and confidence.identified_ranges(posterior.stiffness) else SENTENCES[code].about
 
 
 def hopeless(findings: Findings) -> bool:
@@ -118,24 +108,24 @@ def _headline(posterior: Posterior | None) -> str:
         return say("verdict: regression")
     if posterior.doubts:
         return say("verdict: doubt", doubts="; ".join(posterior.doubts))
-    matter = [share_words(share) for share in posterior.attributions if share.matters][:_MOST_NAMED]
+    matter = [confidence.share_words(share) for share in posterior.attributions if share.matters][:_MOST_NAMED]
     return say("verdict: allowances", allowances=", ".join(matter)) if matter else say("verdict: holds")
 
 
 def _known(findings: Findings) -> str:
-    low, high = stiffness_range(findings)
+    low, high = confidence.stiffness_range(findings)
     values = f"{span(low, high)} N m"
     if findings.posterior is None:
         return values
     if findings.posterior.doubts:
         return say("known: nothing") if hopeless(findings) else say("known: no band", values=values)
     uncertain = findings.posterior.stiffness
-    ranges = identified_ranges(uncertain)
+    ranges = confidence.identified_ranges(uncertain)
     if not ranges:
-        return say("known: nowhere", values=values, why=why_words(findings.posterior))
-    width = half_width_words(typical_half_width(uncertain))
-    k = say("known: band", values=values, width=width, places=identified_words(ranges))
-    modulus = one_modulus_words(measured_beam(findings))
+        return say("known: nowhere", values=values, why=confidence.why_words(findings.posterior))
+    width = half_width_words(confidence.typical_half_width(uncertain))
+    k = say("known: band", values=values, width=width, places=confidence.identified_words(ranges))
+    modulus = confidence.one_modulus_words(confidence.measured_beam(findings))
     return say("known: modulus", modulus=modulus, k=k) if modulus else k
 
 
@@ -257,5 +247,5 @@ def _correction(posterior: Posterior) -> str:
 
 def _known_well(posterior: Posterior) -> bool:
     uncertain = posterior.stiffness
-    share = sum(end - begin for begin, end in identified_ranges(uncertain))
-    return share >= _MOST and typical_half_width(uncertain) <= _NARROW
+    share = sum(end - begin for begin, end in confidence.identified_ranges(uncertain))
+    return share >= _MOST and confidence.typical_half_width(uncertain) <= _NARROW
