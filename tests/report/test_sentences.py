@@ -30,7 +30,7 @@ def codes_in_the_package() -> set[str]:
                 ends = [
                     part for one in ways for part in ([one.body, one.orelse] if isinstance(one, ast.IfExp) else [one])
                 ]
-                found |= {one.value for one in ends if isinstance(one, ast.Constant)}
+                found |= {str(one.value) for one in ends if isinstance(one, ast.Constant)}
     return found
 
 

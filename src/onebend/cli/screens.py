@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from onebend.learning.sensing.sensor import SensorCheck
 
 
-# The tables of the terminal.
-
 FEW = 4  # tags whose columns fit side by side in 80
 WIDE = 91  # columns of a plot: eleven numbers fit below it
 
@@ -189,18 +187,13 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     return table
 
 
-# k(s) drawn with block characters, with numbers below.
-
 BLOCKS = " ▁▂▃▄▅▆▇█"
 MOST = 4.0  # times k: a band that says nothing may leave the picture
 CURVE, BAND = ("-", "━"), ("·", "░")  # where k is not identified, and where it is
 
 
 def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12, log: bool = False) -> RenderableType:
-    """k(s) as a line in its 95 % band; thinner and grey where it is not identified.
-
-    What is known sets the axis, the rest may leave the picture. `log`: a logarithmic axis.
-    """
+    """k(s) as a line in its 95 % band, thinner and grey where it is not identified. `log`: a logarithmic axis."""
     s = np.linspace(0.0, 1.0, columns)
     band = uncertain.band(s)
     edges = _edges(band, uncertain.best_known(s), rows, log=log)
@@ -254,15 +247,12 @@ def _axis(columns: int) -> tuple[Text, Text]:
 
 
 def _numbers(beam: Beam) -> Table:
-    """k at eleven places, in two lines."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 1, 0, 0))
     s = np.linspace(0.0, 1.0, 11)
     table.add_row("[dim]s[/]", *(f"[dim]{place:.1f}[/]" for place in s))
     table.add_row("k", *(significant(k) for k in beam.stiffness(s)))
     return table
 
-
-# What `onebend damp`, `onebend frequencies` and `onebend sense` say.
 
 _AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
 
@@ -449,10 +439,7 @@ _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 def show_run(
     console: Console, run: wording.Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
 ) -> None:
-    """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it.
-
-    Without a `report` it says where the results are.
-    """
+    """The answer of `onebend learn`: verdict, k(s), warnings and the place of the report; `verbose`: everything."""
     if verbose:
         for part in _everything(run):
             console.print(part)
@@ -486,7 +473,6 @@ def verdict_rows(run: wording.Findings) -> Table:
 
 
 def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[RenderableType]:
-    """The plot as large as the screen lets it be, and the numbers below."""
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = confidence.measured_beam(run)
@@ -517,7 +503,6 @@ def _everything(run: wording.Findings) -> list[RenderableType]:
 
 
 def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
-    """Why there are two errors of what was learned from."""
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
         largest = millimetres(float(np.nanmax(rms)))

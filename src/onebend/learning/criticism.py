@@ -24,12 +24,8 @@ from onebend.learning.prediction import Prediction, along_and_across, place_resp
 from onebend.progress import each
 from onebend.records import Array, IntArray
 
-# What else beam, clamp, sensors and tags might do: alternatives to the fit's model, each a pattern in the tags'
-# poses.
-#
-# An alternative is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D
-# follows from the equilibrium's derivatives (implicit function theorem) at the optimum. A parameter that the model
-# has under a prior is no pattern of its own: freeing it asks whether the prior is wrong (`score_tests.pulls`).
+# Alternatives to the fit's model: a few numbers b that the model takes to be zero. They move the tags by `D b`, with D
+# from the derivatives of the equilibrium at the optimum.
 
 Kind = Literal["prior", "mechanics", "change", "trend"]
 
@@ -138,10 +134,8 @@ def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> 
 
 
 def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
-    """How the alternatives enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
-
-    A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
-    """
+    """Perturbations of the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`. A stretch e = N_u /
+    (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam)."""
     solved, problem = now.solved, now.solved.problem
     u, n = _tangents(solved)
     force = problem.dead_force
@@ -196,7 +190,6 @@ def _clamp_moment(solved: Equilibrium) -> Array:
 
 
 def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
-    """What may change in the course of one recording: by the bending so far, and after the largest one."""
     name = recording.observations.source.name
     frames, tags = patterns["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
@@ -214,7 +207,6 @@ def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> lis
 
 
 def _trends(recording: FitData, run: Course) -> list[Alternative]:
-    """Every coordinate of every tag: smooth in the bending, apart on the way out and back, and in time."""
     side, tags = run.after - 0.5, recording.observations.tag_id.tolist()
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
     functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
@@ -228,7 +220,6 @@ def _trends(recording: FitData, run: Course) -> list[Alternative]:
 
 
 def _in_time(pattern: Array, run: Course) -> Array:
-    """Each column twice: times the bending so far, and after the largest one."""
     return np.concatenate([f[:, None, None, None] * pattern for f in (run.past, run.after)], axis=-1)
 
 
@@ -252,18 +243,9 @@ def _rate(recording: FitData, solved: Equilibrium) -> Array:
     return out
 
 
-# Score tests: would a few more free numbers lower the misfit by more than chance does?
-#
-# The linearised model at the optimum is `r = J x + D b + noise` with the priors on x, at the hyperparameters of the
-# fit. With x integrated out, b has the information `C^-1 = H_bb - H_bx (H_xx + P)^-1 H_xb`, the estimate `C g` from
-# the score g, and `g' C g` is chi-squared with as many degrees of freedom as b has numbers, if the model is right
-# (Rao 1948).
-#
-# A lasting misfit has raised the noise that the fit found. So the noise is estimated anew with b free, its
-# correlation in time included, and the F distribution takes the place of chi-squared, with as many degrees of freedom
-# as independent numbers remain.
-#
-# For a parameter that the model has under a prior, freeing it is the same as asking whether the prior is wrong:
+# Score tests (Rao 1948). With `r = J x + D b + noise` and x integrated out, b has the information
+# `C^-1 = H_bb - H_bx (H_xx + P)^-1 H_xb`, and `g' C g` of its score g is chi-squared. If b stands out, the noise is
+# estimated again with b free, and the F distribution is used. Of a parameter with a prior,
 # `x' (prior - posterior covariance)^-1 x` is chi-squared.
 
 _BLIND = 1e-8  # share of the information on b: less remains only where the model's own parameters do the same
@@ -314,11 +296,8 @@ def linearised(problem: linear.FitProblem, optimum: Optimum) -> LinearisedFit:
 
 
 def pulls(fit: LinearisedFit) -> list[Score]:
-    """How far the nuisances came out from their priors: tags one by one, the parts of other blocks together.
-
-    Directions without information from the data are left out. Place and direction of the push are among the
-    alternatives.
-    """
+    """Tests of the priors: of each tag by itself, of the parts of other blocks together. Directions without information
+    are left out. Place and direction of the push are among the alternatives."""
     untested = {"stiffness", "force", "place", "direction", "end", "end turn", "zero"}
     untested |= {a.name for recording in fit.problem.recordings for a in recording.allowances}
     out = []
@@ -355,8 +334,6 @@ def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, 
 
 @dataclass(frozen=True)
 class _Freed:
-    """The numbers b of one suspect, freed: what they do to the recordings that show it."""
-
     suspect: Suspect
     log_k: Array | None  # (p, n) what they are of log k's coefficients; None: nothing
     numbers: tuple[int, ...]  # of these recordings
@@ -368,8 +345,7 @@ class _Freed:
 
 
 def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
-    """The tests of the alternatives of each recording. Those of one suspect belong together; what only one recording
-    shows is judged by that one."""
+    """The tests of the alternatives of each recording. Those of one suspect are tested together."""
     places: dict[Suspect, list[tuple[int, Alternative]]] = {}
     for number, alternatives in enumerate(patterns):
         for one in alternatives:
@@ -398,8 +374,8 @@ def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alte
 
 
 def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Array, Array, Array]:
-    """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), the information on its numbers (n, n) and with the
-    recording's parameters (n, C), and the score (n,) at the optimum."""
+    """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), its information (n, n) and that with the parameters
+    (n, C), and the score (n,)."""
     recording, rows, noise = fit.problem.recordings[number], fit.rows[number], fit.optimum.hyperparameters.noise[number]
     d = rows.root_weight[..., None] * whitened(recording.whiten, pattern)
     unexplained = d - rows.a @ (linear.force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
@@ -438,12 +414,9 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
 
 
 def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float, float]:
-    """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals of
-    some recordings, correlation in time included; and how many independent numbers are left.
-
-    Afterwards the coordinate with the longest correlation counts: otherwise an alternative that is smooth in time would
-    pass for signal where the noise of one tag is slow and that of the others is not.
-    """
+    """Ratio of the fit's noise variance to that left after the changes (F, R) of the residuals, with correlation in
+    time, and the number of independent values left. The coordinate with the longest correlation counts: a smooth
+    alternative must not pass for signal where one tag's noise is slow."""
     before, after, numbers = 0.0, 0.0, 0.0
     for number, change in changes.items():
         rows, noise = fit.rows[number], fit.optimum.hyperparameters.noise[number]
@@ -470,18 +443,12 @@ def _log10(chance: float) -> float:
     return float(np.log10(chance)) if chance > 0.0 else -np.inf
 
 
-# Does the fit's own model hold? Score tests of what may be otherwise, and what they make of the band.
-#
-# The band of k(s) is right only if the model is. `criticise` tests the model against a list of alternatives
-# (`alternatives.py`) and against every prior, each by a score test (`score_tests.py`). Where a test is more striking
-# than any in clean recordings, the band is not to be trusted, and the suspects that explain the misfit best are
-# named. The band is not widened: a wrong model moves k(s) by an unknown amount, and `Criticism.widening` covers only
-# the part that the named cause accounts for.
+# The tests together. If one stands out as none does in clean recordings, the band is not to be trusted. It is not
+# widened: a wrong model moves k(s) by an unknown amount.
 
-# log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
+# log10 p of one test of about 45: under one false alarm in 2,000 recordings.
 ALARM = -5.0
-# The same of what a person writes down of the push, its sensor and the section: it is wrong more often than beams are
-# odd, and hardly shows.
+# The same for values that a person writes down: they are wrong more often, and hardly show.
 ALARM_WRITTEN = -2.5
 WRITTEN = ("push place", "force direction", "axis scale", "stiffness along")
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
@@ -553,8 +520,7 @@ class Criticism:
 
     @property
     def widening(self) -> float:
-        """Factor on the band that would make it hold k(s) as it comes out with the best cause freed; 1 where trusted,
-        NaN where no cause is known."""
+        """Factor on the band to contain k(s) with the best cause freed; 1 if trusted, NaN if no cause is known."""
         if self.trusted:
             return 1.0
         return float(np.hypot(1.0, self.causes[0].sds)) if self.causes else np.nan

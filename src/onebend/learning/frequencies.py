@@ -24,8 +24,6 @@ from onebend.learning.outcome import Notice
 from onebend.learning.parameters import NEEDS_MASS, Layout, Spline
 from onebend.records import Array, IntArray, MeasuredFrequency, Observations, PointMass
 
-# The measured frequencies of one recording as the fit sees them: everything that does not depend on the parameters.
-
 _ORDER, _WIDEST = 6, 0.125  # as the statics of the fit: 1e-7 in the frequencies of the first modes
 MOST_MODES = 8  # beyond, a beam is no slender one any more
 
@@ -60,11 +58,7 @@ class FrequencyData:
 
 
 def frequency_data(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
-    """Prepare the frequencies of those recordings that have some; modes and mass are known or guessed.
-
-    Raises:
-        LearningError: no mass.
-    """
+    """The frequencies of the recordings that have some, with known modes. Raises `LearningError` without a mass."""
     return tuple(_prepared(o, i, spline) for i, o in enumerate(recordings) if o.frequencies)
 
 
@@ -109,8 +103,6 @@ def postures_of(frequencies: tuple[MeasuredFrequency, ...], riding: tuple[PointM
     )
 
 
-# From parameters to natural frequencies, with exact derivatives, and what measured ones say of the parameters.
-
 _LOAD_STEPS = 10  # where the weight at once is too much
 
 
@@ -148,8 +140,7 @@ class PredictedFrequencies:
 
     @cached_property
     def slopes(self) -> Array:
-        """(N, P) derivatives of `log` with all parameters; those of shear and rotary inertia, which are small, left
-        out."""
+        """(N, P) derivatives of `log` with all parameters; the small ones of shear and rotary inertia are left out."""
         data, layout, x = self.data, self.layout, self.x
         out = np.zeros((len(data.measured), layout.size))
         k, parts = _stiffness(data, layout, x), layout.get(x, "mass")
@@ -212,8 +203,6 @@ def _vibration(on: Body, posture: Posture) -> Vibration | None:
     return None
 
 
-# Measured frequencies beside those of the fitted beam.
-
 FAR, GROSS = 3.0, 6.0  # sd: a frequency is odd if it is this far from the fit; k(s) is not to be trusted if so far
 
 
@@ -272,7 +261,7 @@ def worst_off(predicted: Sequence[PredictedFrequencies]) -> float:
     return max((abs(row.off) for row in compared_frequencies(predicted)), default=math.nan)
 
 
-# What one frequency by itself says: the uniform beam that would swing so, and the mass of a beam that is known.
+# The uniform beam with a given frequency, and the mass of a known beam.
 
 _STIFF = 100.0  # times as stiff as a beam without weight: there weight changes the square of a frequency linearly
 _LEAST = 0.05  # of the stiffness without weight: less would be a beam near buckling
@@ -280,10 +269,8 @@ _MASSES = (1e-9, 1e3)  # kg, within which one is looked for
 
 
 def uniform_stiffness(o: Observations, measured: MeasuredFrequency, mode: int, mass: float = np.nan) -> float:
-    """N m: k of the uniform beam whose `mode` (from 1) has this frequency, of the recording's mass or of `mass` kg.
-
-    `f^2 = a k + b`, with b from the weight: exact for small weights, else good enough to begin with.
-    """
+    """N m: k of the uniform beam whose `mode` (from 1) has this frequency, with the recording's mass or `mass` kg. `f^2
+    = a k + b`, with b from the weight: exact for small weights."""
     along, known = mass_profile(o), np.isfinite(mass)
     if not np.isfinite(o.stated.mass):
         along = Uniform((mass if known else 1.0) / o.length)
@@ -329,7 +316,7 @@ def swinging_mass(recordings: Sequence[Observations], stiffness: float) -> float
     return float(np.exp(brentq(too_stiff, low, high, xtol=1e-3))) if too_stiff(high) > 0.0 else _MASSES[1]
 
 
-# Which mode a measured frequency is of, where nobody says it: as the frequencies lie to each other.
+# The modes of frequencies that nobody numbered.
 
 _ALIKE = 0.25  # of log k, RMS: as far as the modes of one beam may disagree on the k of a uniform one
 _CLEARER = 0.25  # by which the second best numbering must disagree more
@@ -337,14 +324,8 @@ _SAY = "Write `mode` in each [[frequencies]]: 1 is the slowest"
 
 
 def with_modes(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
-    """The recordings with the mode of every frequency.
-
-    Each posture's are numbered, in rising order, so that a uniform beam with the mass as it is spread would come
-    nearest to all of them; the slowest of all is taken to be mode 1.
-
-    Raises:
-        LearningError: a frequency by itself, no numbering that comes near, or several that come about as near.
-    """
+    """The recordings with the mode of every frequency. In each posture modes rise with frequency, and a uniform beam
+    comes nearest to all; the slowest is mode 1. Raises `LearningError` if no numbering is clear."""
     return tuple(_numbered(o) if any(one.mode == 0 for one in o.frequencies) else o for o in recordings)
 
 

@@ -88,10 +88,8 @@ MANY, SLIGHT = 5.0, 0.03  # times the effect of the force's noise; of a marker's
 
 
 def poor_fit(one: Comparison, *, other: bool = False) -> tuple[Notice, ...]:
-    """A warning if the simulated beam misses a marker by a large part of the marker's motion.
-
-    `other`: the beam was not learned from this recording.
-    """
+    """A warning if the beam misses a marker by a large part of its motion. `other`: it was not learned from this
+    recording."""
     motion = _motion(one)
     share = np.nan_to_num(np.divide(one.rms, motion, out=np.zeros_like(motion), where=motion > 0.0))
     worst = int(np.argmax(share))
@@ -135,11 +133,8 @@ def stated_section(recordings: Sequence[Observations]) -> StatedSection | None:
 def modulus_along(
     beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None, s: Array, level: float = 0.95
 ) -> ModulusBand | None:
-    """E(s) [Pa] at places s (S,), with its band if k(s) has one; None if the section is unknown.
-
-    Raises:
-        MechanicsError: sizes of the section that are not positive.
-    """
+    """E(s) [Pa] at places s (S,), with its band if k(s) has one; None without a section. Raises `MechanicsError` for
+    sizes that are not positive."""
     return None if section is None else modulus_band(uncertain or beam.stiffness, beam.length, section, s, level)
 
 

@@ -1,10 +1,6 @@
-"""k(s) with a band: maximum a posteriori in marker space, through the exact equilibrium.
-
-The parameters are log k(s), the beam's rest shape, where and how each tag sits, the clamp's direction and place, the
-clock offset that is left, and the slow error of the force log. The data are the tags of every loaded frame, of the beam
-at rest, and the force log where nothing pushes. All parameters are fitted together; the hyperparameters of priors and
-noise are chosen by evidence; the band comes from the curvature at the optimum (Laplace's approximation).
-"""
+"""k(s) with a band: maximum a posteriori in marker space, through the exact equilibrium. Parameters are log k(s), rest
+shape, tags, clamp, clock offset and slow force error. Data are the tags of loaded frames and at rest, and the force log
+without a push. Hyperparameters are chosen by evidence; the band is Laplace's approximation."""
 
 from __future__ import annotations
 
@@ -37,12 +33,9 @@ from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.records import Array, BoolArray, Observations, PointMass
 
-# k(s) and its band, from the parameters' posterior.
-
 
 def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float) -> UncertainStiffness:
-    """k(s) and its band at an optimum, with what stiffens the beam under its tags, and with the unknown place of a step
-    between two knots of the spline."""
+    """k(s) and its band at an optimum, with the stiffening by tags and the unknown places of steps between knots."""
     layout = problem.layout
     fine, (index, onto) = layout.spline.finer, log_k_map(problem)
     covariance = onto @ optimum.covariance.of_shared[np.ix_(index, index)] @ onto.T
@@ -68,13 +61,10 @@ def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float
 
 
 def prior_part(problem: FitProblem, optimum: optimizer.Optimum, s: Array) -> Array:
-    """(S, S) the part of log k's covariance at `s` that comes from the prior, and not from errors of the data.
-
-    The fit's log k is off by `C P^-1 (m - k)`, drawn towards the prior's mean m, plus what errors of the data do; C is
-    the covariance, P the prior's. Over the beams that the prior expects, the first has the covariance `C P^-1 C`. A
-    second recording of this beam, or of one like it, is off by the same. P is that of the mean sizes of the prior's
-    parts; the part is never more than the covariance of the spline's coefficients.
-    """
+    """(S, S) the part of log k's covariance at `s` that comes from the prior. The fit's log k is off by `C P^-1 (m -
+    k)`, plus the effect of errors of the data; C is the covariance, P and m the prior's. Over the prior's beams the
+    first has covariance `C P^-1 C`. A second recording of a like beam shares it. P has the mean sizes of the prior's
+    parts."""
     layout = problem.layout
     p, fine = layout.spline.count, layout.spline.finer
     own = _symmetric(optimum.covariance.of_shared[:p, :p])
@@ -90,12 +80,9 @@ def prior_part(problem: FitProblem, optimum: optimizer.Optimum, s: Array) -> Arr
 
 
 def without_section_errors(layout: Layout, variances: Array, log_k: Array, covariance: Array) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of log k's coefficients less what the stated section is off by, from those of the
-    coefficients c, over the prior's mean; `variances` (n,) are of the prior's parts.
-
-    Before the data c has covariance S, of which P comes from the section. So its share in c is `P S^-1 c`, give or take
-    `P - P S^-1 P`: what the data say of c is passed on, and what they leave open stays open.
-    """
+    """Mean (p,) and covariance (p, p) of log k's coefficients less the errors of the stated section, from those of the
+    coefficients c over the prior's mean; `variances` (n,) are of the prior's parts. Before the data c has covariance S,
+    of which P comes from the section. Its share in c is `P S^-1 c`, with covariance `P - P S^-1 P` left open."""
     off, root = layout.section_errors, layout.stiffness_root(variances)
     share = np.linalg.solve(root @ root.T, off).T
     kept = np.eye(len(log_k)) - share
@@ -106,9 +93,7 @@ def _symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + matrix.T)
 
 
-# The mass of the fitted beam: what was written down, and what the fit changed of it.
-
-# Of the pull of an even beam of the written mass on its clamp: a cone on its base has 0.5, a mass at the tip 2.
+# The pull of an even beam on its clamp, as a share: a cone has 0.5, a mass at the tip 2.
 LEAST_PULL, MOST_PULL = 0.42, 2.2
 LEANS = 4.0  # sds of gravity's written direction, beyond which it is another one
 
@@ -141,8 +126,8 @@ def learned_mass(
     stiffness: UncertainStiffness,
     gain_sd: float,
 ) -> LearnedMass | None:
-    """The mass after the fit, from mean (P,) and covariance of its parameters; None where nothing weighs or the
-    mass was held as written."""
+    """The mass after the fit, from mean (P,) and covariance of the parameters; None if nothing weighs or the mass was
+    fixed."""
     block, weighed = layout.index["mass", -1], _weighed(recordings)
     if block.start < 0 or weighed is None:
         return None
@@ -202,18 +187,13 @@ def from_legendre(states: Array) -> Profile:
 
 
 def _weighed(recordings: Sequence[FitData]) -> Observations | None:
-    """The recording whose mass the fit changes."""
     return next((r.observations for r in recordings if np.isfinite(r.observations.stated.mass)), None)
 
 
 def _largest_sd(written: float, block: Block) -> float:
-    """One sd over the mass itself, below which the mass counts as learned."""
     if np.isnan(written):
         return KNOWN
     return TOLD * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
-
-
-# The parameters beside k(s) as they are reported: each by itself, and of a force log's slow error mean and drift.
 
 
 @dataclass(frozen=True)
@@ -341,8 +321,7 @@ class Posterior:
 
     @property
     def secant_shares(self) -> tuple[float, ...]:
-        """Of each recording: k(s), the secant stiffness of its push, over the instantaneous stiffness; 1 where the
-        material does not relax."""
+        """Of each recording: k(s), the secant stiffness, over the instantaneous stiffness; 1 without relaxation."""
         return tuple(secant_of(p.recording, p.layout, p.x, p.solved) for p in self.optimum.predictions)
 
     @property
@@ -360,8 +339,8 @@ class Posterior:
 
     @cached_property
     def mountings(self) -> tuple[float, float, float]:
-        """Between recordings, one sd of log k over the beam (root mean square): the likely one, and a range of about
-        80 %; NaN where it was not looked at, as of one recording."""
+        """Sd of log k between recordings (RMS along the beam): likely value, and a range of about 80 %; NaN if not
+        estimated."""
         factors = sorted(one[BETWEEN] for one in self.optimum.sizes if BETWEEN in one)
         if not factors:
             return np.nan, np.nan, np.nan
@@ -370,8 +349,8 @@ class Posterior:
 
     @property
     def load_error(self) -> tuple[float, float]:
-        """N, one sd of the force error that comes with the load, as the data chose it, and its share of the largest
-        force; those of the recording where the share is largest, (0, 0) without a force."""
+        """N, sd of the force error that comes with the load, and its share of the largest force, for the recording with
+        the largest share; (0, 0) without a force."""
         pushed = [r for r in self.recordings if len(r.error.knots)]
         sizes = [self.optimum.hyperparameters.load * r.error.load for r in pushed]
         forces = [float(np.max(np.linalg.norm(r.force, axis=1))) for r in pushed]
@@ -379,8 +358,8 @@ class Posterior:
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
 
     def nuisances(self) -> list[Nuisance]:
-        """Every parameter but k's and the discrepancy's, before and after the data; of the force's slow error its mean
-        and drift."""
+        """Every parameter but k's and the discrepancy's, before and after the data; of a slow force error mean and
+        drift."""
         out = []
         left_out = {"stiffness"} | {
             a.name for recording in self.recordings for a in recording.allowances if a.enters == "poses" and a.sized
@@ -427,14 +406,9 @@ def fit(
     gain_sd: float = 0.0,
     progress: Progress = Silent(),
 ) -> Posterior:
-    """Maximum a posteriori over one or several recordings of the same beam.
-
-    It begins at the stiffness `start` [N m]; None: at that of the uniform beam that is nearest to the tags.
-
-    Raises:
-        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found,
-            force logs with more error than force, or equations that rounding makes unsolvable.
-    """
+    """Maximum a posteriori over recordings of one beam, from the stiffness `start` [N m] (None: the best uniform beam).
+    Raises `LearningError` for recordings of different beams, no usable frame, no equilibrium at the start, force logs
+    with more error than force, or equations that cannot be solved."""
     check_same_beam(recordings)
     recordings = with_modes(recordings)
     try:
@@ -456,7 +430,6 @@ def _fit(
     gain_sd: float,
     progress: Progress,
 ) -> Posterior:
-    """Data, problem, start, optimum, posterior, criticism: first with a few frames of each recording, then with all."""
     late = replace(settings.optimizer, coarse_rounds=0, rounds=settings.last_rounds)
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way, rounds=settings.first_rounds)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
@@ -487,11 +460,7 @@ def _fit(
     return Posterior(whole, optimum, gain_sd, critic, left_out, place)
 
 
-# What the data cannot tell apart: the largest correlations of the posterior.
-#
-# Two quantities that are strongly correlated trade off: the data fix a combination of them, and what one is depends
-# on the prior of the other. The quantities are the nuisances, mean and drift of each force log's error, and the mean
-# level of log k over the places where k(s) is identified.
+# Correlations of the posterior. Of two strongly correlated quantities the data fix one combination.
 
 LEVEL = "mean log k(s)"
 _PLACES = 201
@@ -507,10 +476,7 @@ class Tradeoff:
 
 
 def tradeoffs(posterior: Posterior, *, most: int = 5, least: float = 0.5) -> tuple[Tradeoff, ...]:
-    """The strongest pairs, strongest first: at most `most`, none weaker than `least`.
-
-    Every quantity is named once, with what it trades off against most.
-    """
+    """The strongest pairs first: at most `most`, none weaker than `least`. Every quantity appears once."""
     names, correlation = correlations(posterior)
     first, second = np.triu_indices(len(names), k=1)
     strength = np.abs(correlation[first, second])

@@ -1,12 +1,7 @@
-"""Natural frequencies in signals of a free swing: places of points, accelerations, whatever swings with the beam.
-
-All signals together are taken for a sum of damped sinusoids, each with one frequency and one decay, and with a size and
-a phase in every signal: least squares, in which only frequencies and decays are searched for (variable projection). The
-modes are found one after the other, as peaks of the spectrum of what the ones before leave.
-
-The sd come from the sums of the scores over blocks of several swings (White's estimate with blocks), and are never
-below what the size of the residuals alone would give.
-"""
+"""Natural frequencies in signals of a free swing. All signals are a sum of damped sinusoids with common frequencies and
+decays, fitted by least squares (variable projection). Modes are found in turn, as peaks of the spectrum of the
+residuals. The sd come from scores summed over blocks of swings (White's estimate), and are at least those of
+independent residuals."""
 
 from __future__ import annotations
 
@@ -84,11 +79,7 @@ class _Signals:
 def frequencies_of(
     time: Array, signals: Array, part: FilmPart = FilmPart(), *, most: int = 4, name: str = "the signals"
 ) -> FoundFrequencies:
-    """`swing_frequencies` of a part of the record; where none is asked for, from the release on, if one is seen.
-
-    Raises:
-        LearningError: as `swing_frequencies`.
-    """
+    """`swing_frequencies` of a part of the record; by default from the release on, if one is seen. Raises the same."""
     _refuse_unordered(time, name)
     ends = swinging_part(time, signals)
     begin, end = (known if asked is None else asked for asked, known in zip((part.begin, part.end), ends, strict=True))
@@ -103,11 +94,8 @@ def frequencies_of(
 
 
 def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str = "the signals") -> FoundFrequencies:
-    """The modes that show in signals (N, C) at times (N,) s, NaN where a signal is not known.
-
-    Raises:
-        LearningError: too few samples, times that do not rise, or nothing that swings.
-    """
+    """The modes in signals (N, C) at times (N,) s, NaN where unknown. Raises `LearningError` for too few samples, times
+    that do not rise, or no swing."""
     s = _prepared(time, signals, name)
     found: list[tuple[float, float]] = []  # rad/s, 1/s
     refused: list[tuple[float, float]] = []
@@ -258,7 +246,6 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
 
 
 def _on_even_times(even: Array, time: Array, value: Array) -> Array:
-    """Values at even times, straight between neighbours; 0 in gaps."""
     after = np.clip(np.searchsorted(time, even), 1, len(time) - 1)
     near = np.minimum(np.abs(even - time[after - 1]), np.abs(time[after] - even)) < 0.75 * (even[1] - even[0])
     return np.where(near, np.interp(even, time, value), 0.0)

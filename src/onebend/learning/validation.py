@@ -49,16 +49,10 @@ def validate(
     rest: AtRest | None = None,
     stiffness: UncertainStiffness | None = None,
 ) -> Comparison:
-    """Measured markers against the beam's own under the measured forces, in every usable frame.
-
-    The tags' mounting errors, as seen at rest, ride on the simulated beam too: what is compared is the bending. They
-    are taken from `rest`, or else against the beam's own shape at rest. `stiffness` is the beam's k(s) with its
-    band, where it has one and was learned from other recordings; then it is said how far off the tags are likely to be.
-
-    Raises:
-        LearningError: no usable frame, or weight acts and the beam has no mass.
-        MechanicsError: k(s) is not positive somewhere.
-    """
+    """Measured markers against the beam's under the measured forces, in every usable frame. The tags' mounting errors
+    come from `rest`, or else from the beam's own shape at rest. `stiffness`: its k(s) with a band, if it was learned
+    from other recordings; it gives the likely RMS. Raises `LearningError` without a usable frame, or without a mass
+    where weight acts; `MechanicsError` if k(s) is not positive."""
     frames = usable_frames(observations)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
@@ -101,12 +95,8 @@ def validate(
 def marker_misfit(
     beam: Beam, observations: Observations, frames: BoolArray, rest: AtRest, near: Equilibrium | None = None
 ) -> tuple[Array, Equilibrium]:
-    """RMS (m,) [m] of each tag in a few frames, as `validate` has it, and the equilibria; NaN where the beam snaps
-    through in one of them. `near`: those of a similar beam, to begin at.
-
-    Raises:
-        MechanicsError: k(s) is not positive somewhere.
-    """
+    """RMS (m,) [m] of each tag in a few frames as in `validate`, NaN if the beam snaps through, and the equilibria.
+    `near`: those of a similar beam. Raises `MechanicsError` if k(s) is not positive."""
     if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
     problem = make_problem(beam, loads_of(observations, frames), static_poses.resolution_of(observations))
@@ -125,8 +115,8 @@ def marker_misfit(
 def solved_frames(
     beam: Beam, observations: Observations, frames: BoolArray, near: Array | None = None
 ) -> Iterator[Equilibrium]:
-    """Under the measured loads, chunk by chunk; static poses in the equilibria that their points show, all together,
-    and so those of a film near shapes (F, Q) of a similar beam, where these are known."""
+    """Equilibria under the measured loads, in chunks; for static poses those that their points show; for a film near
+    shapes (F, Q), if known."""
     loads = loads_of(observations, frames)
     if not observations.static and near is not None:
         yield refine(make_problem(beam, loads, static_poses.RESOLUTION), near)
@@ -175,8 +165,8 @@ def _by_sensor(solved: Equilibrium, observations: Observations, frames: BoolArra
 def _likely_rms(
     beam: Beam, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness | None, sensor_rms: Array
 ) -> Array:
-    """(m,) RMS that the band of k(s) and the tolerances of this push give with the force's noise; NaN where no band is
-    known, or where unknown wrenches hold the end."""
+    """(m,) RMS expected from the band of k(s), the push's tolerances and the force's noise; NaN without a band or with
+    held ends."""
     if stiffness is None or static_poses.is_held(observations):
         return np.full(len(observations.marker_s), np.nan)
     few = few_frames(frames)
@@ -194,10 +184,7 @@ def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:
 def _pose_notices(
     o: Observations, frames: BoolArray, seen: static_poses.SeenPoses, solved: Equilibrium, predicted: Array
 ) -> tuple[Notice, ...]:
-    """Warnings on single poses: no stable equilibrium near the points, or another one than the stated history leads to.
-
-    There is none if most poses are far off: then no single pose is at fault.
-    """
+    """Warnings on single poses: no stable equilibrium near the points, or another one than the history leads to."""
     names = static_poses.pose_names(o, frames)
     free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
     rms = static_poses.pose_rms(o.xy[frames] - predicted)

@@ -1,7 +1,5 @@
-"""Findings about a marker-space fit as codes with numbers, and each recording as the fit explains it.
-
-`report.sentences` has the sentence of every code.
-"""
+"""Findings about a fit as codes with numbers (sentences: `report.sentences`), and each recording as the fit explains
+it."""
 
 from __future__ import annotations
 
@@ -94,7 +92,6 @@ def cause(finding: Finding, posterior: Posterior) -> Notice:
 
 
 def _variant(name: str, value: float, posterior: Posterior) -> tuple[str, dict[str, float]]:
-    """What the code of a mechanical cause ends with, and its further numbers."""
     data = posterior.recordings[0]
     if name in ("stretch", "shear"):
         return ("", {"stiffness": 1.0 / value}) if value > 0.0 else (" backwards", {})
@@ -142,19 +139,14 @@ def unseen_place(posterior: Posterior) -> Notice | None:
 
 
 def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
-    """(m,) m of each recording: distance of the tags from the fit with all its nuisances; NaN for a tag never seen.
-
-    Unlike the RMS of a `Comparison`, it does not contain the slow error of the force log.
-    """
+    """(m,) m of each recording: distance of the tags from the fit with all nuisances, the force log's slow error
+    included; NaN for a tag never seen."""
     return tuple(map(recording_rms, posterior.recordings, posterior.slow))
 
 
 def possible(posterior: Posterior) -> Posterior:
-    """The posterior without the tests of impossible causes.
-
-    Poses under known loads have no place of a push and no axes of a log. No weight that hangs on a beam by mistake is
-    much heavier than the other loads.
-    """
+    """The posterior without the tests of impossible causes: places and axes of a push for poses under known loads, and
+    hanging weights much heavier than the other loads."""
     critic = posterior.criticism
     kept = tuple(one for one in critic.findings if _can_be(one, posterior))
     return replace(posterior, criticism=replace(critic, findings=kept))
@@ -187,7 +179,6 @@ def _miss(posterior: Posterior, name: str, tag: int, rms: float, motion: float) 
 
 
 def _push_elsewhere(posterior: Posterior) -> list[Notice]:
-    """The evidence for another place of the push, or that the place is open."""
     found, off = posterior.place, moved_off(posterior.layout, posterior.mean)
     if off > FAR and not (found is not None and found.accused):
         return [Notice("push moved", {"times": off})]
@@ -218,11 +209,9 @@ def _test_notices(posterior: Posterior) -> tuple[Notice, ...]:
 
 
 def _hanging(posterior: Posterior) -> list[Notice]:
-    """A warning if a beam of this k(s), section and weight would hang far out of the plane, as no filmed beam does.
-
-    A cantilever of mass m hangs down by `m g L^2 int (1 - s)^3 / (2 k) ds`. Here k is that of the other direction:
-    larger by the square of the section's size across the plane over that in it.
-    """
+    """A warning if a beam of this k(s), section and weight would hang far out of the plane, as no filmed beam does. A
+    cantilever of mass m hangs down by `m g L^2 int (1 - s)^3 / (2 k) ds`, with k of the other direction: larger by the
+    square of the ratio of the section's sizes."""
     one, s = posterior.recordings[0].observations, np.linspace(0.0, 1.0, 201)
     section, upright = one.stated.section, any(np.any(r.observations.gravity) for r in posterior.recordings)
     if section is None or section.shape != "rectangle" or one.static or upright:
@@ -236,7 +225,6 @@ def _hanging(posterior: Posterior) -> list[Notice]:
 
 
 def _free_clamp(posterior: Posterior) -> list[Notice]:
-    """A warning if the clamp's direction was left wider than usual; of poses, than their recording says."""
     seen = [data.observations for data in posterior.recordings]
     every = [o if o.static else replace(o, stated=replace(o.stated, clamp_sd=np.nan)) for o in seen]
     usual = max(clamp_sd(o, Priors()) for o in every)
@@ -245,7 +233,6 @@ def _free_clamp(posterior: Posterior) -> list[Notice]:
 
 
 def _far_nuisances(posterior: Posterior) -> list[Notice]:
-    """Nuisances far from their priors that the tests of the model, which know the data's pull on them, let pass."""
     struck = {(f.score.suspect.name, f.score.suspect.tag) for f in posterior.criticism.striking}
     ids = posterior.recordings[0].observations.tag_id.tolist()
     skipped = {"stiffness", "force", BETWEEN}
@@ -264,7 +251,6 @@ def _far_nuisances(posterior: Posterior) -> list[Notice]:
 
 
 def _loud(posterior: Posterior) -> list[Notice]:
-    """Recordings with tags much farther from the fit than their own noise explains."""
     out = []
     for data, noise in zip(posterior.recordings, posterior.optimum.hyperparameters.noise, strict=True):
         if noise.marker > _LOUD:
@@ -275,7 +261,6 @@ def _loud(posterior: Posterior) -> list[Notice]:
 
 
 def _whose(posterior: Posterior, name: str) -> str:
-    """The recording that a notice is about, if there are several."""
     return name if len(posterior.recordings) > 1 else ""
 
 

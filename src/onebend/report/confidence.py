@@ -59,10 +59,8 @@ def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]
 
 
 def identified_words(ranges: Sequence[tuple[float, float]]) -> str:
-    """Where k(s) is identified, as "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90"; narrow gaps are not named.
-
-    Neither is an identified stretch as short as they are, beside longer ones. `ranges`: at least one.
-    """
+    """Where k(s) is identified: "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90". Short gaps and stretches are left
+    out."""
     joined: list[list[tuple[float, float]]] = []
     for one in ranges:
         if joined and one[0] - joined[-1][-1][1] < NARROW:
@@ -245,8 +243,7 @@ def share_words(share: Attribution) -> str:
 
 
 def narrower_words(posterior: Posterior) -> str:
-    """What would narrow the band, at most two things, and by how many times at most; empty where nothing that a person
-    can do would by much."""
+    """At most two measures that narrow the band, with the factor; empty if none helps by much."""
     shares = sorted((one for one in posterior.attributions if one.matters), key=lambda one: -one.widening)
     seen = [recording.observations for recording in posterior.recordings]
     every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
@@ -298,8 +295,6 @@ def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
     return way if is_open else ""
 
 
-# Young's modulus as people read it, where the beam's section was measured.
-
 _MODULUS_PLACES = 201
 
 
@@ -345,8 +340,7 @@ def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
 
 
 def one_modulus_words(measured: MeasuredBeam) -> str:
-    """E as one number with its band: "50.5 GPa (49.8 to 51.2)"; empty where k(s) was not learned as the section's shape
-    times a modulus."""
+    """E with its band, "50.5 GPa (49.8 to 51.2)"; empty if k(s) was not learned as a modulus times the section."""
     found = one_modulus(measured.uncertain or measured.beam.stiffness, measured.beam.length, measured.section)
     if found is None:
         return ""
@@ -356,8 +350,7 @@ def one_modulus_words(measured: MeasuredBeam) -> str:
 
 
 def modulus_range(measured: MeasuredBeam) -> str:
-    """Smallest and largest E where k(s) is identified, of all that is known where it is nowhere: "0.68 … 0.73 MPa";
-    empty where the section is not known, or at no place."""
+    """Smallest and largest E where k(s) is identified, "0.68 … 0.73 MPa"; empty if the section is not known."""
     band = measured.band(np.linspace(0.0, 1.0, _MODULUS_PLACES))
     if band is None or not np.any(shown := shown_places(band)):
         return ""

@@ -106,8 +106,6 @@ def draw_reachable(axes: Axes, within: ReachableSet) -> None:
     bar.ax.set_ylim(0.0, within.max_force)
 
 
-# Pictures of a shape that hands hold, and of a path.
-
 TICK = 0.06  # of L: a wanted direction, and half a gripper's jaw
 PATH_SNAPSHOTS = 7
 S = np.linspace(0.0, 1.0, 121)
@@ -158,7 +156,6 @@ def path_figure(way: FollowedPath) -> Figure:
 
 
 def _hands_in_time(axes: Axes, way: FollowedPath) -> None:
-    """Forces of the pushes; of a grip the pose."""
     for i, pusher in enumerate(way.actuators.pushes):
         axes.plot(way.time, way.forces[:, i, 0], color=hue_of(i), label=f"$F_x$ at s = {pusher.at_s:.3g}")
         axes.plot(way.time, way.forces[:, i, 1], "--", color=hue_of(i), label=f"$F_y$ at s = {pusher.at_s:.3g}")
@@ -214,8 +211,6 @@ def _jaw(axes: Axes, pose: Array, length: float) -> None:
     axes.plot(*(MM * np.stack([pose[:2] - across, pose[:2] + across]).T), color=ORANGE, lw=5, zorder=4)
 
 
-# The picture of a rehearsed closed loop: distance from the goal, and the force, over time.
-
 LEAST = 1e-5  # m: what the logarithmic axis shows of less
 LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 
@@ -245,7 +240,6 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
 
 
 def _said(axes: Axes, height: float, text: str) -> None:
-    """What a dotted line is, on it."""
     axes.text(0.01, 1.03 * height, text, fontsize=8, color=MUTED, va="bottom", transform=axes.get_yaxis_transform())
 
 
@@ -253,8 +247,6 @@ def _place(control: Controller) -> str:
     x, y = MM * control.goal
     return f"({x:.4g}, {y:.4g})"
 
-
-# The picture of a force that a beam's shape told.
 
 _FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
@@ -264,8 +256,7 @@ _BEYOND = 1.6  # of the largest force: the axes show no more of a band
 
 @styled
 def sensing(found: Sensed) -> Figure:
-    """Both components with their bands over time, and the log's; the moment and the second force, where they were asked
-    for; the place; the misfit of each frame; when contacts begin and end."""
+    """Force, moment and second force over time with their bands, the log, the place, the misfit and the contacts."""
     more = (found.moment is not None) + 2 * (found.second is not None)
     figure, (x, y, *others, place, misfit) = blank(8.0 + 1.6 * more, 4 + more, 1, sharex=True)
     if found.moment is not None:

@@ -51,8 +51,6 @@ from onebend.report.style import (
 from onebend.report.wording import LEVELS, Findings, highest_shown, millimetres, only_frequencies, significant, words_of
 from onebend.text_files import figure_text
 
-# The figures of what was learned: k(s) with its band, and the nuisances before and after the data.
-
 MM = 1000.0
 GREY = "#98a2b3"
 _S = np.linspace(0.0, 1.0, 401)
@@ -69,10 +67,8 @@ def stiffness(
     tags: Mapping[int, float] = MappingProxyType({}),
     push_s: float | None = None,
 ) -> Figure:
-    """k(s) along the beam with its bands, grey where the data are blind; the regression's k(s) beside it.
-
-    The symbols are the tags, by id and place; hatched: what no push reached.
-    """
+    """k(s) with its bands, grey where it is not identified, beside the regression. Symbols: tags; hatched: never
+    loaded."""
     if uncertain is None:
         figure, (axes,) = blank(3.1)
         low, top = _plain(axes, beam.stiffness(_S))
@@ -95,7 +91,6 @@ def stiffness(
 
 
 def _plain(axes: Axes, k: Array) -> tuple[float, float]:
-    """A curve without a band; returns the lowest and highest value to show."""
     axes.plot(_S, k, color=BLUE)
     axes.fill_between(_S, 0.0, k, color=BLUE, alpha=0.08, linewidth=0)
     if k.min() <= 0.0:
@@ -145,7 +140,6 @@ def _reach(where: BoolArray) -> BoolArray:
 
 
 def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None:
-    """The tags on the axis, and what no push reached."""
     count = len(tags)
     for i, (tag, place) in enumerate(tags.items()):
         tint, text = hue_of(i, count), f"tag {tag}" if i == 0 else f"{tag}"
@@ -182,8 +176,6 @@ def nuisances(rows: Sequence[Nuisance]) -> Figure:
     axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
     return figure
 
-
-# Which frames a picture shows, and the beam simulated for them.
 
 LARGE = 0.99  # of the largest force: so large is as good to look at
 
@@ -235,11 +227,11 @@ def centreline(
     return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None
 
 
-# The figures of a report, one function a figure. Lengths are shown in mm, forces in N, stiffness in N m.
+# Lengths are shown in mm, forces in N, stiffness in N m.
 
 _A_ROW = 5  # markers whose names fit side by side
 _DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
-# What is drawn over a photo keeps a white edge, to be seen on any background.
+# A white edge, to be seen on any photo.
 _EDGED_WIDE: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
 
 
@@ -252,11 +244,7 @@ def fit_over_frame(
     observations: Observations,
     fitted: Explained | None = None,
 ) -> Figure:
-    """Measured tags and the beam at the largest push (to a percent), over the video frame (RGB) itself.
-
-    The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
-    force as logged.
-    """
+    """Measured tags and the fitted beam over the RGB frame of the largest push; dashed: under the logged force."""
     shown = comparison if fitted is None else fitted.comparison
     t = push_to_show(shown)
     logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
@@ -474,7 +462,6 @@ def force(observations: Observations, fitted: Explained | None = None) -> Figure
 
 
 def _flagged_spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """First and last time of every run of True."""
     return [(float(time[first]), float(time[end - 1])) for first, end in runs(flags)]
 
 
@@ -502,12 +489,8 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
     return figure
 
 
-# All figures of a report, by name.
-
-
 def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
-    """Every figure that the findings allow, in the order of the page. The film is read for those of its frames that
-    are not in `frames`."""
+    """Every figure that the findings allow, in the order of the page. Frames that are not in `frames` are read."""
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     posterior = findings.posterior
     if posterior is not None and (rows_told := told(posterior.nuisances())):
@@ -520,7 +503,6 @@ def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: 
 
 
 def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
-    """What the recordings show, and how near the fit comes."""
     beam, learned = findings.beam, findings.learned
     training, recording = findings.trainings[0], findings.recordings[0]
     wanted: dict[str, Draw] = {
@@ -613,18 +595,14 @@ def fit(
     )
 
 
-# One picture of a recording before it is learned from: what was understood, drawn over what was filmed.
-
 ROWS = 4000  # of the log that are drawn
 ARROW = 0.3  # of the beam's length
 _EDGED_NARROW: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground="white")]}
 
 
 def check_picture(found: Overview) -> Figure | None:
-    """A frame with the tags, the beam's axis and the largest force; below it the force over time.
-
-    Of tracks and poses, which have no picture, the tags in the plane. None where there is nothing to draw.
-    """
+    """A frame with tags, axis and largest force, and the force over time; without a film the tags in the plane, or
+    None."""
     return None if found.preview is None and found.observations is None else _drawn(found)
 
 
@@ -648,7 +626,6 @@ def _drawn(found: Overview) -> Figure:
 
 
 def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -> None:
-    """The frame that says most, the ids in it, the axis and the arrow."""
     at = preview.shown
     frame, tags = preview.looked[at], preview.sightings[at]
     expected = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
@@ -713,7 +690,6 @@ def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> 
 
 
 def _plane(axes: Axes, found: Overview) -> None:
-    """Where tracks or poses have the tags, in the beam's frame."""
     assert found.observations is not None
     o = found.observations
     for i, tag in enumerate(o.tag_id.tolist()):
@@ -726,7 +702,6 @@ def _plane(axes: Axes, found: Overview) -> None:
 
 
 def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
-    """The force on the beam over time, with the film's span, its rests and its push."""
     force = tared(found.recording, log)
     every = max(1, len(force) // ROWS)
     for values, name, colour in zip(force[::every].T, ("along x", "along y"), (BLUE, ORANGE), strict=True):

@@ -66,11 +66,8 @@ class FilmInfo:
 
 
 def overview(folder: Path | str) -> Overview:
-    """Read and check every file of a recording, and look for its tags in some frames of the film.
-
-    Raises:
-        RecordingError: a file cannot be read, with all that `read_recording` says.
-        ObservationError: marker tracks or poses that make no observations.
+    """Read and check every file of a recording, and look for its tags in some frames of the film. Raises
+    `RecordingError` for a file that cannot be read, `ObservationError` for tracks or poses that make no observations.
     """
     recording = read_recording(folder)
     section = stated_in(recording).section
@@ -150,8 +147,7 @@ def _largest(recording: Recording, log: ForceLog) -> Array:
 
 
 def tared(recording: Recording, log: ForceLog) -> Array:
-    """(N, 2) N, the log's force on the beam in its axes without spikes and quick noise, less what it shows in its
-    first rows: roughly its zero."""
+    """(N, 2) N, the log's force on the beam without spikes and quick noise, less the force in its first rows."""
     bad = outliers(log.force, spacing=step(log.time))
     span = max(1, round(SMOOTH / step(log.time)))
     values = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
@@ -183,11 +179,8 @@ def _refuse_apart(recording: Recording, seconds: float, log: ForceLog) -> None:
 
 
 def _refuse_axes(recording: Recording, markers: Markers, log: ForceLog) -> None:
-    """Raise where the force contradicts the bending in the frames that were looked at, as `learn` does for all.
-
-    The clocks are brought together by the size of the force and of the bending, which no sign and no axis changes. What
-    is less than certain is left to `learn`.
-    """
+    """Raise if the force contradicts the bending in these frames. The clocks are matched by the sizes of force and
+    bending, which no sign or axis changes."""
     away, force = displacement(markers), tared(recording, log)
     start, doubt = recording.start
     place = np.nan if recording.push is None else recording.push.at
@@ -216,7 +209,6 @@ def _likeness(time: Array, away: Array, log_time: Array, size: Array) -> float:
 
 
 def _tag_rows(preview: Preview | None) -> list[tuple[str, str]]:
-    """Which tags were seen, and how wide."""
     if preview is None:
         return []
     seen = sorted({tag.tag_id for found in preview.sightings for tag in found})

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Small frames of the film to look through on the page: the fitted beam, the tags and the force in their pixels.
+# Small frames of the film for the page.
 
 MOST_FRAMES = 24  # fewer than are kept of most films
 WIDEST = 560  # px
@@ -83,8 +83,7 @@ def film_strip(
     uncertain: UncertainStiffness,
     kept: KeptFrames | None = None,
 ) -> FilmStrip | None:
-    """Frames spread evenly over those of the fit, the film being read for those that are not `kept`; None where it is
-    gone, or there is no camera."""
+    """Frames spread evenly over those of the fit; those not in `kept` are read. None without a film or a camera."""
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
         return None
@@ -124,12 +123,9 @@ def film_strip(
 def shape_band(
     beam: Beam, uncertain: UncertainStiffness, observations: Observations, fitted: Explained, chosen: NDArray[np.int_]
 ) -> Array:
-    """(F, 2, places, 2) m, either side of the fitted centre line: what the uncertainty of k(s) alone does to the shape.
-
-    Beams drawn from the posterior of k(s) are bent by the loads of the frames `chosen`, and the fitted line is moved by
-    the quantile of how far they lie to its side. Errors of the force, which the fit sees together with k(s), are left
-    out. Without width where the drawn beams cannot be simulated.
-    """
+    """(F, 2, places, 2) m, either side of the fitted centre line: 95 % of the shapes of beams with k(s) drawn from its
+    posterior, under the loads of the frames `chosen`. Force errors are not included. Zero width if no drawn beam can be
+    simulated."""
     lines = fitted.line[chosen, ::_STEP]
     s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
     frames = np.isin(observations.frame, fitted.comparison.frame[chosen])

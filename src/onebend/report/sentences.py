@@ -183,7 +183,6 @@ def posture_words(posture: Posture) -> str:
 
 
 def _swing(row: ComparedFrequency, kind: Literal["validated", "fitted", "odd"]) -> str:
-    """One frequency as measured, and as the beam or the fit has it."""
     measured = f"mode {row.mode} ({posture_words(row.posture)}) {row.measured:.5g} Hz"
     if kind == "validated":
         return f"{measured}, the beam {row.fitted:.5g} Hz ({100.0 * (row.fitted / row.measured - 1.0):+.2g} %)"

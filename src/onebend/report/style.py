@@ -76,10 +76,7 @@ def blank(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tup
 
 
 def png_of(figure: Figure, *, software: str | None = None) -> bytes:
-    """The figure as a PNG, without a date: the same findings give the same bytes.
-
-    It is laid out once and drawn once; `Figure.savefig` draws everything once more, to lay it out.
-    """
+    """The figure as a PNG without a date. It is laid out and drawn once; `Figure.savefig` would draw it twice."""
     with rc_context(_LOOK):
         stream = io.BytesIO()
         if (engine := figure.get_layout_engine()) is not None:

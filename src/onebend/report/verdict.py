@@ -1,7 +1,4 @@
-"""The verdict on k(s): what it is, what it rests on, what it is good for, and what to do next.
-
-One function makes it, and terminal, report and `summary.json` say it in the same words.
-"""
+"""The verdict on k(s), for terminal, report and `summary.json`: value, grounds, use and next step."""
 
 from __future__ import annotations
 
@@ -60,8 +57,6 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Error:
-    """The worst tag of the recordings that count."""
-
     of: ErrorOf
     rms: float  # m
     tag: str
@@ -91,7 +86,6 @@ def verdict_of(findings: Findings) -> Verdict:
 
 
 def _about(posterior: Posterior | None) -> str:
-    """The fault that the verdict itself finds; warnings have sections of their own."""
     if posterior is None:
         return ""
     code = "verdict: doubt" if posterior.doubts else "known: nowhere"
@@ -210,7 +204,6 @@ def _use(findings: Findings, error: _Error) -> str:
 
 
 def _next(findings: Findings, error: _Error) -> str:
-    """The first that applies: correct a fault, validate, then learn more."""
     posterior, first = findings.posterior, findings.recordings[0]
     if posterior is None:
         return say("next: fit")
@@ -228,7 +221,6 @@ def _next(findings: Findings, error: _Error) -> str:
 
 
 def _correction(posterior: Posterior) -> str:
-    """What to do about the likeliest fault; empty if there is none."""
     causes, trusted = possible(posterior).criticism.causes, posterior.criticism.trusted
     if causes and not trusted and not any(one.hopeless for one in posterior.misses):
         likeliest = cause(causes[0], posterior)

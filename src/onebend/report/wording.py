@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from onebend.learning.posterior import Posterior
 
 
-# What a report is written from: a run of the pipeline, or anything with the same fields.
-
-
 class Findings(Protocol):
     """A beam, what it was learned from and how, and the recordings it was validated on."""
 
@@ -60,8 +57,6 @@ def name_of(findings: Findings) -> str:
     """The recordings that were learned from, in one line."""
     return " + ".join(recording.source.name for recording in findings.recordings)
 
-
-# What kind a recording is, and the words that go with it: who hung weights does not read of a film or a force log.
 
 Kind = Literal["film", "tracks", "photos", "poses", "frequencies"]
 
@@ -265,7 +260,6 @@ def _force_rows(clean: CleanForce) -> list[tuple[str, str]]:
 
 
 def _load_rows(observations: Observations) -> list[tuple[str, str]]:
-    """Of static poses: what hangs on the beam, and how well it is known."""
     if not is_forced(observations):
         return []
     size, sd = np.linalg.norm(observations.force, axis=1), 1e3 * float(np.max(observations.force_sd))
@@ -298,7 +292,6 @@ def assumptions(findings: Findings) -> list[str]:
 
 
 def _loading(recording: Observations) -> list[str]:
-    """What is taken for granted of the loads."""
     if kind_of(recording) == "frequencies":
         return ["It swings freely about rest, and so little that its frequencies do not depend on how far."]
     if recording.static:
@@ -318,7 +311,6 @@ def _loading(recording: Observations) -> list[str]:
 
 
 def _allowed(findings: Findings) -> str:
-    """What else beam and bench may do."""
     none = "It neither stretches nor shears, and the material does not relax."
     if findings.posterior is None:
         return none
@@ -341,8 +333,6 @@ def change_words(shift: float) -> str:
     """Of k(s), where log k changes by `shift`: in percent, or another k(s) where first order tells no more."""
     return f"{100.0 * np.expm1(shift):.2g} %" if shift < _LINEAR else ANOTHER
 
-
-# What the bands of k(s) look like, in pictures and on the page alike; without Matplotlib.
 
 LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # of the bands, and how strongly each is drawn
 _S = np.linspace(0.0, 1.0, 401)

@@ -42,13 +42,8 @@ def learned_writer(
     made_from: Mapping[str, Any] = {},
     tables: Writer | None = None,
 ) -> Writer:
-    """What `publish` needs to fill a folder with the results of learning.
-
-    Args:
-        pictures: of the report; None: without a report.
-        made_from: what `provenance` gives, for the report to show.
-        tables: what writes the model and the tables; None: `tables_writer`.
-    """
+    """Fills a folder with the results of learning, for `publish`. `pictures`: None for no report; `made_from`: the
+    result of `provenance`; `tables`: writes model and tables (None: `tables_writer`)."""
     write_tables = tables or tables_writer(findings, version=version)
 
     def write(folder: Path) -> None:
@@ -64,8 +59,7 @@ def learned_writer(
 
 
 def tables_writer(findings: Findings, *, version: str) -> Writer:
-    """What fills an empty folder with the model, the tables and the observations; they are made once, however often
-    they are written."""
+    """Fills an empty folder with model, tables and observations. They are made once, however often they are written."""
     made: dict[str, bytes] = {}
 
     def write(folder: Path) -> None:
@@ -120,7 +114,7 @@ def _write_figures(folder: Path, pictures: Pictures) -> None:
     pictures.write(folder / "figures")
 
 
-# `summary.json`: the numbers for scripts, in SI units; `null` where a number is unknown or not finite.
+# `summary.json`: SI units; `null` for a number that is unknown or not finite.
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -225,7 +219,6 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
 
 
 def _fit(posterior: Posterior) -> dict[str, Any]:
-    """The marker-space fit: nuisances, what trades off, scales, why it stopped."""
     optimum, uncertain = posterior.optimum, posterior.stiffness
     return {
         "trusted": not uncertain.doubts,
@@ -250,7 +243,6 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
 
 
 def _regression(learned: Learned) -> dict[str, Any]:
-    """The paper's result on the first recording."""
     return {
         "method": learned.method,
         "family": learned.family,
@@ -262,7 +254,6 @@ def _regression(learned: Learned) -> dict[str, Any]:
 
 
 def _observed(observations: Observations) -> dict[str, Any]:
-    """What one recording said."""
     return {
         "recording": observations.source.name,
         "frames": {"all": len(observations.time), "loaded": int(observations.loaded.sum())},

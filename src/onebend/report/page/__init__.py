@@ -31,8 +31,6 @@ from onebend.report.verdict import Verdict, verdict_of
 from onebend.report.wording import millimetres, significant
 from onebend.text_files import one_line, to_json
 
-# Self-contained pages: a template, the common frame and style, and figures as data.
-
 COMMON = "onebend.report.page"
 
 
@@ -40,13 +38,7 @@ def render(
     package: str, name: str, figures: Mapping[str, bytes], content: Mapping[str, Any], *, scripts: Sequence[str] = ()
 ) -> str:
     """The template `name` of `package` as HTML; it sees `look` (CSS), `figures` (base64 PNGs by name) and `content`.
-
-    It may extend base.html and take macros from parts.html, which stand in this folder.
-
-    Args:
-        scripts: of this folder, run one after the other with `content["data"]` (JSON) beside them. The page allows
-            these and no other, and nothing from anywhere else.
-    """
+    The page allows `scripts` of this folder alone; they read `content["data"]` (JSON)."""
 
     look = Markup(page_file(COMMON, "look.css"))
     encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
@@ -75,7 +67,6 @@ def code_in(text: str) -> Markup:
 
 
 def _policy(script: str) -> str:
-    """The page's Content-Security-Policy: its own style, pictures inside it, and the script with this very text."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     allowed = f"'sha256-{digest}'" if script else "'none'"
     return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
@@ -84,9 +75,6 @@ def _policy(script: str) -> str:
 def page_file(package: str, file: str) -> str:
     """The text of a template, style or script."""
     return files(package).joinpath(file).read_text(encoding="utf-8")
-
-
-# The headline figures of a report.
 
 
 def cards(findings: wording.Findings) -> list[dict[str, str]]:
@@ -112,7 +100,6 @@ def cards(findings: wording.Findings) -> list[dict[str, str]]:
 
 
 def _noise_of(validation: Comparison) -> str:
-    """What the force noise alone does to the worst tag; a fit is closer, for it takes that noise out of the log."""
     noise = validation.sensor_rms[int(np.argmax(np.nan_to_num(validation.rms)))]
     return f"; force noise {millimetres(float(noise))} mm" if np.isfinite(noise) and noise > 0.0 else ""
 
@@ -174,7 +161,7 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     }
 
 
-# What the page's own script draws: k(s) with its bands to touch, and the learned beam to bend. Numbers alone.
+# Data of the page's script.
 
 SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # in this order, one script
 PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
@@ -250,7 +237,6 @@ def _bend(findings: wording.Findings) -> dict[str, Any] | None:
 
 
 def _film(film: FilmStrip) -> dict[str, Any]:
-    """The frames as data URIs, and what is drawn over them, in their pixels."""
     frames = [
         {
             "picture": "data:image/jpeg;base64," + base64.b64encode(one.jpeg).decode("ascii"),
@@ -276,8 +262,6 @@ def _short(values: Array) -> list[float]:
     """To six digits: the page need not carry the rest."""
     return [float(f"{value:.{_DIGITS}g}") for value in values]
 
-
-# Where a report comes from, for people: when, by which command, from which files, with which settings and versions.
 
 _MOST_NAMED = 4  # files in a sentence
 _UNITS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
@@ -349,8 +333,6 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, st
             yield one_line(before + name), one_line(words)
 
 
-# `report.html`: one self-contained page, figures and style inside, nothing fetched from anywhere.
-
 FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
 
@@ -409,7 +391,6 @@ def _content(findings: wording.Findings) -> dict[str, Any]:
 
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
-    """What the page says of the fit."""
     rms = zip(recordings, fitted_rms(posterior), strict=True)
     unseen = unseen_place(possible(posterior))
     return {
@@ -510,7 +491,6 @@ def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, s
 
 
 def _learned_captions(findings: wording.Findings) -> list[tuple[str, str]]:
-    """Figures of the recordings after the first, whose own stand in the text."""
     captions = []
     for i, comparison in enumerate(findings.trainings[1:], start=2):
         words = wording.words_of(findings.recordings[i - 1])
