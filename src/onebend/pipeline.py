@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
 from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
 from onebend.learning.frequencies import frequency_notices
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import Comparison, Learned, Notice, modulus_along, modulus_notices, stated_section
+from onebend.learning.outcome import Comparison, Learned, Notice, Run as Run, modulus_notices
 from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
 from onebend.learning.parameters import mass_remarks
 from onebend.learning.posterior import Posterior, fit
@@ -30,40 +29,11 @@ from onebend.recording.folder import check_same_beam, check_same_length, read_re
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import KeptFrames
-from onebend.records import Array, Observations, Remark
+from onebend.records import Observations, Remark
 from onebend.report.sentences import worded
 from onebend.results.model import read_model
 
 TO_BEGIN = 120  # frames that the regression learns from where the fit, which begins there, is the result
-
-
-@dataclass(frozen=True)
-class Run:
-    """Everything that came out of learning from recordings and validating on others."""
-
-    beam: Beam  # what was learned: the fit's, where there is one
-    learned: Learned | None  # the paper's regression on the first recording; None where no (n, m) gave a beam
-    posterior: Posterior | None  # the fit over all recordings; None where only the regression was asked for
-    recordings: tuple[Observations, ...]  # learned from
-    trainings: tuple[Comparison, ...]  # the beam against each of them
-    validations: tuple[Comparison, ...]
-    validation_observations: tuple[Observations, ...]
-    remarks: tuple[Remark, ...]  # on the learning itself
-    stage_seconds: dict[str, float]
-    video_seconds: float  # length of all videos together, to compare the stages with
-
-    def modulus(self, s: Array, level: float = 0.95) -> ModulusBand | None:
-        """Young's modulus E(s) [Pa] at places s (S,), with its band where k(s) has one; None where no recording states
-        the section (`width_m` with `thickness_m`, or `diameter_m`)."""
-        uncertain = None if self.posterior is None else self.posterior.stiffness
-        return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
-
-    def one_modulus(self, level: float = 0.95) -> tuple[float, float, float] | None:
-        """Young's modulus [Pa] as one number, and its band; None where no recording states k(s) to go with the section
-        (`stiffness_along = "section"`)."""
-        if self.posterior is None:
-            return None
-        return one_modulus(self.posterior.stiffness, self.beam.length, stated_section(self.recordings), level)
 
 
 @one_blas_thread

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from onebend.cli.screens import show_run
 from onebend.learning.criticism import Finding
-from onebend.learning.outcome import another_beam
+from onebend.learning.outcome import Run, another_beam
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fit_notices, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
@@ -52,7 +52,7 @@ def as_poses(found: Posterior) -> Posterior:
     return replace(found, problem=replace(found.problem, recordings=whole))
 
 
-def validated(rms: float, sensor: float, likely: float = np.nan, **changes: Any) -> made_up.MadeUp:
+def validated(rms: float, sensor: float, likely: float = np.nan, **changes: Any) -> Run:
     found = made_up.findings(1)
     one = replace(
         found.validations[0],

@@ -16,7 +16,7 @@ from rich.text import Text
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
 from onebend.cli.common import facts_table, force_words, remarks_list, say_written, warnings_list
-from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.outcome import Comparison, Learned, Run
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.swing import Damping, SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
@@ -437,7 +437,7 @@ _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
 def show_run(
-    console: Console, run: wording.Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
+    console: Console, run: Run, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
 ) -> None:
     """The answer of `onebend learn`: verdict, k(s), warnings and the place of the report; `verbose`: everything."""
     if verbose:
@@ -460,7 +460,7 @@ def show_run(
     say_path(console, "report" if report else "results", out / "report.html" if report else out)
 
 
-def verdict_rows(run: wording.Findings) -> Table:
+def verdict_rows(run: Run) -> Table:
     """The verdict, a row each."""
     verdict = verdict_of(run)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
@@ -472,7 +472,7 @@ def verdict_rows(run: wording.Findings) -> Table:
     return table
 
 
-def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[RenderableType]:
+def _stiffness(console: Console, run: Run, *, log: bool) -> list[RenderableType]:
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = confidence.measured_beam(run)
@@ -485,7 +485,7 @@ def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[Re
     return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
 
 
-def _everything(run: wording.Findings) -> list[RenderableType]:
+def _everything(run: Run) -> list[RenderableType]:
     """What the answer does not need: it stands in the report as well."""
     parts: list[RenderableType] = []
     if run.learned is not None:
@@ -502,7 +502,7 @@ def _everything(run: wording.Findings) -> list[RenderableType]:
     return [*parts, remarks_list(all_remarks(run))]
 
 
-def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
+def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
         largest = millimetres(float(np.nanmax(rms)))
@@ -513,7 +513,7 @@ def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
     return words
 
 
-def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
+def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
     """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
     blind = confidence.unidentified_words(uncertain, len(run.recordings))
@@ -540,7 +540,7 @@ def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
     )
 
 
-def show_times(console: Console, run: wording.Findings, seconds: Mapping[str, float]) -> None:
+def show_times(console: Console, run: Run, seconds: Mapping[str, float]) -> None:
     """The time that each stage took."""
     console.print()
     console.print(stages_table(seconds, run.video_seconds))

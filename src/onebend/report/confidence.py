@@ -13,7 +13,7 @@ from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import IDENTIFIED_SD, UncertainStiffness, half_width, half_width_words
 from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
 from onebend.learning.criticism import ALARM_WRITTEN
-from onebend.learning.outcome import modulus_along, shown_places, stated_section
+from onebend.learning.outcome import Run, modulus_along, shown_places, stated_section
 from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_level
 from onebend.learning.verdict import possible, what_is_tested
 from onebend.recording.signals import runs
@@ -88,7 +88,7 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
     return float(np.median(uncertain.half_width(s)))
 
 
-def stiffness_range(findings: wording.Findings) -> tuple[float, float]:
+def stiffness_range(findings: Run) -> tuple[float, float]:
     """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
@@ -321,7 +321,7 @@ class MeasuredBeam:
         return modulus_along(self.beam, self.uncertain, self.section, s)
 
 
-def measured_beam(findings: wording.Findings) -> MeasuredBeam:
+def measured_beam(findings: Run) -> MeasuredBeam:
     """The beam of the findings, with the section that its recordings state."""
     uncertain = None if findings.posterior is None else findings.posterior.stiffness
     return MeasuredBeam(findings.beam, uncertain, stated_section(findings.recordings))

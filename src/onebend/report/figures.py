@@ -20,7 +20,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, Profile, UncertainStiffness
 from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.frames import distances
-from onebend.learning.outcome import Comparison, Explained, Learned, Trial
+from onebend.learning.outcome import Comparison, Explained, Learned, Run, Trial
 from onebend.learning.posterior import Nuisance
 from onebend.learning.validation import solved_frames
 from onebend.learning.verdict import explained
@@ -48,7 +48,7 @@ from onebend.report.style import (
     shape,
     styled,
 )
-from onebend.report.wording import LEVELS, Findings, highest_shown, millimetres, only_frequencies, significant, words_of
+from onebend.report.wording import LEVELS, highest_shown, millimetres, only_frequencies, significant, words_of
 from onebend.text_files import figure_text
 
 MM = 1000.0
@@ -489,7 +489,7 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
     return figure
 
 
-def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
+def draw_all(findings: Run, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
     """Every figure that the findings allow, in the order of the page. Frames that are not in `frames` are read."""
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     posterior = findings.posterior
@@ -502,7 +502,7 @@ def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: 
     return _with_film(findings, draw(wanted | _of_recordings(findings, fits, kept), progress), fits[0], kept)
 
 
-def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
+def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
     beam, learned = findings.beam, findings.learned
     training, recording = findings.trainings[0], findings.recordings[0]
     wanted: dict[str, Draw] = {
@@ -533,7 +533,7 @@ def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: K
     return wanted | validation_figures(beam, pairs, *own)
 
 
-def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
+def _with_film(findings: Run, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
     """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
     if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
         return pictures
@@ -545,7 +545,7 @@ def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None,
         return pictures
 
 
-def _stiffness(findings: Findings) -> Figure:
+def _stiffness(findings: Run) -> Figure:
     """k(s) with its band, and the regression's beside it where it is not the result itself."""
     posterior, learned, first = findings.posterior, findings.learned, findings.trainings[0]
     pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in findings.trainings])

@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 from onebend.learning.frequencies import ComparedFrequency, Posture
-from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
+from onebend.learning.outcome import Comparison, Notice, Run, another_beam, poor_fit
 from onebend.records import Array, Observations, Remark, StatedSection
-from onebend.report.wording import Findings, name_of
+from onebend.report.wording import name_of
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def pair_remarks(comparison: Comparison, observations: Observations) -> list[Rem
     return [*observations.source.remarks, *worded((*comparison.remarks, *missed))]
 
 
-def all_remarks(findings: Findings) -> list[tuple[str, Remark]]:
+def all_remarks(findings: Run) -> list[tuple[str, Remark]]:
     """Every remark once, with the name of the recording it belongs to; warnings first."""
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]

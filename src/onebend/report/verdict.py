@@ -12,13 +12,13 @@ import numpy as np
 from onebend.beam.stiffness import half_width_words
 from onebend.errors import section
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, another_beam, poor_fit
+from onebend.learning.outcome import Comparison, Run, another_beam, poor_fit
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.verdict import cause, fitted_rms, possible
 from onebend.records import Array
 from onebend.report import confidence
 from onebend.report.sentences import SENTENCES, remedy, say
-from onebend.report.wording import Findings, millimetres, only_frequencies, significant, span, tag_words
+from onebend.report.wording import millimetres, only_frequencies, significant, span, tag_words
 
 AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
 _MOST_NAMED = 4  # allowances, tests
@@ -67,7 +67,7 @@ class _Error:
     failed: bool  # a warning says so
 
 
-def verdict_of(findings: Findings) -> Verdict:
+def verdict_of(findings: Run) -> Verdict:
     """The verdict on a run."""
     error = _error(findings)
     posterior = findings.posterior
@@ -92,7 +92,7 @@ def _about(posterior: Posterior | None) -> str:
     return "" if not posterior.doubts and confidence.identified_ranges(posterior.stiffness) else SENTENCES[code].about
 
 
-def hopeless(findings: Findings) -> bool:
+def hopeless(findings: Run) -> bool:
     """Whether the fit misses a recording so far that no fitted value means anything."""
     return findings.posterior is not None and any(one.hopeless for one in findings.posterior.misses)
 
@@ -106,7 +106,7 @@ def _headline(posterior: Posterior | None) -> str:
     return say("verdict: allowances", allowances=", ".join(matter)) if matter else say("verdict: holds")
 
 
-def _known(findings: Findings) -> str:
+def _known(findings: Run) -> str:
     low, high = confidence.stiffness_range(findings)
     values = f"{span(low, high)} N m"
     if findings.posterior is None:
@@ -147,7 +147,7 @@ def _stand_out(count: int) -> str:
     return "1 stands out" if count == 1 else f"{count} stand out"
 
 
-def _error(findings: Findings) -> _Error:
+def _error(findings: Run) -> _Error:
     """Of the validations, where there are any; else of the fit; else under the force as logged."""
     seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
     if seen:
@@ -172,7 +172,7 @@ def _worst(of: ErrorOf, comparisons: Sequence[Comparison], rms: Sequence[Array])
     )
 
 
-def _use(findings: Findings, error: _Error) -> str:
+def _use(findings: Run, error: _Error) -> str:
     posterior = findings.posterior
     if posterior is not None and posterior.doubts:
         return say("use: none")
@@ -203,7 +203,7 @@ def _use(findings: Findings, error: _Error) -> str:
     return say("use: validated", noise=noise, meaning=meaning, **values)
 
 
-def _next(findings: Findings, error: _Error) -> str:
+def _next(findings: Run, error: _Error) -> str:
     posterior, first = findings.posterior, findings.recordings[0]
     if posterior is None:
         return say("next: fit")

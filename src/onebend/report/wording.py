@@ -5,55 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from onebend.beam.model import Beam
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning.attribution import GROUPS
-from onebend.learning.outcome import Comparison, Learned
-from onebend.records import CleanForce, ClockOffset, Observations, Remark
+from onebend.learning.outcome import Comparison, Run
+from onebend.records import CleanForce, ClockOffset, Observations
 
 if TYPE_CHECKING:
-    from onebend.learning.posterior import Posterior
+    pass
 
 
-class Findings(Protocol):
-    """A beam, what it was learned from and how, and the recordings it was validated on."""
-
-    @property
-    def beam(self) -> Beam: ...
-
-    @property
-    def learned(self) -> Learned | None: ...
-
-    @property
-    def posterior(self) -> Posterior | None: ...
-
-    @property
-    def recordings(self) -> tuple[Observations, ...]: ...
-
-    @property
-    def trainings(self) -> tuple[Comparison, ...]: ...
-
-    @property
-    def validations(self) -> tuple[Comparison, ...]: ...
-
-    @property
-    def validation_observations(self) -> tuple[Observations, ...]: ...
-
-    @property
-    def remarks(self) -> tuple[Remark, ...]: ...
-
-    @property
-    def stage_seconds(self) -> Mapping[str, float]: ...
-
-    @property
-    def video_seconds(self) -> float: ...
-
-
-def name_of(findings: Findings) -> str:
+def name_of(findings: Run) -> str:
     """The recordings that were learned from, in one line."""
     return " + ".join(recording.source.name for recording in findings.recordings)
 
@@ -272,7 +237,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
     return ", ".join(significant(value) for value in values) + f" {unit}"
 
 
-def assumptions(findings: Findings) -> list[str]:
+def assumptions(findings: Run) -> list[str]:
     """The assumptions behind the result."""
     recording = findings.recordings[0]
     rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
@@ -310,7 +275,7 @@ def _loading(recording: Observations) -> list[str]:
     ]
 
 
-def _allowed(findings: Findings) -> str:
+def _allowed(findings: Run) -> str:
     none = "It neither stretches nor shears, and the material does not relax."
     if findings.posterior is None:
         return none
@@ -319,7 +284,7 @@ def _allowed(findings: Findings) -> str:
     return f"The fit also allows for {', '.join(names)}." if names else none
 
 
-def files_described(findings: Findings) -> list[tuple[str, str]]:
+def files_described(findings: Run) -> list[tuple[str, str]]:
     """Every file of a results folder with what it is."""
     absent = {
         "validation.csv": not findings.validations,

@@ -14,7 +14,7 @@ from onebend.beam.section import one_modulus, section_as_dict
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.files.publish import write_summary
 from onebend.learning.instruments import instruments_if_pushed
-from onebend.learning.outcome import Comparison, Learned, modulus_along, stated_section
+from onebend.learning.outcome import Comparison, Learned, Run, modulus_along, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
 from onebend.learning.swing import SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
@@ -25,7 +25,6 @@ from onebend.report.page import page, shown_made_from
 from onebend.report.pictures import Pictures
 from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.verdict import verdict_of
-from onebend.report.wording import Findings
 from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
@@ -34,7 +33,7 @@ Writer = Callable[[Path], None]  # fills a folder
 
 
 def learned_writer(
-    findings: Findings,
+    findings: Run,
     pictures: Pictures | None,
     summary: Mapping[str, Any],
     *,
@@ -58,7 +57,7 @@ def learned_writer(
     return write
 
 
-def tables_writer(findings: Findings, *, version: str) -> Writer:
+def tables_writer(findings: Run, *, version: str) -> Writer:
     """Fills an empty folder with model, tables and observations. They are made once, however often they are written."""
     made: dict[str, bytes] = {}
 
@@ -73,7 +72,7 @@ def tables_writer(findings: Findings, *, version: str) -> Writer:
     return write
 
 
-def _write_tables(folder: Path, findings: Findings, version: str) -> None:
+def _write_tables(folder: Path, findings: Run, version: str) -> None:
     learned, posterior = findings.learned, findings.posterior
     uncertain = None if posterior is None else posterior.stiffness
     origin = origin_of(learned, posterior, findings.trainings)
@@ -123,7 +122,7 @@ DAMP_FORMAT = "onebend-damp-1"
 FREQUENCIES_FORMAT = "onebend-frequencies-1"
 
 
-def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
+def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
     """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
     learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
     uncertain = None if posterior is None else posterior.stiffness

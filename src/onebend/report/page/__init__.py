@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.outcome import Comparison, Learned, Run, Trial
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
@@ -77,7 +77,7 @@ def page_file(package: str, file: str) -> str:
     return files(package).joinpath(file).read_text(encoding="utf-8")
 
 
-def cards(findings: wording.Findings) -> list[dict[str, str]]:
+def cards(findings: Run) -> list[dict[str, str]]:
     """What it is, its value, and a note, one a card."""
     recording = findings.recordings[0]
     rows = [_stiffness_card(findings), *_modulus_card(findings)]
@@ -109,7 +109,7 @@ def verdict_card(verdict: Verdict) -> dict[str, str]:
     return {"what": "verdict", "value": verdict.grade, "note": verdict.rests_on}
 
 
-def _training_card(findings: wording.Findings) -> dict[str, str]:
+def _training_card(findings: Run) -> dict[str, str]:
     """The residual at the tags that the beam was learned from: of the fit, where there is one."""
     if findings.posterior is not None and wording.only_frequencies(findings.recordings):
         swings = findings.posterior.frequencies
@@ -124,7 +124,7 @@ def _training_card(findings: wording.Findings) -> dict[str, str]:
     return {"what": what, "value": wording.worst_tag(replace(logged, rms=rms[which])), "note": note}
 
 
-def _stiffness_card(findings: wording.Findings) -> dict[str, str]:
+def _stiffness_card(findings: Run) -> dict[str, str]:
     low, high = confidence.stiffness_range(findings)
     area = 1e6 * findings.beam.length
     return {
@@ -134,7 +134,7 @@ def _stiffness_card(findings: wording.Findings) -> dict[str, str]:
     }
 
 
-def _modulus_card(findings: wording.Findings) -> list[dict[str, str]]:
+def _modulus_card(findings: Run) -> list[dict[str, str]]:
     """Young's modulus, where the section was measured."""
     measured = confidence.measured_beam(findings)
     found, one = confidence.modulus_range(measured), confidence.one_modulus_words(measured)
@@ -168,14 +168,14 @@ PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
 _DIGITS = 6
 
 
-def script_data(findings: wording.Findings, film: FilmStrip | None = None) -> Markup:
+def script_data(findings: Run, film: FilmStrip | None = None) -> Markup:
     """JSON for a script element, with nothing in it that could end the element."""
     data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
     text = to_json(data, ascii_only=True, readable=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _curve(findings: wording.Findings) -> dict[str, Any]:
+def _curve(findings: Run) -> dict[str, Any]:
     """k(s) with its bands, in N m."""
     s = np.linspace(0.0, 1.0, PLACES)
     beam, posterior, learned = findings.beam, findings.posterior, findings.learned
@@ -207,7 +207,7 @@ def _bands(uncertain: UncertainStiffness, s: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _bend(findings: wording.Findings) -> dict[str, Any] | None:
+def _bend(findings: Run) -> dict[str, Any] | None:
     """The beam and how hard it was loaded; None where there is no beam to bend, or nothing is known of the load."""
     beam, s = findings.beam, np.linspace(0.0, 1.0, PLACES)
     k, first = np.asarray(beam.stiffness(s)), findings.recordings[0]
@@ -338,7 +338,7 @@ METHODS = {"regression": "regression", "paper": "the paper's literal regression"
 
 
 def page(
-    findings: wording.Findings,
+    findings: Run,
     figures: Mapping[str, bytes],
     *,
     version: str,
@@ -351,7 +351,7 @@ def page(
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
 
-def _content(findings: wording.Findings) -> dict[str, Any]:
+def _content(findings: Run) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, **remark.as_dict(), "docs": remark.docs} for whose, remark in all_remarks(findings)]
     return {
@@ -416,7 +416,7 @@ def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, 
     }
 
 
-def _stiffness_rows(findings: wording.Findings) -> list[dict[str, Any]]:
+def _stiffness_rows(findings: Run) -> list[dict[str, Any]]:
     beam, posterior = findings.beam, findings.posterior
     s = np.linspace(0.0, 1.0, 11)
     rows: list[dict[str, Any]] = [
@@ -490,7 +490,7 @@ def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, s
     return captions
 
 
-def _learned_captions(findings: wording.Findings) -> list[tuple[str, str]]:
+def _learned_captions(findings: Run) -> list[tuple[str, str]]:
     captions = []
     for i, comparison in enumerate(findings.trainings[1:], start=2):
         words = wording.words_of(findings.recordings[i - 1])
@@ -500,7 +500,7 @@ def _learned_captions(findings: wording.Findings) -> list[tuple[str, str]]:
     return captions
 
 
-def _stage_rows(findings: wording.Findings) -> list[dict[str, str]]:
+def _stage_rows(findings: Run) -> list[dict[str, str]]:
     return [
         {"name": name, "seconds": f"{seconds:.2f}", "share": wording.percent(seconds, findings.video_seconds)}
         for name, seconds in wording.stage_rows(findings.stage_seconds)
