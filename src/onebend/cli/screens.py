@@ -38,14 +38,22 @@ FEW = 4  # tags whose columns fit side by side in 80
 WIDE = 91  # columns of a plot: eleven numbers fit below it
 
 
+def _table(title: str | None, left: Sequence[str], right: Sequence[str], *, gap: int = 1) -> Table:
+    """A table without lines: columns `left` that fold, then columns `right` of numbers; `gap` 2 begins at the edge."""
+    tight = {} if gap == 1 else {"pad_edge": False, "padding": (0, gap, 0, 0)}
+    table = Table(title=title, title_justify="left", box=None, **tight)  # type: ignore[arg-type]
+    for name in left:
+        table.add_column(escape(name), overflow="fold")
+    for name in right:
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    return table
+
+
 def selection_table(learned: Learned) -> Table:
     """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
-    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("")
     names, errors = _trial_errors(learned)
-    for name in ("n", "m", *names, "BIC"):
-        table.add_column(name, justify="right", no_wrap=True)
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
+    table = _table(title, [""], ["n", "m", *names, "BIC"])
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
@@ -56,21 +64,19 @@ def selection_table(learned: Learned) -> Table:
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    """Headings, and cells of every trial: each tag's RMS, or the worst alone where there are many."""
+    """Headings, and cells of every trial: the RMS of each tag, or of the worst if there are many."""
     if len(learned.training.tag_id) <= FEW:
-        return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
-            list(map(millimetres, t.rms)) for t in learned.trials
-        ]
-    worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
-    return ["worst tag \\[mm]"], [[millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
+        cells = [list(map(millimetres, trial.rms)) for trial in learned.trials]
+        return [f"tag {tag}\n[mm]" for tag in learned.training.tag_id], cells
+    worst = [float(np.max(np.nan_to_num(trial.rms, nan=-1.0))) for trial in learned.trials]
+    return ["worst tag [mm]"], [[millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
     """Tables IV to VI, one tag a row: RMS, the force noise, and what is likely."""
     meaning = "force noise: from the log's noise alone; likely: with the band of k(s) and the push's place"
-    table = Table(title=f"{what}: RMS distance ({meaning})", title_justify="left", box=None)
-    table.add_column("recording", overflow="fold", ratio=1)
-    table.add_column("frames", justify="right", no_wrap=True)
+    table = _table(f"{what}: RMS distance ({meaning})", ["recording"], ["frames"])
+    table.columns[0].ratio = 1
     table.add_column("tag", no_wrap=True)
     for name in ("s", "RMS \\[mm]", "force noise \\[mm]", "likely \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -125,38 +131,25 @@ def estimate_table(
     """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name in ("s", "k [N m]", "± 95 %", "from", "to", "identified"):
-        table.add_column(escape(name), justify="right", no_wrap=True)
+    known = ["yes" if one else "no" for one in band.identified]
+    k, low, high = ([significant(float(value)) for value in values] for values in (band.k, band.low, band.high))
+    named: list[tuple[str, Sequence[str]]] = [("s", [f"{place:.1f}" for place in s]), ("k [N m]", k)]
+    named += [("± 95 %", half_widths(band)), ("from", low), ("to", high), ("identified", known)]
     if regression is not None:
-        table.add_column("paper's k", justify="right", no_wrap=True)
+        papers = [f"[dim]{significant(float(value))}[/]" for value in regression.beam.stiffness(s)]
+        named.append(("paper's k", papers))
     if modulus is not None:
-        for name in (f"E [{modulus.unit}]", "from", "to"):
-            table.add_column(escape(name), justify="right", no_wrap=True)
-    columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
-    for i, (place, k, half, low, high, known) in enumerate(columns):
-        cells = [
-            f"{place:.1f}",
-            significant(k),
-            half,
-            significant(low),
-            significant(high),
-            "yes" if known else "no",
-        ]
-        if regression is not None:
-            cells.append(f"[dim]{significant(float(regression.beam.stiffness(s[i])))}[/]")
-        if modulus is not None:
-            cells += [modulus.values[i], modulus.low[i], modulus.high[i]]
-        table.add_row(*cells, style="" if known else "bright_black")
+        named += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
+    table = _table(None, [], [name for name, _ in named], gap=2)
+    for cells, there in zip(zip(*(values for _, values in named), strict=True), band.identified, strict=True):
+        table.add_row(*cells, style="" if there else "bright_black")
     return table
 
 
 def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
-    """What else was fitted, before and after the data; what lies more than 2 sd off in colour."""
-    table = Table(title="Fitted with k(s)", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("", overflow="fold")
-    for name in ("value", "sd before", "sd after", ""):
-        table.add_column(name, justify="right" if name else "left", no_wrap=True)
+    """Further parameters of the fit, before and after the data; those more than 2 sd off in colour."""
+    table = _table("Fitted with k(s)", [""], ["value", "sd before", "sd after"], gap=2)
+    table.add_column("", no_wrap=True)
     for row in confidence.nuisance_rows(nuisances):
         style = "yellow" if row.moved > 2.0 else ""
         table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
@@ -164,7 +157,7 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
 
 
 def allowance_table(posterior: Posterior) -> Table:
-    """What the fit allows for, and what each costs; what matters stands out."""
+    """What the fit allows for, and the effect of each on k(s); what matters is bold."""
     table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", overflow="fold")
     for name in ("widens the band by", "k(s) without it", "sd from nothing"):
@@ -176,14 +169,11 @@ def allowance_table(posterior: Posterior) -> Table:
 
 def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     """Time of every stage, and its share of the video's length."""
-    table = Table(title=f"Time (the video plays {video_seconds:.1f} s)", title_justify="left", box=None)
-    table.add_column("stage")
-    table.add_column("s", justify="right")
-    table.add_column("of the video", justify="right")
+    table = _table(f"Time (the video plays {video_seconds:.1f} s)", ["stage"], ["s", "of the video"])
     *stages, total = wording.stage_rows(seconds)
-    for name, value in stages:
-        table.add_row(escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
-    table.add_row(total[0], f"{total[1]:.2f}", wording.percent(total[1], video_seconds), style="bold")
+    for name, value in (*stages, total):
+        cells = (escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
+        table.add_row(*cells, style="bold" if name is total[0] else "")
     return table
 
 
@@ -268,9 +258,7 @@ def damping_words(damping: Damping) -> str:
 
 def swing_table(fit: SwingFit) -> Table:
     """What the swing says, one quantity a row."""
-    table = Table(title="From the free swing", title_justify="left", box=None)
-    for name in ("", "value", "sd"):
-        table.add_column(name, justify="left" if not name else "right")
+    table = _table("From the free swing", [""], ["value", "sd"])
     damping = fit.damping
     table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
     table.add_row("natural frequency \\[Hz]", f"{damping.frequency[0]:.5g}", f"{damping.frequency_sd:.2g}")
@@ -291,9 +279,7 @@ def swing_table(fit: SwingFit) -> Table:
 
 def frequency_table(found: FoundFrequencies) -> Table:
     """One mode a row."""
-    table = Table(title="Frequencies of the free swing", title_justify="left", box=None)
-    for name in ("Hz", "sd", "damping ratio", "sd", "size"):
-        table.add_column(name, justify="right")
+    table = _table("Frequencies of the free swing", [], ["Hz", "sd", "damping ratio", "sd", "size"])
     table.add_column("")
     for one in found.modes:
         said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
