@@ -332,45 +332,28 @@ def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, 
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
 
 
-@dataclass(frozen=True)
-class _Freed:
-    suspect: Suspect
-    log_k: Array | None  # (p, n) what they are of log k's coefficients; None: nothing
-    numbers: tuple[int, ...]  # of these recordings
-    d: tuple[Array, ...]  # (F, R, n) of each, whitened
-    information: Array  # (n,) of each number alone
-    marginal: Array  # (n, n) information, with the parameters integrated out
-    score: Array  # (n,)
-    response: tuple[Array, ...]  # of each recording, (C, n): its parameters follow b by minus this
-
-
 def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
     """The tests of the alternatives of each recording. Those of one suspect are tested together."""
     places: dict[Suspect, list[tuple[int, Alternative]]] = {}
     for number, alternatives in enumerate(patterns):
         for one in alternatives:
             places.setdefault(one.suspect, []).append((number, one))
-    return list(each(lambda suspect, shown: _score(fit, _freed(fit, suspect, shown)), places, places.values()))
+    return list(each(lambda suspect, shown: _score(fit, suspect, shown), places, places.values()))
 
 
-def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> _Freed:
-    every = [(number, *_mixed(fit, number, one.pattern)) for number, one in shown]
-    steps = [fit.step[fit.known[number]] for number, *_ in every]
-    bb = np.sum([one for *_, one, _, _ in every], axis=0)
-    g = np.sum([told - bx @ step for (*_, bx, told), step in zip(every, steps, strict=True)], axis=0)
-    if len(every) == 1:
-        (number, _, _, bx, _) = every[0]
-        response = [fit.covariance.pairs[number] @ bx.T]
-        marginal = bb - bx @ response[0]
-    else:
-        wide = np.zeros((fit.problem.layout.size, len(bb)))
-        for number, *_, bx, _ in every:
-            wide[fit.known[number]] += bx.T
-        whole = fit.solved.times_covariance(wide)
-        response = [whole[fit.known[number]] for number, *_ in every]
-        marginal = bb - wide.T @ whole
-    numbers, d = tuple(one[0] for one in every), tuple(one[1] for one in every)
-    return _Freed(suspect, shown[0][1].log_k, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
+def _marginal(fit: LinearisedFit, numbers: Sequence[int], mixed: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """(n, n) information that the parameters take from n freed numbers, and their response (C, n) in each recording.
+
+    `mixed`: (n, C) of each recording, the information on the numbers together with its parameters.
+    """
+    if len(numbers) == 1:
+        response = fit.covariance.pairs[numbers[0]] @ mixed[0].T
+        return mixed[0] @ response, [response]
+    wide = np.zeros((fit.problem.layout.size, len(mixed[0])))
+    for number, one in zip(numbers, mixed, strict=True):
+        wide[fit.known[number]] += one.T
+    whole = fit.solved.times_covariance(wide)
+    return wide.T @ whole, [whole[fit.known[number]] for number in numbers]
 
 
 def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Array, Array, Array]:
@@ -384,10 +367,15 @@ def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Arra
     return d, bb, rows.onto_parameters(weighted.reshape(d.shape)), weighted.T @ rows.r.ravel()
 
 
-def _score(fit: LinearisedFit, freed: _Freed) -> Score:
-    suspect, p = freed.suspect, fit.problem.layout.spline.count
-    size = np.sqrt(np.maximum(freed.information, 1e-300))
-    scaled = freed.marginal / np.outer(size, size)
+def _score(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> Score:
+    p, log_k = fit.problem.layout.spline.count, shown[0][1].log_k
+    numbers = [number for number, _ in shown]
+    patterns, own, mixed, slopes = zip(*(_mixed(fit, number, one.pattern) for number, one in shown), strict=True)
+    bb, (taken, responses) = np.sum(own, axis=0), _marginal(fit, numbers, mixed)
+    parts = zip(numbers, mixed, slopes, strict=True)
+    score = np.sum([slope - bx @ fit.step[fit.known[number]] for number, bx, slope in parts], axis=0)
+    size = np.sqrt(np.maximum(np.diag(bb), 1e-300))
+    scaled = (bb - taken) / np.outer(size, size)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     visible = values > _BLIND
     count = int(np.sum(visible))
@@ -395,21 +383,19 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
         unknown = np.full(len(size), np.nan)
         return Score(suspect, unknown, unknown, 0.0, 0.0, 0.0, np.zeros(p))
     inverse = (vectors[:, visible] / values[visible]) @ vectors[:, visible].T / np.outer(size, size)
-    b = inverse @ freed.score
-    chi2 = float(freed.score @ b)
-    log10_p = _log10(chdtrc(count, chi2))
-    steps = [-response @ b for response in freed.response]
-    every = zip(freed.numbers, freed.d, steps, strict=True)
+    b = inverse @ score
+    chi2 = float(score @ b)
+    log10_p, ratio = _log10(chdtrc(count, chi2)), 1.0
+    steps = [-response @ b for response in responses]
+    every = zip(numbers, patterns, steps, strict=True)
     changes = {number: d @ b + fit.rows[number].moved_by(step) for number, d, step in every}
-    ratio = 1.0
     if log10_p < _NEW_NOISE:
-        ratio, numbers = _noise_left(fit, changes)
+        ratio, independent = _noise_left(fit, changes)
         chi2 *= ratio
-        freedom = max(numbers - len(b), 5.0)
-        log10_p = _log10(fdtrc(count, freedom, chi2 / count))
+        log10_p = _log10(fdtrc(count, max(independent - len(b), 5.0), chi2 / count))
     moved = max(_moved(fit.problem.recordings[number], fit.rows[number], c) for number, c in changes.items())
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    shift = steps[0][:p] if freed.log_k is None else steps[0][:p] + freed.log_k @ b
+    shift = steps[0][:p] if log_k is None else steps[0][:p] + log_k @ b
     return Score(suspect, b, sd, chi2, log10_p, moved, shift, max(ratio, 1.0))
 
 
