@@ -50,7 +50,6 @@ _ALLOWED = {  # what the fit may allow for, and what need not be tested then
     "clamp gives": ("clamp gives",),
 }
 AXES = ("x", "y", "angle")
-_ALONG = 3  # Legendre polynomials, from the slope on, that log k may have beside a shape that is stated
 
 
 @dataclass(frozen=True)
@@ -163,7 +162,7 @@ def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
 
 def _along(s: Array) -> Array:
     """(..., n) Legendre polynomials of s, the constant left out."""
-    return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, _ALONG)[..., 1:])
+    return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, 3)[..., 1:])
 
 
 def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:

@@ -251,7 +251,6 @@ def _doubt_left(a: Array, covariance: Array) -> Array:
 # The largest force within the limits, at every place and in every direction.
 
 _COARSE = np.geomspace(0.02, 40.0, 40)  # forces, in units of what turns a linear beam's loaded place by one radian
-_FINE = 12
 BUCKLES = "the beam buckles or snaps through"
 _MARGIN = 1.15  # of the force: so far beyond the largest the beam must still stand
 
@@ -298,7 +297,7 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
         if why == BUCKLES or safe == 0.0:
             out.append(LargestPush(at_s, direction, 0.0, why))
             continue
-        fine, _, _ = _first_break(beam, bench, at_s, direction, np.linspace(safe, over, _FINE), limits)
+        fine, _, _ = _first_break(beam, bench, at_s, direction, np.linspace(safe, over, 12), limits)
         largest = min(max(safe, fine), _most_force(bench, limits))
         if not _stands(beam, bench, at_s, direction, _MARGIN * largest):
             out.append(LargestPush(at_s, direction, 0.0, BUCKLES))

@@ -170,9 +170,6 @@ def _fall(mode: Mode, left: Array, lasts: float) -> Array:
 
 # Bending along the slowest mode of small vibrations about rest. Modes are orthogonal in stiffness.
 
-_STATES = 4  # of a shape as the tags show it
-_MODES = 6  # of the beam in motion
-
 
 @dataclass(frozen=True)
 class ModeBending:
@@ -189,9 +186,9 @@ class ModeBending:
 
 def bending(beam: Beam, o: Observations) -> ModeBending:
     """Of every frame of a recording of a beam that swings freely, its far end not held."""
-    states = solve_states(o, min(_STATES, 2 * len(o.marker_s)))
+    states = solve_states(o, min(4, 2 * len(o.marker_s)))
     mass = np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11)))
-    on = body(beam if np.all(mass > 0.0) else replace(beam, mass_per_length=Uniform(1.0)), Modes(_MODES))
+    on = body(beam if np.all(mass > 0.0) else replace(beam, mass_per_length=Uniform(1.0)), Modes(6))
     shape = vibration_of(on, settle(on), count=1).shapes[:, 0]
     shape = shape / float((on.to_places(np.array([1.0])) @ shape)[0])
     bends = on.curvature @ shape
@@ -207,7 +204,6 @@ def bending(beam: Beam, o: Observations) -> ModeBending:
 
 _FRAMES_BEFORE, _FRAMES_AFTER = 24, 48  # frames before the last one of the contact, and after it
 _LATER = 5  # frames that show a force, and still may be from after the end
-_END_TIMES = (48, 48, 48)  # times that are tried, and again where it is likely
 _CLEAR = 10.0  # sds of the noise: a smaller bending tells no end
 _REST_SDS = 3.0  # sds of the noise: of what rest differs by before the contact and after it
 _FINEST = 1e-3  # of the largest bending: what the steps of w leave out
@@ -237,7 +233,7 @@ def straight(time: Array, value: Array, noise: float, first: int, last: int) -> 
         return evidence_of(_columns(left), value, np.full(len(time), noise), sds)
 
     low = float(time[max(last - early - _LATER, 0)])
-    mean, sd, _ = scanned(evidence, low, float(time[-1]), _END_TIMES)
+    mean, sd, _ = scanned(evidence, low, float(time[-1]), (48, 48, 48))
     return Edge(mean, sd)
 
 
@@ -362,7 +358,6 @@ _END = 1.5  # half swings from there, in which the end is sought
 _FEWEST = 8  # frames before the passage, at least
 _FREE = 5  # frames that are free, at least
 _SHARE = 0.006  # of the motion nearby: what one mode leaves out, higher ones and the frequency's change with the size
-_RELEASE_TIMES = (72, 36, 36)  # times that are tried, and again where it is likely
 _ROUNDS = 3  # swing and end in turn
 _CHANGES = 0.3  # sd of log frequency and of damping about those of the swing
 _AMPLITUDES = 3.0  # sd of the swing's amplitudes, of the motion nearby
@@ -406,7 +401,7 @@ def _told(part: _Part, swing: HalfSwings, low: float, high: float) -> Edge | Non
     free_from = swing.passage
     for _ in range(_ROUNDS):
         mode = _fitted(part, free_from, swing)
-        mean, sd, released = scanned(partial(_evidence, part, mode), low, high, _RELEASE_TIMES)
+        mean, sd, released = scanned(partial(_evidence, part, mode), low, high, (72, 36, 36))
         free_from = mean + sd
     goes_on = _evidence(part, mode, part.time[-1:])[0]
     return Edge(mean, sd) if released > goes_on else None

@@ -103,9 +103,6 @@ def postures_of(frequencies: tuple[MeasuredFrequency, ...], riding: tuple[PointM
     )
 
 
-_LOAD_STEPS = 10  # where the weight at once is too much
-
-
 @dataclass(frozen=True)
 class PredictedFrequencies:
     """The frequencies of one recording's beam at parameters x (P,)."""
@@ -195,7 +192,7 @@ def _vibration(on: Body, posture: Posture) -> Vibration | None:
     if not on.mass > 0.0:
         return None
     actions, count = Actions(gravity=posture.gravity), int(np.max(posture.modes)) + 1
-    for steps in (1, _LOAD_STEPS):
+    for steps in (1, 10):
         try:
             return vibration_of(on, settle(on, actions, load_steps=steps), actions, count=count)
         except (MechanicsError, np.linalg.LinAlgError):

@@ -463,7 +463,6 @@ def _fit(
 # Correlations of the posterior. Of two strongly correlated quantities the data fix one combination.
 
 LEVEL = "mean log k(s)"
-_PLACES = 201
 
 
 @dataclass(frozen=True)
@@ -517,7 +516,7 @@ def correlations(posterior: Posterior) -> tuple[list[str], Array]:
 
 def _level(posterior: Posterior) -> Array:
     """(n,) weights of the shared parameters in the mean of log k, over the identified places if there are any."""
-    s = np.linspace(0.0, 1.0, _PLACES)
+    s = np.linspace(0.0, 1.0, 201)
     identified = posterior.band(s).identified
     index, onto = log_k_map(posterior.problem)
     basis = posterior.layout.spline.finer.basis(s[identified] if np.any(identified) else s) @ onto

@@ -233,7 +233,6 @@ def _solved(problem: Problem, q: Array, well: BoolArray) -> Equilibrium:
 RESOLUTION = Resolution(order=6, widest=0.125)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
 HELD_RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
 _REACH = 0.999  # of the length: an end that was read as farther away is put where the way to it ends
-_SETTLE = 3  # steps of the ends towards the points
 _STRIDE = 0.3  # of the length, rad: the longest of them
 _WEAK = 1e-6  # of the derivatives squared: what keeps an end in place that no point tells of
 
@@ -355,7 +354,7 @@ def shapes_of(o: Observations, frames: BoolArray, problem: Problem) -> Equilibri
         return free_ends(problem, seen, None)
     away = np.zeros((len(ends.frames), 3))
     solved = solve(problem, ends, away, None, seen)
-    for _ in range(_SETTLE):
+    for _ in range(3):
         step = _closer(o.xy[frames][ends.frames], o.marker_s, solved, ends)
         there = solve(problem, ends, away + step, solved.q, seen)
         if not np.all(there.converged):

@@ -24,7 +24,6 @@ from onebend.report.wording import millimetres, significant, span
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
-_BAND_PLACES = 401
 NARROW = 0.03  # of the beam: a gap between identified stretches that is as wide as the edge of a tag's patch
 _SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
 _SHOWN = {
@@ -53,7 +52,7 @@ class NuisanceRow:
 
 def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
     """First and last s of every stretch where k(s) is identified, to 1/400."""
-    s = np.linspace(0.0, 1.0, _BAND_PLACES)
+    s = np.linspace(0.0, 1.0, 401)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
 
@@ -295,9 +294,6 @@ def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
     return way if is_open else ""
 
 
-_MODULUS_PLACES = 201
-
-
 @dataclass(frozen=True)
 class ModulusRows:
     """E and its band at some places in one unit, as shown; `low` and `high` are empty where k(s) has no band."""
@@ -351,7 +347,7 @@ def one_modulus_words(measured: MeasuredBeam) -> str:
 
 def modulus_range(measured: MeasuredBeam) -> str:
     """Smallest and largest E where k(s) is identified, "0.68 … 0.73 MPa"; empty if the section is not known."""
-    band = measured.band(np.linspace(0.0, 1.0, _MODULUS_PLACES))
+    band = measured.band(np.linspace(0.0, 1.0, 201))
     if band is None or not np.any(shown := shown_places(band)):
         return ""
     found = band.modulus[shown]

@@ -21,7 +21,6 @@ from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, 
 from onebend.report.wording import significant
 
 MM = 1000.0
-SNAPSHOTS = 6
 ARROW = 0.22  # of L, of the largest force
 TORN = 0.25  # of L: the neighbours of a sample that lie further apart belong to two sheets
 
@@ -54,7 +53,7 @@ def draw_reach(axes: Axes, result: Reach, error: PredictedError | None) -> None:
     """Snapshots, goal, point, force and ellipse."""
     s = np.linspace(0.0, 1.0, 121)
     shapes = result.shapes(s)
-    chosen = np.unique(np.round(np.linspace(0, len(shapes) - 1, SNAPSHOTS)).astype(int))
+    chosen = np.unique(np.round(np.linspace(0, len(shapes) - 1, 6)).astype(int))
     for i in chosen:
         last, rest = i == chosen[-1], i == 0
         label = "under the force" if last else "at rest" if rest else "on the way" if i == chosen[1] else None
@@ -107,7 +106,6 @@ def draw_reachable(axes: Axes, within: ReachableSet) -> None:
 
 
 TICK = 0.06  # of L: a wanted direction, and half a gripper's jaw
-PATH_SNAPSHOTS = 7
 S = np.linspace(0.0, 1.0, 121)
 
 
@@ -138,7 +136,7 @@ def shaping(beam: Beam, result: ShapeResult) -> Figure:
 def path_figure(way: FollowedPath) -> Figure:
     """The beam on its way, what the hands do in time, and what is missing to the goals."""
     figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
-    shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, PATH_SNAPSHOTS)).astype(int))
+    shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, 7)).astype(int))
     shapes = way.actuators.solved(way.q[shown], way.u[shown]).xy(S)
     for j, one in enumerate(shapes):
         places.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * j / max(len(shown) - 1, 1), lw=1.4)
@@ -250,7 +248,6 @@ def _place(control: Controller) -> str:
 
 _FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
-_ELLIPSES = 7  # frames of a contact that are drawn
 _BEYOND = 1.6  # of the largest force: the axes show no more of a band
 
 
@@ -321,7 +318,7 @@ def sensed_regions(found: Sensed) -> Figure:
     """The force in its plane: 95 % regions of some frames, the log's path, and the direction that is known least."""
     figure, (axes,) = blank(4.6)
     rows = np.flatnonzero(found.touched)
-    chosen = rows[np.linspace(0, len(rows) - 1, min(_ELLIPSES, len(rows))).astype(int)]
+    chosen = rows[np.linspace(0, len(rows) - 1, min(7, len(rows))).astype(int)]
     axes.plot(*found.logged.T, "--", color=INK, lw=1.0, label="log")
     axes.plot(*found.force[rows].T, color=BLUE, lw=1.0, label="from the shape")
     for i, t in enumerate(chosen):

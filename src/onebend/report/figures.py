@@ -54,7 +54,6 @@ from onebend.text_files import figure_text
 MM = 1000.0
 GREY = "#98a2b3"
 _S = np.linspace(0.0, 1.0, 401)
-_MOST_ROWS = 40  # of a picture
 _SAID = 0.05  # of the sd before the data: what it shrank by, or the value
 
 
@@ -154,7 +153,7 @@ def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None
 def told(every: Sequence[Nuisance]) -> list[Nuisance]:
     """The nuisances of which the data say something, in their order; of many the 40 of which they say most."""
     said = np.array([max(1.0 - n.sd / n.prior_sd, abs(n.value) / n.prior_sd) for n in every])
-    most = np.argsort(-said, kind="stable")[:_MOST_ROWS]
+    most = np.argsort(-said, kind="stable")[:40]
     return [every[i] for i in sorted(most.tolist()) if said[i] > _SAID]
 
 

@@ -36,8 +36,6 @@ MOST_FRAMES = 24  # fewer than are kept of most films
 WIDEST = 560  # px
 LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
 QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
-_ARROW = 0.25  # of the beam's length, at the largest force
-_DRAWS = 16  # of k(s), for the band of the shape
 _STEP = 4  # of the centre line's places, one is drawn
 
 
@@ -131,7 +129,7 @@ def shape_band(
     frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
     bent: list[Array] = []
     near: Array | None = None
-    for profile in uncertain.draw(_DRAWS, seed=0):
+    for profile in uncertain.draw(16, seed=0):
         try:
             [solved] = solved_frames(replace(beam, stiffness=profile), observations, frames, near)
         except MechanicsError:
@@ -154,7 +152,7 @@ def _arrows(view: View, length: float, fitted: Explained, chosen: NDArray[np.int
     places = np.nan_to_num(shown.push_s[chosen], nan=1.0)
     at = lines[np.arange(len(chosen)), (places * (lines.shape[1] - 1)).round().astype(int)]
     largest = max(float(np.max(np.linalg.norm(shown.force, axis=1))), 1e-12)
-    begin = at - _ARROW * length * shown.force[chosen] / largest
+    begin = at - 0.25 * length * shown.force[chosen] / largest
     return np.asarray(project(view, np.stack([begin, at], axis=1)))
 
 

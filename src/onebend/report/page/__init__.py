@@ -165,7 +165,6 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
 
 SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # in this order, one script
 PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
-_DIGITS = 6
 
 
 def script_data(findings: Run, film: FilmStrip | None = None) -> Markup:
@@ -260,7 +259,7 @@ def _gravity(observations: Observations) -> Array:
 
 def _short(values: Array) -> list[float]:
     """To six digits: the page need not carry the rest."""
-    return [float(f"{value:.{_DIGITS}g}") for value in values]
+    return [float(f"{value:.6g}") for value in values]
 
 
 _MOST_NAMED = 4  # files in a sentence
