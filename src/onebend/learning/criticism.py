@@ -81,9 +81,9 @@ class Course:
     resting: Array  # (F,) 1 for the frame at rest
 
 
-def course(recording: FitData, now: Prediction) -> Course:
+def course(data: FitData, now: Prediction) -> Course:
     """From the fitted shapes and the frames' times."""
-    time = recording.observations.time[recording.frames]
+    time = data.observations.time[data.frames]
     frames, count = len(time), len(now.pose)
     q = now.solved.q - now.solved.problem.q0
     bend = np.sqrt(np.mean(q**2, axis=1))
@@ -97,34 +97,34 @@ def course(recording: FitData, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
+def alternatives(data: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
     """All that are tested on one film."""
-    run, patterns = course(recording, now), mechanics(recording, layout, x, now)
+    run, patterns = course(data, now), mechanics(data, layout, x, now)
     pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
     wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
-    if layout.index["curvature", -1].start >= 0 or layout.index["rest change", recording.number].start >= 0:
+    if layout.index["curvature", -1].start >= 0 or layout.index["rest change", data.number].start >= 0:
         del wanted["rest shape"]
     along, stated = Suspect("mechanics", "stiffness along"), []
     otherwise = wanted.pop(along.name)
     if layout.known is not None:
         stated.append(Alternative(along, otherwise, layout.spline.nearest(_along)))
     for allowed, names in _ALLOWED.items():
-        if any(a.name == allowed for a in recording.allowances):
+        if any(a.name == allowed for a in data.allowances):
             for name in names:
                 wanted.pop(name, None)
-    if recording.observations.static:  # poses have no order in time
+    if data.observations.static:  # poses have no order in time
         wanted.pop("viscous", None)
         return [*stated, *(Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items())]
     stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
-    return [*stated, *stiff, *_changes(recording, run, patterns), *_trends(recording, run)]
+    return [*stated, *stiff, *_changes(data, run, patterns), *_trends(data, run)]
 
 
-def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def mechanics(data: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
-    carried, ride = _carried(recording, layout, x, now), tag_ride(recording, layout, x, now.solved)
+    carried, ride = _carried(data, layout, x, now), tag_ride(data, layout, x, now.solved)
     patterns = {}
     for name, part in place_responses(
-        now.solved, _entering(recording, now), tag_places(recording, layout, x, now.solved)[0]
+        now.solved, _entering(data, now), tag_places(data, layout, x, now.solved)[0]
     ).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
@@ -132,28 +132,28 @@ def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> 
     return patterns
 
 
-def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
+def _entering(data: FitData, now: Prediction) -> dict[str, Perturbation]:
     """Perturbations of the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`. A stretch e = N_u /
     (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam)."""
     solved, problem = now.solved, now.solved.problem
     u, n = _tangents(solved)
     force = problem.dead_force
     product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
-    pushed = recording.beyond[..., None] * now.force[:, None, :]
+    pushed = data.beyond[..., None] * now.force[:, None, :]
     turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
-    along, across = along_and_across(now.force, solved.angle(recording.push_s[:, None])[:, 0])
-    loaded = (np.arange(len(force)) < int(np.sum(recording.frames))).astype(float)
+    along, across = along_and_across(now.force, solved.angle(data.push_s[:, None])[:, 0])
+    loaded = (np.arange(len(force)) < int(np.sum(data.frames))).astype(float)
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
     return {
         "stretch": _force(product),
         "shear": _force(-product),
         "length": _force(force),
-        "push place": push_moment(problem, recording.push_s, float(problem.length) * across),
-        "push beside": push_moment(problem, recording.push_s, -along),
+        "push place": push_moment(problem, data.push_s, float(problem.length) * across),
+        "push beside": push_moment(problem, data.push_s, -along),
         "force direction": _force(turned),
         "axis scale": _force(pushed * np.array([1.0, -1.0])),
         "weight": Perturbation(sag, None, None, np.zeros(2)),
-        "viscous": Perturbation(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
+        "viscous": Perturbation(None, None, (_rate(data, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
         "stiffness along": of_stiffness(solved, problem.k[..., None] * _along(problem.grid.nodes)),
@@ -165,9 +165,9 @@ def _along(s: Array) -> Array:
     return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, 3)[..., 1:])
 
 
-def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def _carried(data: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
-    solved, s = now.solved, tag_places(recording, layout, x, now.solved)[0]
+    solved, s = now.solved, tag_places(data, layout, x, now.solved)[0]
     u, n = _tangents(solved)
     force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
     length = float(solved.problem.length)
@@ -188,8 +188,8 @@ def _clamp_moment(solved: Equilibrium) -> Array:
     return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
 
 
-def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
-    name = recording.observations.source.name
+def _changes(data: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
+    name = data.observations.source.name
     frames, tags = patterns["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
     place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
@@ -198,15 +198,15 @@ def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> lis
         Alternative(Suspect("change", "creep", recording=name), _in_time(patterns["rest shape"], run)),
         Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
     ]
-    for i, tag in enumerate(recording.observations.tag_id.tolist()):
+    for i, tag in enumerate(data.observations.tag_id.tolist()):
         own = np.zeros((frames, tags, 3, 3))
         own[:, i] = np.eye(3)
         out.append(Alternative(Suspect("change", "loose", tag, name), _in_time(own, run)))
     return out
 
 
-def _trends(recording: FitData, run: Course) -> list[Alternative]:
-    side, tags = run.after - 0.5, recording.observations.tag_id.tolist()
+def _trends(data: FitData, run: Course) -> list[Alternative]:
+    side, tags = run.after - 0.5, data.observations.tag_id.tolist()
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
     functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
     out = []
@@ -214,7 +214,7 @@ def _trends(recording: FitData, run: Course) -> list[Alternative]:
         for c, axis in enumerate(AXES):
             pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
             pattern[:, i, c] = functions
-            out.append(Alternative(Suspect("trend", axis, tag, recording.observations.source.name), pattern))
+            out.append(Alternative(Suspect("trend", axis, tag, data.observations.source.name), pattern))
     return out
 
 
@@ -233,9 +233,9 @@ def _force(force: Array) -> Perturbation:
     return Perturbation(force[..., None], None, None, np.zeros(1))
 
 
-def _rate(recording: FitData, solved: Equilibrium) -> Array:
+def _rate(data: FitData, solved: Equilibrium) -> Array:
     """(F, Q) rad/s of the curvature; zero at rest."""
-    time = recording.observations.time[recording.frames]
+    time = data.observations.time[data.frames]
     out = np.zeros_like(solved.q)
     if len(time) > 1:
         out[: len(time)] = np.gradient(solved.q[: len(time)], time, axis=0)
@@ -414,10 +414,10 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
     return before / max(after, 1e-300), numbers
 
 
-def _moved(recording: FitData, rows: linear.ResidualRows, change: Array) -> float:
+def _moved(data: FitData, rows: linear.ResidualRows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
-    away = unwhitened(recording.whiten, change / weight)[..., :2]
+    away = unwhitened(data.whiten, change / weight)[..., :2]
     known = np.any(rows.known.reshape(len(away), -1, 3), axis=-1)  # a pose may lack its angle, or a coordinate
     squares = np.sum(away**2, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))

@@ -108,18 +108,18 @@ def weight_doubts(mass: LearnedMass | None, leaning: Sequence[float]) -> tuple[s
     return tuple(doubts)
 
 
-def leans(recordings: Sequence[FitData], layout: Layout, mean: Array) -> list[float]:
+def leans(data: Sequence[FitData], layout: Layout, mean: Array) -> list[float]:
     """How far off its written direction gravity came out in each recording in which it bends the beam, in sds."""
     found = []
-    for recording in recordings:
-        block = layout.index.get(("gravity direction", recording.number))
+    for one in data:
+        block = layout.index.get(("gravity direction", one.number))
         if block is not None and block.start >= 0:
             found.append(float(mean[block.where][0] / block.prior_sd[0]))
     return found
 
 
 def learned_mass(
-    recordings: Sequence[FitData],
+    data: Sequence[FitData],
     layout: Layout,
     mean: Array,
     covariance: JointCovariance,
@@ -128,14 +128,14 @@ def learned_mass(
 ) -> LearnedMass | None:
     """The mass after the fit, from mean (P,) and covariance of the parameters; None if nothing weighs or the mass was
     fixed."""
-    block, weighed = layout.index["mass", -1], _weighed(recordings)
+    block, weighed = layout.index["mass", -1], _weighed(data)
     if block.start < 0 or weighed is None:
         return None
     change, spread = mean[block.where], covariance.among(block.where)
     written = np.nan if np.isfinite(weighed.stated.mass_sd) else weighed.stated.mass
     lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
     value, s = weighed.stated.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
-    line = mass_per_length(recordings, layout, mean, stiffness)
+    line = mass_per_length(data, layout, mean, stiffness)
     pull = 2.0 * weighed.length * float(np.trapezoid(s * line(s), s))
     if weighed.stated.mass_along != "unknown":
         lever = np.array([pull / value, 0.0, 0.0, 0.0])
@@ -153,11 +153,9 @@ def learned_mass(
     )
 
 
-def mass_per_length(
-    recordings: Sequence[FitData], layout: Layout, mean: Array, stiffness: UncertainStiffness
-) -> Profile:
+def mass_per_length(data: Sequence[FitData], layout: Layout, mean: Array, stiffness: UncertainStiffness) -> Profile:
     """kg/m, at parameters (P,)."""
-    weighed, change = _weighed(recordings), layout.get(mean, "mass")
+    weighed, change = _weighed(data), layout.get(mean, "mass")
     if weighed is None:
         return Uniform(0.0)
     along = following(weighed, stiffness, weighed.stated.mass * (1.0 + float(change[0])))
@@ -173,9 +171,9 @@ def mass_per_length(
     return Table(tuple(s.tolist()), tuple(value.tolist()))
 
 
-def riding_masses(recordings: Sequence[FitData]) -> tuple[PointMass, ...]:
+def riding_masses(data: Sequence[FitData]) -> tuple[PointMass, ...]:
     """What rides on the beam in every recording of it."""
-    first, *others = (recording.observations.stated.masses for recording in recordings)
+    first, *others = (one.observations.stated.masses for one in data)
     return tuple(one for one in first if all(one in masses for masses in others))
 
 
@@ -186,8 +184,8 @@ def from_legendre(states: Array) -> Profile:
     return Powers(tuple(np.linalg.solve(Modes(len(states), "powers").to_legendre, states).tolist()))
 
 
-def _weighed(recordings: Sequence[FitData]) -> Observations | None:
-    return next((r.observations for r in recordings if np.isfinite(r.observations.stated.mass)), None)
+def _weighed(data: Sequence[FitData]) -> Observations | None:
+    return next((r.observations for r in data if np.isfinite(r.observations.stated.mass)), None)
 
 
 def _largest_sd(written: float, block: Block) -> float:
@@ -206,19 +204,19 @@ class Quantities:
     prior_sd: Array  # (N,) before the data, the sizes of a force error integrated out
 
 
-def quantities(block: Block, recordings: Sequence[FitData]) -> Quantities:
+def quantities(block: Block, data: Sequence[FitData]) -> Quantities:
     """A block's parameters; of a force log's error (a spline in time) mean and drift over the frames of the push."""
     if block.name != "force":
         return Quantities(block.labels, (block.unit,) * len(block.labels), np.eye(len(block.labels)), block.prior_sd)
-    recording = recordings[block.recording]
-    time = recording.observations.time[recording.frames]
+    one = data[block.recording]
+    time = one.observations.time[one.frames]
     time = time - np.mean(time)
-    weights = recording.error.weights[: len(time)]
+    weights = one.error.weights[: len(time)]
     rows = np.stack([np.mean(weights, axis=0), time @ weights / max(float(time @ time), 1e-300)])
     whose = block.labels[0].rpartition(": ")[0]
     names = tuple(f"{whose}: {what} {axis}" for what in ("mean force error", "force drift") for axis in "xy")
     coloured, _, walk, load = np.exp(SPREAD**2).tolist()  # root mean squares of log-normal factors
-    prior = recording.error.covariance(coloured, 1.0, walk, load)
+    prior = one.error.covariance(coloured, 1.0, walk, load)
     before = np.sqrt(np.einsum("rk,kl,rl->r", rows, prior, rows))
     return Quantities(names, ("N", "N", "N/s", "N/s"), np.kron(rows, np.eye(2)), np.repeat(before, 2))
 

@@ -274,34 +274,34 @@ def explained(posterior: Posterior) -> tuple[Explained, ...]:
     return tuple(_one(posterior, recording, prediction, rms) for recording, prediction, rms in parts)
 
 
-def _one(posterior: Posterior, recording: FitData, prediction: Prediction, rms: Array) -> Explained:
-    observations, x, layout = recording.observations, posterior.mean, posterior.layout
-    used = slice(0, int(np.sum(recording.frames)))  # beyond them stands the beam at rest
-    scale, origin = 1.0 + layout.get(x, "scale", recording.number), layout.get(x, "origin", recording.number)
+def _one(posterior: Posterior, data: FitData, prediction: Prediction, rms: Array) -> Explained:
+    observations, x, layout = data.observations, posterior.mean, posterior.layout
+    used = slice(0, int(np.sum(data.frames)))  # beyond them stands the beam at rest
+    scale, origin = 1.0 + layout.get(x, "scale", data.number), layout.get(x, "origin", data.number)
     comparison = Comparison(
         name=observations.source.name,
-        frame=observations.frame[recording.frames],
-        time=observations.time[recording.frames],
+        frame=observations.frame[data.frames],
+        time=observations.time[data.frames],
         tag_id=observations.tag_id,
         marker_s=observations.marker_s,
-        measured=_points(recording, layout, x, recording.measured)[used],
-        predicted=_points(recording, layout, x, prediction.pose)[used],
+        measured=_points(data, layout, x, data.measured)[used],
+        predicted=_points(data, layout, x, prediction.pose)[used],
         force=prediction.force[used],
-        push_s=recording.push_s[used],
+        push_s=data.push_s[used],
         stable=prediction.solved.stable[used],
         rms=rms,
         sensor_rms=np.full(len(observations.tag_id), np.nan),
         likely_rms=np.full(len(observations.tag_id), np.nan),
         static=observations.static,
     )
-    return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, recording.force[used])
+    return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, data.force[used])
 
 
-def _points(recording: FitData, layout: Layout, x: Array, poses: Array) -> Array:
+def _points(data: FitData, layout: Layout, x: Array, poses: Array) -> Array:
     """(F, m, 2) m, poses (F, m, 3) counted from the clamp, and at their rulers."""
-    points, zeros = poses[..., :2].copy(), layout.get(x, "zero", recording.number)
-    for (i, c), zero in zip(zeroed_coordinates(recording.observations), zeros, strict=True):
+    points, zeros = poses[..., :2].copy(), layout.get(x, "zero", data.number)
+    for (i, c), zero in zip(zeroed_coordinates(data.observations), zeros, strict=True):
         points[:, i, c] += zero
-    if recording.rulers is not None:
-        points[..., 0] = np.where(np.isfinite(points[..., 1]), recording.rulers, np.nan)
+    if data.rulers is not None:
+        points[..., 0] = np.where(np.isfinite(points[..., 1]), data.rulers, np.nan)
     return points

@@ -624,10 +624,10 @@ def _drawn(found: Overview) -> Figure:
     return figure
 
 
-def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -> None:
+def _frame(axes: Axes, description: Recording, preview: Preview, log: ForceLog | None) -> None:
     at = preview.shown
     frame, tags = preview.looked[at], preview.sightings[at]
-    expected = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    expected = [tag.id for tag in (*description.tags.on_base, *description.tags.on_beam)]
     axes.imshow(frame.luma, cmap="gray", vmin=0, vmax=255)
     axes.set_axis_off()
     for tag in tags:
@@ -637,7 +637,7 @@ def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -
         below: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "top", "weight": "bold"}
         axes.annotate(str(tag.tag_id), low, (0, -7), color=colour, **below, **_EDGED_NARROW)
     if preview.markers is not None and preview.markers.view is not None:
-        _axis(axes, rec, preview, preview.markers.view, at, log)
+        _axis(axes, description, preview, preview.markers.view, at, log)
     here = {tag.tag_id for tag in tags}
     ever = {tag.tag_id for found in preview.sightings for tag in found}
     missing = [f"{tag}{' (in other frames)' if tag in ever else ''}" for tag in expected if tag not in here]
@@ -648,10 +648,10 @@ def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -
     axes.set_title("; ".join(words))
 
 
-def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:
+def _axis(axes: Axes, description: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:
     """The beam's x axis and y axis at the base, the line of its tags, and the largest force where it is said to act."""
     assert preview.markers is not None
-    markers, length = preview.markers, rec.beam.length
+    markers, length = preview.markers, description.beam.length
     ends = project(view, np.array([[0.0, 0.0], [length, 0.0], [0.0, 0.25 * length]]))
     for end, name in ((ends[1], "x"), (ends[2], "y")):
         axes.annotate("", end, ends[0], arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 1.4})
@@ -662,10 +662,10 @@ def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log
     good = np.isfinite(points).all(axis=1)
     axes.plot(*project(view, points[good]).T, color=BLUE, linewidth=1.6, linestyle=(0, (4, 3)), label="the beam's axis")
     _tool(axes, preview, view, s[good], points[good])
-    place = rec.push.at if rec.push is not None else np.nan
+    place = description.push.at if description.push is not None else np.nan
     if log is None or not np.isfinite(place) or good.sum() < 2:
         return
-    force = tared(rec, log)
+    force = tared(description, log)
     largest = force[int(np.argmax(np.linalg.norm(force, axis=1)))]
     size = float(np.linalg.norm(largest))
     where = np.array([np.interp(place, s[good], points[good, k]) for k in (0, 1)])
@@ -752,8 +752,8 @@ def _film_span(found: Overview) -> tuple[float, float] | None:
     return start, start + found.preview.looked[-1].time
 
 
-def _give(rec: Recording) -> str:
-    doubt = rec.start[1]
+def _give(description: Recording) -> str:
+    doubt = description.start[1]
     return f" (to {doubt:.2g} s)" if np.isfinite(doubt) and doubt > 0.0 else ""
 
 

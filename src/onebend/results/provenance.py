@@ -108,9 +108,9 @@ def recording_files(folders: Iterable[Path]) -> list[Path]:
     return found
 
 
-def files_of(recording: Recording) -> list[Path]:
+def files_of(description: Recording) -> list[Path]:
     """Every file of a recording that was read: its `recording.toml`, and those that it names."""
-    return [recording.folder / FILE_NAME, *_named(recording)]
+    return [description.folder / FILE_NAME, *_named(description)]
 
 
 def _named(record: Any) -> list[Path]:
