@@ -2,8 +2,8 @@
 
 A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
-from the schema. The text around these parts is written by hand. tests/whole/test_docs.py compares the parts with the
-code.
+from the schema. docs/troubleshooting.md has the list of the warnings on results, made from their sentences. The text
+around these parts is written by hand; tests/whole/test_docs.py compares the parts with the code.
 """
 
 from __future__ import annotations
@@ -19,10 +19,13 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
 from onebend.cli import Command, all_commands
+from onebend.errors import SECTIONS
 from onebend.recording.description import RECORDS
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
 from onebend.recording.schema import Key
+from onebend.report.sentences import SENTENCES
 
+TROUBLES = ROOT / "docs" / "troubleshooting.md"
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {
     **RECORDS,
@@ -36,7 +39,24 @@ INHERITED = {"camera_info": "camera"}  # whose common keys are in the other tabl
 def pages() -> dict[Path, dict[str, str]]:
     """The generated parts of every page that has some: name -> Markdown."""
     docs = ROOT / "docs"
-    return {docs / "cli.md": commands(), docs / "recording.md": {name: key_table(name) for name in TABLES}}
+    return {
+        docs / "cli.md": commands(),
+        docs / "recording.md": {name: key_table(name) for name in TABLES},
+        docs / "troubleshooting.md": {"messages": messages()},
+    }
+
+
+def messages() -> str:
+    """The warnings on what was learned, each with its entry on the page; a number is shown as an ellipsis."""
+    titles = {anchor_of(title): title for title in re.findall(r"(?m)^### (.+)$", TROUBLES.read_text(encoding="utf-8"))}
+    found = {re.sub(r"\{[^}]*\}", "…", one.text): SECTIONS[one.about] for one in SENTENCES.values() if one.about}
+    head = ["| message | entry |", "| --- | --- |"]
+    return "\n".join([*head, *(f"| {text} | [{titles[anchor]}](#{anchor}) |" for text, anchor in found.items())])
+
+
+def anchor_of(title: str) -> str:
+    """The anchor that Markdown viewers give a title."""
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
 
 
 def renewed(text: str, parts: Mapping[str, str]) -> str:

@@ -3,8 +3,7 @@ tested on, without a video."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,9 +12,10 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.outcome import Comparison, Learned, Run, Trial
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, Source, Stated, View
+from onebend.report.sentences import worded
 
 LENGTH = 0.15  # m
 MARKER_S = np.array([1 / 3, 2 / 3, 1.0])
@@ -23,22 +23,6 @@ TAGS = np.array([1, 2, 3])
 FRAMES = 90
 GAUSSIANS = Gaussians(equidistant(3), 0.4, (0.03, 0.02, 0.05))
 BEAM = Beam(LENGTH, GAUSSIANS)
-
-
-@dataclass(frozen=True)
-class MadeUp:
-    """Fits `onebend.report.wording.Findings`."""
-
-    beam: Beam
-    learned: Learned | None
-    posterior: Posterior | None
-    recordings: tuple[Observations, ...]
-    trainings: tuple[Comparison, ...]
-    validations: tuple[Comparison, ...] = ()
-    validation_observations: tuple[Observations, ...] = ()
-    remarks: tuple[Remark, ...] = ()
-    stage_seconds: Mapping[str, float] = field(default_factory=lambda: {"observe": 4.2, "states": 0.4})
-    video_seconds: float = 18.0
 
 
 def forces(frames: int = FRAMES, largest: float = 0.3) -> Array:
@@ -185,17 +169,19 @@ def posterior() -> Posterior:
     return fit([seen], 0.03, settings=FitSettings(functions=8, most_frames=30))
 
 
-def findings(validations: int = 2, *, fitted: bool = True) -> MadeUp:
+def findings(validations: int = 2, *, fitted: bool = True) -> Run:
     """A whole run, with as many validation recordings as asked."""
     training = comparison()
     others = [comparison(f"other-{i + 1}", error_m=0.002 * (i + 1), largest=0.2) for i in range(validations)]
-    return MadeUp(
+    return Run(
         beam=posterior().beam if fitted else BEAM,
         learned=learned(training),
         posterior=posterior() if fitted else None,
         recordings=(observations(one=training),),
         trainings=(training,),
-        remarks=learned(training).remarks,
+        remarks=worded(learned(training).remarks),
         validations=tuple(others),
         validation_observations=tuple(observations(one.name, one) for one in others),
+        stage_seconds={"observe": 4.2, "states": 0.4},
+        video_seconds=18.0,
     )

@@ -18,6 +18,7 @@ from onebend import __version__, cli
 from onebend.cli import learning as learning_commands, recordings as recording_commands
 from onebend.errors import LearningError, ObservationError
 from onebend.files.kept import users_folder
+from onebend.learning.outcome import Run
 from onebend.recording.bag_topics import BagContents
 from onebend.recording.folder import folder_of, read_recording
 from onebend.report.pictures import Pictures, draw
@@ -49,7 +50,7 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """
     asked: list[dict[str, Any]] = []
 
-    def learn_from(*folders: Path, **options: Any) -> made_up.MadeUp:
+    def learn_from(*folders: Path, **options: Any) -> Run:
         asked.append({"folders": folders, **options})
         return made_up.findings(len(options["validate_on"]), fitted=options["fitting"] is not None)
 

@@ -3,66 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError, ResultsError
 from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
-from onebend.learning.frequencies import frequency_remarks
+from onebend.learning.frequencies import frequency_notices
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import Comparison, Learned, modulus_along, modulus_remarks, stated_section
+from onebend.learning.outcome import Comparison, Learned, Notice, Run as Run, modulus_notices
 from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
 from onebend.learning.parameters import mass_remarks
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
-from onebend.learning.static_poses import stated_remarks
+from onebend.learning.static_poses import stated_notices
 from onebend.learning.validation import validate
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.verdict import fit_notices
 from onebend.progress import Progress, Silent, Stopwatch, one_blas_thread
 from onebend.recording.entries import Recording
 from onebend.recording.folder import check_same_beam, check_same_length, read_recording
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import KeptFrames
-from onebend.records import Array, Observations, Remark
+from onebend.records import Observations, Remark
+from onebend.report.sentences import worded
 from onebend.results.model import read_model
 
 TO_BEGIN = 120  # frames that the regression learns from where the fit, which begins there, is the result
-
-
-@dataclass(frozen=True)
-class Run:
-    """Everything that came out of learning from recordings and validating on others."""
-
-    beam: Beam  # what was learned: the fit's, where there is one
-    learned: Learned | None  # the paper's regression on the first recording; None where no (n, m) gave a beam
-    posterior: Posterior | None  # the fit over all recordings; None where only the regression was asked for
-    recordings: tuple[Observations, ...]  # learned from
-    trainings: tuple[Comparison, ...]  # the beam against each of them
-    validations: tuple[Comparison, ...]
-    validation_observations: tuple[Observations, ...]
-    remarks: tuple[Remark, ...]  # on the learning itself
-    stage_seconds: dict[str, float]
-    video_seconds: float  # length of all videos together, to compare the stages with
-
-    def modulus(self, s: Array, level: float = 0.95) -> ModulusBand | None:
-        """Young's modulus E(s) [Pa] at places s (S,), with its band where k(s) has one; None where no recording states
-        the section (`width_m` with `thickness_m`, or `diameter_m`)."""
-        uncertain = None if self.posterior is None else self.posterior.stiffness
-        return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
-
-    def one_modulus(self, level: float = 0.95) -> tuple[float, float, float] | None:
-        """Young's modulus [Pa] as one number, and its band; None where no recording states k(s) to go with the section
-        (`stiffness_along = "section"`)."""
-        if self.posterior is None:
-            return None
-        return one_modulus(self.posterior.stiffness, self.beam.length, stated_section(self.recordings), level)
 
 
 @one_blas_thread
@@ -133,7 +104,7 @@ def _learned(
         remarks += said
     with watch.whole("validate"):
         beam, trainings = _result(seen, learned, posterior)
-        remarks += modulus_remarks(beam, None if posterior is None else posterior.stiffness, seen)
+        remarks += modulus_notices(beam, None if posterior is None else posterior.stiffness, seen)
         known = None if posterior is None else posterior.stiffness
         pairs, said = _not_learned_from(validated(beam, known), seen)
         remarks += said
@@ -146,7 +117,7 @@ def _learned(
         trainings=trainings,
         validations=tuple(one for one, _ in pairs),
         validation_observations=tuple(where for _, where in pairs),
-        remarks=remarks,
+        remarks=worded(remarks),
         stage_seconds=watch.seconds,
         video_seconds=sum(float(one.time[-1] - one.time[0]) for one in films if not one.static),
     )
@@ -154,15 +125,15 @@ def _learned(
 
 def _not_learned_from(
     pairs: list[tuple[Comparison, Observations]], seen: Sequence[Observations]
-) -> tuple[list[tuple[Comparison, Observations]], tuple[Remark, ...]]:
+) -> tuple[list[tuple[Comparison, Observations]], tuple[Notice, ...]]:
     """The comparisons that validate; a warning on each with data that the beam was learned from, copied or not."""
     known = [any(_same_data(other, one) for one in seen) for _, other in pairs]
-    remarks = tuple(
-        _no_validation(comparison.name, "this recording is no validation and was left out")
+    notices = tuple(
+        Notice("no validation: left out", {"recording": comparison.name})
         for (comparison, _), learned in zip(pairs, known, strict=True)
         if learned
     )
-    return [pair for pair, learned in zip(pairs, known, strict=True) if not learned], remarks
+    return [pair for pair, learned in zip(pairs, known, strict=True) if not learned], notices
 
 
 def _same_data(one: Observations, other: Observations) -> bool:
@@ -173,16 +144,16 @@ def _same_data(one: Observations, other: Observations) -> bool:
 
 def _regression(
     seen: Observations, settings: RegressionSettings, *, needed: bool, progress: Progress
-) -> tuple[Learned | None, tuple[Remark, ...]]:
+) -> tuple[Learned | None, tuple[Notice | Remark, ...]]:
     """The paper's result; None, and a warning with the reason, where it finds no beam but is not needed."""
     if seen.static and not needed:
-        return None, (Remark("note", "the paper's regression needs a filmed push; bench poses are learned by the fit"),)
+        return None, (Notice("no regression of poses"),)
     try:
         learned = regress(seen, settings, most_frames=MOST_FRAMES if needed else TO_BEGIN, progress=progress)
     except LearningError as error:
         if needed:
             raise
-        return None, (_no_regression(error),)
+        return None, (Notice("no regression", {"why": error}),)
     except np.linalg.LinAlgError as error:
         why = f"{seen.source.name}: the regression's equations cannot be solved ({error})"
         if not np.isfinite(seen.force_sd).all():
@@ -192,18 +163,13 @@ def _regression(
             )
         if needed:
             raise LearningError(why) from error
-        return None, (_no_regression(why),)
+        return None, (Notice("no regression", {"why": why}),)
     return learned, learned.remarks
-
-
-def _no_regression(why: object) -> Remark:
-    text = f"the paper's regression found no beam: {why}. Take k(s) from the fit, which needs none"
-    return Remark("warning", text, about="no regression")
 
 
 def _fit(
     seen: Sequence[Observations], learned: Learned | None, fitting: FitSettings, progress: Progress
-) -> tuple[Posterior, tuple[Remark, ...]]:
+) -> tuple[Posterior, tuple[Notice | Remark, ...]]:
     """The fit over all recordings, and what is to be said of it.
 
     All forces are taken to come from one sensor: its scale error is common, so more recordings do not average it out.
@@ -217,12 +183,12 @@ def _fit(
             f"the recordings do not agree on one beam. {reasons}. Learn from each alone, and keep together those whose "
             "k(s) agree"
         )
-    remarks = fit_remarks(posterior) + frequency_remarks(posterior.frequencies)
-    remarks += mass_remarks(posterior.mass) + stated_remarks(seen, posterior.stiffness)
+    notices: tuple[Notice | Remark, ...] = fit_notices(posterior) + frequency_notices(posterior.frequencies)
+    notices += mass_remarks(posterior.mass)
+    notices += stated_notices(seen, posterior.stiffness)
     if len({one.stated.gain_sd for one in seen if one.source.clean_force is not None}) > 1:
-        text = f"gain_sd differs between the recordings; one sensor with the largest, {100 * gain_sd:.3g} %, is assumed"
-        remarks += (Remark("note", text),)
-    return posterior, remarks
+        notices += (Notice("several gains", {"sd": gain_sd}),)
+    return posterior, notices
 
 
 def _result(
@@ -264,14 +230,7 @@ def _warned(found: Comparison, seen: Observations, learned_from: Sequence[Observ
     pairs = ((one.xy, one.frequencies) for one in learned_from)
     if not any(np.array_equal(xy, seen.xy, equal_nan=True) and swings == seen.frequencies for xy, swings in pairs):
         return found
-    return replace(found, remarks=(_no_validation(found.name, "this is no validation"), *found.remarks))
-
-
-def _no_validation(name: str, what: str) -> Remark:
-    text = (
-        f"the beam was learned from {name}, so {what}: a fit always looks good on its own data. Film another push, and"
-    )
-    return Remark("warning", f"{text} validate on that", about="no validation")
+    return replace(found, remarks=(Notice("no validation", {"recording": found.name}), *found.remarks))
 
 
 @one_blas_thread

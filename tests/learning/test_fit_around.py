@@ -22,9 +22,10 @@ from onebend.learning.parameters import Priors
 from onebend.learning.posterior import LEVEL, Posterior, correlations, fit, tradeoffs, with_level
 from onebend.learning.start import start_of
 from onebend.learning.validation import mounting, validate
-from onebend.learning.verdict import fit_remarks, fitted_rms
+from onebend.learning.verdict import fit_notices, fitted_rms
 from onebend.recording.folder import check_same_beam, read_recording
 from onebend.records import Observations, Remark
+from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
 
@@ -104,20 +105,20 @@ def test_tradeoffs_come_strongest_first_and_name_a_quantity_once() -> None:
 
 
 def test_a_clamp_left_free_is_warned_of() -> None:
-    assert fit_remarks(fitted()) == ()
+    assert worded(fit_notices(fitted())) == ()
     free = fitted(0.05)
-    assert [remark.level for remark in fit_remarks(free) if "clamp" in remark.text] == ["warning"]
+    assert [remark.level for remark in worded(fit_notices(free)) if "clamp" in remark.text] == ["warning"]
 
 
 def test_a_search_that_did_not_end_and_a_tag_that_is_elsewhere_are_warned_of() -> None:
     one = fitted()
     unfinished = replace(one, optimum=replace(one.optimum, converged=False))
-    assert "did not converge" in fit_remarks(unfinished)[0].text
+    assert "did not converge" in worded(fit_notices(unfinished))[0].text
     assert unfinished.doubts == ("the fit did not converge",)
     assert one.doubts == ()
     away = np.array([[0.0, 0.0], [4e-3, 0.0], [0.0, 0.0]])
     moved = replace(made(), xy=np.add(made().xy, away), rest_xy=np.add(made().rest_xy, away))
-    texts = [remark.text for remark in fit_remarks(fit([moved], 0.02, settings=FitSettings(functions=24)))]
+    texts = [remark.text for remark in worded(fit_notices(fit([moved], 0.02, settings=FitSettings(functions=24))))]
     said = [re.search(r"tag 2 sits ([\d.]+) mm along the beam from its written place", text) for text in texts]
     assert [float(one[1]) for one in said if one] == pytest.approx([4.0], abs=0.2)
 
@@ -132,7 +133,7 @@ def shifted(posterior: Posterior, by: float) -> Posterior:
 def test_a_fit_that_misses_hopelessly_says_so_once_and_nothing_else() -> None:
     one = fitted()
     far = shifted(one, 1.0)
-    (said,) = fit_remarks(far)
+    (said,) = worded(fit_notices(far))
     assert said.level == "warning"
     assert "NOT TO BE TRUSTED" in said.text
     near = shifted(one, 0.003)
@@ -237,11 +238,13 @@ def test_what_was_learned_from_is_no_validation(monkeypatch: pytest.MonkeyPatch)
     told = [remark.text for remark in run.remarks if "no validation" in remark.text]
     assert ["made" in told[0], "copy" in told[1], len(told)] == [True, True, 2]
     pairs = pipeline.compare(run.beam, ["train", "copy", "fast"], learned_from=run.recordings)
-    said = [[one.text for one in found.remarks if "no validation" in one.text] for found, _ in pairs]
+    said = [[one.text for one in worded(found.remarks) if "no validation" in one.text] for found, _ in pairs]
     assert [len(texts) for texts in said] == [1, 1, 0]
     assert "Film another push" in said[0][0]
     assert not any(
-        "no validation" in one.text for found, _ in pipeline.compare(run.beam, ["train"]) for one in found.remarks
+        "no validation" in one.text
+        for found, _ in pipeline.compare(run.beam, ["train"])
+        for one in worded(found.remarks)
     )
 
 

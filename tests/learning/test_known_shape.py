@@ -16,9 +16,10 @@ from onebend.errors import LearningError
 from onebend.learning.fit_data import following
 from onebend.learning.parameters import CORRELATION, LEVEL_SD, KnownShape, Priors, Spline, known_shape, make_layout
 from onebend.learning.posterior import Posterior, fit, mass_per_length, without_section_errors
-from onebend.learning.static_poses import stated_remarks
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.static_poses import stated_notices
+from onebend.learning.verdict import fit_notices
 from onebend.records import Array, Observations, StatedSection
+from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, forces, observed
 from tests.learning.known_bench import DIAMETER, LENGTH, MODULUS, S, learned, read, rod
 from tests.made_up import with_stated
@@ -80,7 +81,7 @@ def test_a_wrong_section_is_criticised_where_it_counts_as_exact(tmp_path: Path) 
     found = learned(read(tmp_path / "rod", rod(), SECTION, diameter=DIAMETER + 4e-4))  # 7 to 13 %
     assert not found.criticism.trusted
     assert found.criticism.causes[0].score.suspect.name == "stiffness along"
-    [warning] = [one for one in fit_remarks(found) if one.level == "warning" and one.about == "stiffness along"]
+    [warning] = [one for one in worded(fit_notices(found)) if one.level == "warning" and one.about == "stiffness along"]
     assert "section_sd_m" in warning.text
 
 
@@ -215,7 +216,7 @@ def test_what_one_of_several_benches_states_counts_though_the_fit_begins_with_ot
 
 def test_what_was_stated_is_said(tmp_path: Path) -> None:
     found = slow_rod(tmp_path / "slow", f"{SECTION}modulus_varies = 0.1\n")
-    [remark] = stated_remarks([one.observations for one in found.recordings], found.stiffness)
+    [remark] = worded(stated_notices([one.observations for one in found.recordings], found.stiffness))
     note = remark.text
     assert remark.level == "note"
     assert "one modulus times the section's I(s)" in note

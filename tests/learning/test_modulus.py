@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import modulus_along, modulus_remarks, modulus_unit, stated_section
+from onebend.learning.outcome import modulus_along, modulus_notices, stated_section
 from onebend.pipeline import learn
 from onebend.records import Observations, StatedSection
 from onebend.report.overview import overview
+from onebend.report.sentences import modulus_unit, worded
 from tests import made_up
 
 WEIGHTS = Path(__file__).parents[2] / "examples" / "hung-weights"
@@ -28,7 +29,7 @@ def told(section: StatedSection | None, *, scale: float = 1.0, doubts: tuple[str
     """What is said of k(s) times `scale`."""
     fit = made_up.posterior()
     one = replace(fit.stiffness, mean=fit.stiffness.mean + np.log(scale), doubts=doubts)
-    return [remark.text for remark in modulus_remarks(fit.beam, one, [seen(section)])]
+    return [remark.text for remark in worded(modulus_notices(fit.beam, one, [seen(section)]))]
 
 
 def test_without_a_section_nothing_is_said() -> None:
@@ -76,18 +77,18 @@ def test_of_a_k_that_is_in_doubt_nothing_more_is_said() -> None:
 
 def test_the_regression_alone_is_looked_at_too() -> None:
     wrong = replace(BAR, thickness=1e3 * BAR.thickness)
-    assert modulus_remarks(made_up.BEAM, None, [seen(BAR)]) == ()
-    assert len(modulus_remarks(made_up.BEAM, None, [seen(wrong)])) == 1
+    assert modulus_notices(made_up.BEAM, None, [seen(BAR)]) == ()
+    assert len(modulus_notices(made_up.BEAM, None, [seen(wrong)])) == 1
 
 
 def test_recordings_that_state_different_sections_are_told() -> None:
     fit = made_up.posterior()
     several = [seen(None), seen(BAR, "a"), seen(replace(BAR, width=0.9 * BAR.width), "b")]
-    (remark,) = modulus_remarks(fit.beam, fit.stiffness, several)
+    (remark,) = worded(modulus_notices(fit.beam, fit.stiffness, several))
     assert remark.level == "warning"
     assert "different sections" in remark.text
     assert "that of a." in remark.text
-    assert modulus_remarks(fit.beam, fit.stiffness, [seen(BAR, "a"), seen(BAR, "b")]) == ()
+    assert modulus_notices(fit.beam, fit.stiffness, [seen(BAR, "a"), seen(BAR, "b")]) == ()
 
 
 def test_the_unit_goes_by_the_size() -> None:

@@ -21,6 +21,7 @@ from onebend.learning.validation import validate
 from onebend.pipeline import Run, learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
+from onebend.report.sentences import worded
 from onebend.results.observations_file import load_observations, save_observations
 from tests.beam.turned_chain import Cable
 from tests.recording.turned import S, turned_folder, ways
@@ -137,7 +138,7 @@ def test_a_pose_that_nothing_explains_is_left_out_and_named(tmp_path: Path) -> N
     assert run.posterior is not None
     assert [int(np.sum(left_out)) for left_out in run.posterior.left_out] == [1]
     assert any("pose up-165 was left out" in remark.text for remark in run.remarks)
-    [warning] = run.trainings[0].remarks
+    [warning] = worded(run.trainings[0].remarks)
     assert warning.about == "pose"
     assert "pose up-165 by " in warning.text
     assert np.all(np.abs(off_by(run)[4:-4]) < 0.1)
@@ -149,7 +150,7 @@ def test_validation_takes_the_equilibrium_that_is_seen_and_says_where_the_way_le
     o = observe(folder(tmp_path / "cable", turned_from_deg=told))
     compared = validate(BEAM, o)
     assert np.all(compared.rms < 2.5 * SD)
-    [warning] = compared.remarks
+    [warning] = worded(compared.remarks)
     assert warning.about == "pose history"
     assert "pose back-100 by " in warning.text
     assert "pose back-95" not in warning.text

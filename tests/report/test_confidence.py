@@ -10,7 +10,6 @@ import pytest
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.report import figures as curves
 from onebend.report.confidence import (
-    gain_words,
     identified_ranges,
     identified_words,
     load_error_words,
@@ -18,6 +17,7 @@ from onebend.report.confidence import (
     unidentified_words,
 )
 from onebend.report.page import band_card
+from onebend.report.sentences import say
 from onebend.report.style import png_of
 from onebend.report.wording import significant
 from tests import made_up
@@ -67,9 +67,9 @@ def test_the_card_has_the_width_of_the_band_that_is_drawn() -> None:
 def test_the_gain_is_in_the_card_and_said_apart() -> None:
     assert band_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
     assert band_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
-    assert "known to 5 %" in gain_words(0.05)
-    assert "taken as exact" in gain_words(0.0)
-    assert "weight" in gain_words(0.0, forced=False)
+    assert "known to 5 %" in say("gain", sd=0.05)
+    assert "taken as exact" in say("gain exact")
+    assert "weight" in say("scale by weight")
 
 
 def test_nothing_counts_as_identified_where_k_is_in_doubt() -> None:

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from onebend.beam.section import modulus_band, one_modulus, relative_moment
 from onebend.cli.screens import estimate_table, show_model, show_run
+from onebend.learning.outcome import Run
 from onebend.records import StatedSection
 from onebend.report.confidence import (
     MeasuredBeam,
@@ -30,7 +31,7 @@ BAR = StatedSection("rectangle", np.array([0.0, 1.0]), np.full(2, 0.004), np.ful
 S = np.linspace(0.0, 1.0, 11)
 
 
-def findings(section: StatedSection | None, *, fitted: bool = True) -> made_up.MadeUp:
+def findings(section: StatedSection | None, *, fitted: bool = True) -> Run:
     made = made_up.findings(0, fitted=fitted)
     return replace(made, recordings=tuple(made_up.with_stated(one, section=section) for one in made.recordings))
 

@@ -13,13 +13,14 @@ from rich.console import Console
 
 from onebend.cli.screens import show_run
 from onebend.learning.criticism import Finding
+from onebend.learning.outcome import Run, another_beam
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fit_remarks, fitted_rms, possible
+from onebend.learning.verdict import fit_notices, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
 from onebend.report.confidence import model_test_rows
 from onebend.report.page import cards, code_in, page
+from onebend.report.sentences import worded
 from onebend.report.verdict import hopeless, verdict_of
-from onebend.report.wording import another_beam
 from onebend.results.learned_files import summary_of
 from tests import made_up
 
@@ -51,7 +52,7 @@ def as_poses(found: Posterior) -> Posterior:
     return replace(found, problem=replace(found.problem, recordings=whole))
 
 
-def validated(rms: float, sensor: float, likely: float = np.nan, **changes: Any) -> made_up.MadeUp:
+def validated(rms: float, sensor: float, likely: float = np.nan, **changes: Any) -> Run:
     found = made_up.findings(1)
     one = replace(
         found.validations[0],
@@ -150,11 +151,11 @@ def test_poses_have_no_place_of_a_push_and_no_log(name: str) -> None:
     poses = as_poses(pushed)
     assert not possible(poses).criticism.causes
     verdict = verdict_of(replace(made_up.findings(0), posterior=poses))
-    words = " ".join((verdict.rests_on, verdict.next, *(remark.text for remark in fit_remarks(poses))))
+    words = " ".join((verdict.rests_on, verdict.next, *(remark.text for remark in worded(fit_notices(poses)))))
     assert "at_s" not in words
     assert "rotation_deg" not in words
     assert "1 stands out" in verdict.rests_on  # what does not fit is said nevertheless
-    assert any("nothing that is known of explains it" in remark.text for remark in fit_remarks(poses))
+    assert any("nothing that is known of explains it" in remark.text for remark in worded(fit_notices(poses)))
 
 
 def test_a_test_of_which_the_data_tell_nothing_is_none() -> None:
@@ -205,5 +206,5 @@ def test_a_beam_that_would_hang_far_down_tells_of_the_forces_unit(mass: float, h
     section = StatedSection("rectangle", np.array([0.0, 1.0]), np.full(2, 0.02), np.full(2, 0.03))
     stated = replace(first.observations.stated, section=section, mass=mass)
     whole = (replace(first, observations=replace(first.observations, stated=stated)), *found.recordings[1:])
-    said = fit_remarks(replace(found, problem=replace(found.problem, recordings=whole)))
+    said = worded(fit_notices(replace(found, problem=replace(found.problem, recordings=whole))))
     assert [one.level for one in said if "hang down out of the plane" in one.text] == ["warning"] * hangs

@@ -57,7 +57,7 @@ def test_a_stale_part_is_written_anew_and_a_part_without_a_place_is_named() -> N
 
 def test_every_option_is_in_its_command_s_part_and_every_key_in_its_table_s() -> None:
     """Asked of Typer's own help and of the schema, beside the generator."""
-    (cli, commands_said), (_, tables) = pages().items()
+    (cli, commands_said), (_, tables), _ = pages().items()
     assert cli.name == "cli.md"
     for command in COMMANDS:
         asked = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "200"}).stdout

@@ -31,8 +31,9 @@ from onebend.learning.push_place import (
     under,
     with_places,
 )
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.verdict import fit_notices
 from onebend.records import Array
+from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, SOFT, forces, observed
 
 NOISE = (2e-5, 1e-3)
@@ -52,7 +53,7 @@ def test_a_push_that_acts_elsewhere_is_accused_with_its_place() -> None:
     assert one.place.accused
     assert 0.55 <= one.place.range[0] <= 0.75
     assert any("push" in words for words in one.doubts)
-    remark = next(r for r in fit_remarks(one) if r.about == "push place")
+    remark = next(r for r in worded(fit_notices(one)) if r.about == "push place")
     assert "not at 1" in remark.text
     assert "correct at_s in [push]" in remark.text
 
@@ -160,7 +161,7 @@ def test_a_place_that_is_left_open_is_said_and_one_that_others_outweigh_is_warne
     one = fitted(0.75, 1.0)
     for gain, level in ((-1.0, "note"), (2.0, "note"), (5.0, "warning")):
         found = replace(one, place=replace(opened(one, gain), accused=False))
-        remark = next(r for r in fit_remarks(found) if "the band holds all of that" in r.text)
+        remark = next(r for r in worded(fit_notices(found)) if "the band holds all of that" in r.text)
         assert remark.level == level
         assert found.doubts == replace(one, place=None).doubts
 
@@ -237,7 +238,7 @@ def test_a_fit_that_takes_the_push_away_from_its_written_place_is_in_doubt() -> 
         one = replace(right, optimum=replace(right.optimum, x=x), place=None)
         assert moved_off(one.layout, one.mean) == pytest.approx(abs(sds))
         assert ("the push hardly acts where at_s says" in one.doubts) is expected
-        assert any("correct at_s" in r.text and r.about == "push place" for r in fit_remarks(one)) is expected
+        assert any("correct at_s" in r.text and r.about == "push place" for r in worded(fit_notices(one))) is expected
 
 
 @pytest.mark.slow

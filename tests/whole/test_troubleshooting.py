@@ -19,9 +19,10 @@ from onebend.cli import app
 from onebend.cli.common import clean_errors, remarks_list, warnings_list
 from onebend.errors import SECTIONS, ObservationError, reference, section, told
 from onebend.learning.criticism import Criticism, Finding, Score, Suspect
-from onebend.learning.verdict import criticism_remarks, fit_remarks
+from onebend.learning.verdict import criticism_notices, fit_notices
 from onebend.records import Remark
 from onebend.report.page import page
+from onebend.report.sentences import SENTENCES, worded
 from onebend.report.verdict import verdict_of
 from onebend.results.model import save_model
 from tests import made_up
@@ -61,16 +62,11 @@ def warns(call: ast.Call) -> bool:
 
 
 def named() -> set[str]:
-    """All that the code's warnings and errors are about, by their own words; the tests' suspects come by name."""
-    found = {one.name for one in suspects() if one.kind != "trend"}
+    """All that the code's warnings and errors are about, and the sentences of what learning found."""
+    found = {one.about for one in SENTENCES.values()}
     for _, call in calls():
         if isinstance(about := about_of(call), ast.Constant):
             found.add(str(about.value))
-    tree = ast.parse((PACKAGE / "report" / "verdict.py").read_text(encoding="utf-8"))
-    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name == "_about"):
-        returned = [word for node in ast.walk(function) if isinstance(node, ast.Return) for word in ast.walk(node)]
-        found |= {word.value for word in returned if isinstance(word, ast.Constant) and isinstance(word.value, str)}
-    found |= {"unexplained"}  # criticism_messages.about_causes, held below
     return found - {""}
 
 
@@ -113,7 +109,7 @@ def test_planted_faults_are_noticed() -> None:
 def test_a_warning_of_the_models_tests_is_about_its_likeliest_cause(suspect: Suspect) -> None:
     finding = Finding(Score(suspect, np.full(3, 2e-3), np.ones(3), 50.0, -9.0, 1e-3, np.zeros(8)), 0.1, 2.0)
     one = replace(made_up.posterior(), criticism=Criticism((finding,)))
-    [warning] = [one for one in criticism_remarks(one) if one.level == "warning"]
+    [warning] = [one for one in worded(criticism_notices(one)) if one.level == "warning"]
     assert warning.about == ("unexplained" if suspect.kind == "trend" else suspect.name)
     assert warning.docs == f"troubleshooting.md#{SECTIONS[warning.about]}"
 
@@ -163,7 +159,7 @@ def test_the_verdict_names_the_section_of_what_is_wrong_with_k() -> None:
     stopped = replace(good.posterior, optimum=replace(good.posterior.optimum, converged=False))
     doubted = verdict_of(replace(good, posterior=stopped))
     assert dict(doubted.rows)["docs"] == doubted.as_dict()["docs"] == section("not trusted")
-    assert [one.about for one in fit_remarks(stopped) if one.level == "warning"] == ["not converged"]
+    assert [one.about for one in worded(fit_notices(stopped)) if one.level == "warning"] == ["not converged"]
 
 
 def test_a_command_warns_of_a_model_in_doubt_with_the_section(tmp_path: Path) -> None:

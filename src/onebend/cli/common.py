@@ -343,11 +343,16 @@ def facts_table() -> Table:
     return Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
 
 
-def listing(title: str, *columns: str) -> Table:
-    """An empty table; a column whose head begins with `<` is aligned to the left, the others to the right."""
-    table = Table(title=title, title_justify="left", box=None)
+def listing(title: str | None, *columns: str, gap: int = 1) -> Table:
+    """An empty table without lines; a column whose head begins with `<` is aligned to the left and folds, the others
+    hold numbers. A `gap` of 2 begins at the edge."""
+    tight: dict[str, Any] = {} if gap == 1 else {"pad_edge": False, "padding": (0, gap, 0, 0)}
+    table = Table(title=title, title_justify="left", box=None, **tight)
     for name in columns:
-        table.add_column(escape(name.removeprefix("<")), justify="left" if name.startswith("<") else "right")
+        if name.startswith("<"):
+            table.add_column(escape(name[1:]), overflow="fold")
+        else:
+            table.add_column(escape(name), justify="right", no_wrap=True)
     return table
 
 

@@ -16,14 +16,16 @@ from rich.text import Text
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
 from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written, warnings_list
-from onebend.learning.outcome import Comparison, Learned
+from onebend.learning.outcome import Comparison, Learned, Run
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.swing import Damping, SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
 from onebend.report import confidence, wording
+from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.verdict import hopeless, verdict_of
+from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
 
 if TYPE_CHECKING:
@@ -32,20 +34,15 @@ if TYPE_CHECKING:
     from onebend.learning.sensing.sensor import SensorCheck
 
 
-# The tables of the terminal.
-
 FEW = 4  # tags whose columns fit side by side in 80
 WIDE = 91  # columns of a plot: eleven numbers fit below it
 
 
 def selection_table(learned: Learned) -> Table:
     """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
-    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("")
     names, errors = _trial_errors(learned)
-    for name in ("n", "m", *names, "BIC"):
-        table.add_column(name, justify="right", no_wrap=True)
+    title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
+    table = listing(title, "<", "n", "m", *names, "BIC")
     table.add_column("", overflow="fold")
     for i, trial in enumerate(learned.trials):
         chosen = i == learned.chosen
@@ -56,28 +53,27 @@ def selection_table(learned: Learned) -> Table:
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
+    """Headings, and cells of every trial: the RMS of each tag, or of the worst if there are many."""
     if len(learned.training.tag_id) <= FEW:
-        return [f"tag {tag}\n\\[mm]" for tag in learned.training.tag_id], [
-            list(map(wording.millimetres, t.rms)) for t in learned.trials
-        ]
-    worst = [float(np.max(np.nan_to_num(t.rms, nan=-1.0))) for t in learned.trials]
-    return ["worst tag \\[mm]"], [[wording.millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
+        cells = [list(map(millimetres, trial.rms)) for trial in learned.trials]
+        return [f"tag {tag}\n[mm]" for tag in learned.training.tag_id], cells
+    worst = [float(np.max(np.nan_to_num(trial.rms, nan=-1.0))) for trial in learned.trials]
+    return ["worst tag [mm]"], [[millimetres(rms) if rms >= 0.0 else wording.UNKNOWN] for rms in worst]
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
     """Tables IV to VI, one tag a row: RMS, the force noise, and what is likely."""
     meaning = "force noise: from the log's noise alone; likely: with the band of k(s) and the push's place"
-    table = Table(title=f"{what}: RMS distance ({meaning})", title_justify="left", box=None)
-    table.add_column("recording", overflow="fold", ratio=1)
-    table.add_column("frames", justify="right", no_wrap=True)
+    table = listing(f"{what}: RMS distance ({meaning})", "<recording", "frames")
+    table.columns[0].ratio = 1
     table.add_column("tag", no_wrap=True)
     for name in ("s", "RMS \\[mm]", "force noise \\[mm]", "likely \\[mm]"):
         table.add_column(name, justify="right", no_wrap=True)
     for one in comparisons:
         for i, s in enumerate(one.marker_s):
             whose = (escape(one.name), str(len(one.frame))) if i == 0 else ("", "")
-            beside = [f"[dim]{wording.millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
-            table.add_row(*whose, wording.tag_words(one, i), f"{s:.3g}", wording.millimetres(one.rms[i]), *beside)
+            beside = [f"[dim]{millimetres(rms)}[/]" for rms in (one.sensor_rms[i], one.likely_rms[i])]
+            table.add_row(*whose, wording.tag_words(one, i), f"{s:.3g}", millimetres(one.rms[i]), *beside)
     return table
 
 
@@ -124,38 +120,25 @@ def estimate_table(
     """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for name in ("s", "k [N m]", "± 95 %", "from", "to", "identified"):
-        table.add_column(escape(name), justify="right", no_wrap=True)
+    known = ["yes" if one else "no" for one in band.identified]
+    k, low, high = ([significant(float(value)) for value in values] for values in (band.k, band.low, band.high))
+    named: list[tuple[str, Sequence[str]]] = [("s", [f"{place:.1f}" for place in s]), ("k [N m]", k)]
+    named += [("± 95 %", half_widths(band)), ("from", low), ("to", high), ("identified", known)]
     if regression is not None:
-        table.add_column("paper's k", justify="right", no_wrap=True)
+        papers = [f"[dim]{significant(float(value))}[/]" for value in regression.beam.stiffness(s)]
+        named.append(("paper's k", papers))
     if modulus is not None:
-        for name in (f"E [{modulus.unit}]", "from", "to"):
-            table.add_column(escape(name), justify="right", no_wrap=True)
-    columns = zip(s, band.k, half_widths(band), band.low, band.high, band.identified, strict=True)
-    for i, (place, k, half, low, high, known) in enumerate(columns):
-        cells = [
-            f"{place:.1f}",
-            wording.significant(k),
-            half,
-            wording.significant(low),
-            wording.significant(high),
-            "yes" if known else "no",
-        ]
-        if regression is not None:
-            cells.append(f"[dim]{wording.significant(float(regression.beam.stiffness(s[i])))}[/]")
-        if modulus is not None:
-            cells += [modulus.values[i], modulus.low[i], modulus.high[i]]
-        table.add_row(*cells, style="" if known else "bright_black")
+        named += [(f"E [{modulus.unit}]", modulus.values), ("from", modulus.low), ("to", modulus.high)]
+    table = listing(None, *(name for name, _ in named), gap=2)
+    for cells, there in zip(zip(*(values for _, values in named), strict=True), band.identified, strict=True):
+        table.add_row(*cells, style="" if there else "bright_black")
     return table
 
 
 def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
-    """What else was fitted, before and after the data; what lies more than 2 sd off in colour."""
-    table = Table(title="Fitted with k(s)", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("", overflow="fold")
-    for name in ("value", "sd before", "sd after", ""):
-        table.add_column(name, justify="right" if name else "left", no_wrap=True)
+    """Further parameters of the fit, before and after the data; those more than 2 sd off in colour."""
+    table = listing("Fitted with k(s)", "<", "value", "sd before", "sd after", gap=2)
+    table.add_column("", no_wrap=True)
     for row in confidence.nuisance_rows(nuisances):
         style = "yellow" if row.moved > 2.0 else ""
         table.add_row(escape(row.name), row.value, row.before, row.after, row.unit, style=style)
@@ -163,7 +146,7 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
 
 
 def allowance_table(posterior: Posterior) -> Table:
-    """What the fit allows for, and what each costs; what matters stands out."""
+    """What the fit allows for, and the effect of each on k(s); what matters is bold."""
     table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", overflow="fold")
     for name in ("widens the band by", "k(s) without it", "sd from nothing"):
@@ -177,13 +160,11 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
     """Time of every stage, and its share of the video's length."""
     table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
     *stages, total = wording.stage_rows(seconds)
-    for name, value in stages:
-        table.add_row(escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
-    table.add_row(total[0], f"{total[1]:.2f}", wording.percent(total[1], video_seconds), style="bold")
+    for name, value in (*stages, total):
+        cells = (escape(name), f"{value:.2f}", wording.percent(value, video_seconds))
+        table.add_row(*cells, style="bold" if name is total[0] else "")
     return table
 
-
-# k(s) drawn with block characters, with numbers below.
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
 MOST = 4.0  # times k: a band that says nothing may leave the picture
@@ -191,10 +172,7 @@ CURVE, BAND = ("-", "━"), ("·", "░")  # where k is not identified, and wher
 
 
 def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12, log: bool = False) -> RenderableType:
-    """k(s) as a line in its 95 % band; thinner and grey where it is not identified.
-
-    What is known sets the axis, the rest may leave the picture. `log`: a logarithmic axis.
-    """
+    """k(s) as a line in its 95 % band, thinner and grey where it is not identified. `log`: a logarithmic axis."""
     s = np.linspace(0.0, 1.0, columns)
     band = uncertain.band(s)
     edges = _edges(band, uncertain.best_known(s), rows, log=log)
@@ -255,8 +233,6 @@ def _numbers(beam: Beam) -> Table:
     return table
 
 
-# What `onebend damp`, `onebend frequencies` and `onebend sense` say.
-
 _AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
 
 
@@ -284,7 +260,7 @@ def swing_table(fit: SwingFit) -> Table:
     else:
         table.add_row(
             "mass \\[g]",
-            wording.significant(1000 * fit.mass),
+            significant(1000 * fit.mass),
             f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?",
         )
     return table
@@ -292,7 +268,8 @@ def swing_table(fit: SwingFit) -> Table:
 
 def frequency_table(found: FoundFrequencies) -> Table:
     """One mode a row."""
-    table = listing("Frequencies of the free swing", "Hz", "sd", "damping ratio", "sd", "size", "<")
+    table = listing("Frequencies of the free swing", "Hz", "sd", "damping ratio", "sd", "size")
+    table.add_column("")
     for one in found.modes:
         said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
         cells = (f"{one.damping_ratio:.3g}", f"{one.damping_ratio_sd:.2g}", f"{100 * one.share:.3g} %", said)
@@ -319,7 +296,7 @@ def show_frequencies(console: Console, found: FoundFrequencies) -> None:
         highlight=False,
     )
     if found.remarks:
-        console.print(remarks_list([(found.name, remark) for remark in found.remarks]))
+        console.print(remarks_list([(found.name, remark) for remark in worded(found.remarks)]))
         console.print()
     console.print("For recording.toml:\n", highlight=False)
     console.print(frequency_entries(found), markup=False, highlight=False)
@@ -335,7 +312,7 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
         "(RMS) from the fitted motion.\n",
         highlight=False,
     )
-    console.print(remarks_list([(fit.swing.name, remark) for remark in fit.remarks]))
+    console.print(remarks_list([(fit.swing.name, remark) for remark in worded(fit.remarks)]))
     if out is not None:
         console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
 
@@ -421,12 +398,9 @@ _FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
 
 
 def show_run(
-    console: Console, run: wording.Findings, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
+    console: Console, run: Run, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
 ) -> None:
-    """The answer of `onebend learn`: the verdict, k(s), what is wrong, where the report is; `verbose`: all of it.
-
-    Without a `report` it says where the results are.
-    """
+    """The answer of `onebend learn`: verdict, k(s), warnings and the place of the report; `verbose`: everything."""
     if verbose:
         for part in _everything(run):
             console.print(part)
@@ -436,7 +410,7 @@ def show_run(
     for part in [] if hopeless(run) else _stiffness(console, run, log=log):
         console.print(part)
     console.print()
-    remarks = wording.all_remarks(run)
+    remarks = all_remarks(run)
     warnings = [pair for pair in remarks if pair[1].level == "warning"]
     if warnings and not verbose:
         console.print(warnings_list(warnings))
@@ -447,7 +421,7 @@ def show_run(
     say_path(console, "report" if report else "results", out / "report.html" if report else out)
 
 
-def verdict_rows(run: wording.Findings) -> Table:
+def verdict_rows(run: Run) -> Table:
     """The verdict, a row each."""
     verdict = verdict_of(run)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
@@ -459,7 +433,7 @@ def verdict_rows(run: wording.Findings) -> Table:
     return table
 
 
-def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[RenderableType]:
+def _stiffness(console: Console, run: Run, *, log: bool) -> list[RenderableType]:
     columns = min(max((console.width - 19) // 10, 4), 10) * 10 + 1
     rows = min(max(console.height - 18, _FEWEST_ROWS), _MOST_ROWS)
     measured = confidence.measured_beam(run)
@@ -472,7 +446,8 @@ def _stiffness(console: Console, run: wording.Findings, *, log: bool) -> list[Re
     return [band_plot(uncertain, columns=columns, rows=rows, log=log), numbers, *below]
 
 
-def _everything(run: wording.Findings) -> list[RenderableType]:
+def _everything(run: Run) -> list[RenderableType]:
+    """What the answer does not need: it stands in the report as well."""
     parts: list[RenderableType] = []
     if run.learned is not None:
         parts.append(selection_table(run.learned))
@@ -485,10 +460,10 @@ def _everything(run: wording.Findings) -> list[RenderableType]:
         parts.append(_sentences(_as_logged_words(run, run.posterior)))
     if run.validations:
         parts.append(comparison_table(run.validations, "Validation"))
-    return [*parts, remarks_list(wording.all_remarks(run))]
+    return [*parts, remarks_list(all_remarks(run))]
 
 
-def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
+def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
     words = []
     for comparison, rms in zip(run.trainings, fitted_rms(posterior), strict=True):
         largest = wording.millimetres(float(np.nanmax(rms)))
@@ -499,7 +474,8 @@ def _as_logged_words(run: wording.Findings, posterior: Posterior) -> list[str]:
     return words
 
 
-def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
+def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
+    """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
     blind = confidence.unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [
@@ -525,7 +501,7 @@ def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
     )
 
 
-def show_times(console: Console, run: wording.Findings, seconds: Mapping[str, float]) -> None:
+def show_times(console: Console, run: Run, seconds: Mapping[str, float]) -> None:
     """The time that each stage took."""
     console.print()
     console.print(stages_table(seconds, run.video_seconds))
@@ -549,7 +525,7 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
             [
                 (comparison.name, remark)
                 for comparison, recording in pairs
-                for remark in wording.pair_remarks(comparison, recording)
+                for remark in pair_remarks(comparison, recording)
             ]
         )
     )

@@ -31,7 +31,7 @@ from onebend.learning.paper import RegressionSettings, choose, regress, table
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of
 from onebend.learning.validation import validate
-from onebend.learning.verdict import fit_remarks, fitted_rms
+from onebend.learning.verdict import fit_notices, fitted_rms
 from onebend.options import option
 from onebend.progress import (
     Progress,
@@ -45,6 +45,7 @@ from onebend.progress import (
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import ObserveSettings, observe
 from onebend.records import Array, Observations
+from onebend.report.sentences import worded
 from onebend.results.model import origin_of, read_model, save_model
 from onebend.results.observations_file import fields_from, load_observations, save_observations, to_data
 
@@ -366,7 +367,7 @@ def _save(
         "trials": [to_data(trial) for trial in trials],
         "chosen": chosen,
         "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
-        "remarks": [f"{remark.level}: {remark.text}" for remark in fit_remarks(posterior)],
+        "remarks": [f"{remark.level}: {remark.text}" for remark in worded(fit_notices(posterior))],
     }
     unfinished = job.folder / "facts.tmp"
     unfinished.write_text(json.dumps(facts, indent=1), encoding="utf-8")  # NaN and infinity as Python writes them

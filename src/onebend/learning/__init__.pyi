@@ -34,7 +34,7 @@ from .optimizer import (
     OptimizerSettings as OptimizerSettings,
     Optimum as Optimum,
 )
-from .outcome import Learned as Learned, Trial as Trial
+from .outcome import Learned as Learned, Notice as Notice, Trial as Trial
 from .paper import RegressionSettings as RegressionSettings, regress as regress
 from .parameters import (
     Block as Block,

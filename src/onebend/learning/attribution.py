@@ -1,14 +1,8 @@
-"""What each allowance does to k(s): by how much it widens the band, and how far off k(s) would be without it.
-
-With C the posterior covariance, b an allowance's parameters and c the coefficients of log k: had b been known, the
-variance of c would be `C_cc - C_cb C_bb^-1 C_bc`; had b been kept at its value for the ideal bench, b_0, log k would
-have come out `C_cb C_bb^-1 (b_0 - b)` away. Given the data, the expected square of that way is its square at the most
-probable b and what b adds to the variance of log k. Its root says how much an allowance matters, whether the data show
-its effect or leave it open, and it is what allowances are put in order by.
-
-Squares are averaged over places, weighted by the precision of log k: where k(s) is hardly known, as close to the push,
-nearly nothing of an effect moves it far.
-"""
+"""Effect of each allowance on k(s): on the width of its band, and on its value. With C the posterior covariance, b an
+allowance's parameters and c the coefficients of log k: if b were known, the variance of c would be `C_cc - C_cb C_bb^-1
+C_bc`; if b were b_0, its value for the ideal bench, log k would change by `C_cb C_bb^-1 (b_0 - b)`. The expected square
+of that change, given the data, orders the allowances. Squares are averaged over places with the precision of log k as
+weights."""
 
 from __future__ import annotations
 
@@ -25,7 +19,7 @@ from onebend.learning.prediction import secant_of
 from onebend.records import Array, IntArray
 
 FORCE_SCALE, LEFT = "force's scale", "remaining discrepancy"
-# Blocks of the layout that say one thing about the bench, by the name under which a person knows it.
+# Blocks of the layout, by the common name of their cause.
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "stretch and shear": ("section",),
@@ -51,7 +45,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 _NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
-# Known of every bench, and unknown on every one: no allowance for a bench that is not ideal.
+# Unknown on every bench, and so no allowance for a bench that is not ideal.
 _OF_EVERY_BENCH = (
     "error of the force log",
     "clock",
@@ -91,11 +85,8 @@ class Attribution:
 
 
 def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array) -> tuple[Attribution, ...]:
-    """Everything that the fit allows for, by its size at places `s` (S,), the largest first.
-
-    What is left when every cause is taken off comes behind the causes, and last what is unknown on every bench.
-    `gain_sd` is of the force's common scale, 0 where it is exact.
-    """
+    """All allowances, by their size at places `s` (S,), the largest first; then the remaining discrepancy, then those
+    of every bench. `gain_sd`: of the force's common scale, 0 if exact."""
     layout, covariance = problem.layout, optimum.covariance
     basis = _basis(problem, s)
     variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True) + gain_sd**2
@@ -115,8 +106,8 @@ def attributions(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array
 
 
 def hidden_by(problem: FitProblem, optimum: Optimum, gain_sd: float, s: Array) -> tuple[Array, dict[str, Array]]:
-    """(S,) sd of log k at places `s` (S,), were all but k known exactly; and the same with one thing left as it is, by
-    its name in `GROUPS`. Where several could each stand for another, knowing one of them alone would change nothing."""
+    """(S,) sd of log k at places `s` (S,) if all else were known exactly; and the same with one group of `GROUPS` left
+    unknown, by its name."""
     layout, covariance = problem.layout, optimum.covariance
     basis = _basis(problem, s)
     variance = np.einsum("sp,pq,sq->s", basis, covariance.of_shared, basis, optimize=True)

@@ -13,20 +13,10 @@ from onebend.beam.grid import apply
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
+from onebend.learning import linear
 from onebend.learning.fit_data import REST_MODES, FitData
 from onebend.learning.frames import unwhitened, whitened
 from onebend.learning.hyperparameters import correlation_time
-from onebend.learning.linear import (
-    FitProblem,
-    ResidualRows,
-    Solved,
-    data_information,
-    force_shrinkage,
-    prior,
-    residual_rows,
-    solved,
-    split_off_force,
-)
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import Optimum
 from onebend.learning.parameters import Layout
@@ -34,12 +24,8 @@ from onebend.learning.prediction import Prediction, along_and_across, place_resp
 from onebend.progress import each
 from onebend.records import Array, IntArray
 
-# What else beam, clamp, sensors and tags might do: alternatives to the fit's model, each a pattern in the tags'
-# poses.
-#
-# An alternative is a few numbers b that the model takes to be zero. To first order it moves the tags by `D b`; D
-# follows from the equilibrium's derivatives (implicit function theorem) at the optimum. A parameter that the model
-# has under a prior is no pattern of its own: freeing it asks whether the prior is wrong (`score_tests.pulls`).
+# Alternatives to the fit's model: a few numbers b that the model takes to be zero. They move the tags by `D b`, with D
+# from the derivatives of the equilibrium at the optimum.
 
 Kind = Literal["prior", "mechanics", "change", "trend"]
 
@@ -64,7 +50,6 @@ _ALLOWED = {  # what the fit may allow for, and what need not be tested then
     "clamp gives": ("clamp gives",),
 }
 AXES = ("x", "y", "angle")
-_ALONG = 3  # Legendre polynomials, from the slope on, that log k may have beside a shape that is stated
 
 
 @dataclass(frozen=True)
@@ -96,9 +81,9 @@ class Course:
     resting: Array  # (F,) 1 for the frame at rest
 
 
-def course(recording: FitData, now: Prediction) -> Course:
+def course(data: FitData, now: Prediction) -> Course:
     """From the fitted shapes and the frames' times."""
-    time = recording.observations.time[recording.frames]
+    time = data.observations.time[data.frames]
     frames, count = len(time), len(now.pose)
     q = now.solved.q - now.solved.problem.q0
     bend = np.sqrt(np.mean(q**2, axis=1))
@@ -112,34 +97,34 @@ def course(recording: FitData, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def alternatives(recording: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
+def alternatives(data: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
     """All that are tested on one film."""
-    run, patterns = course(recording, now), mechanics(recording, layout, x, now)
+    run, patterns = course(data, now), mechanics(data, layout, x, now)
     pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
     wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
-    if layout.index["curvature", -1].start >= 0 or layout.index["rest change", recording.number].start >= 0:
+    if layout.index["curvature", -1].start >= 0 or layout.index["rest change", data.number].start >= 0:
         del wanted["rest shape"]
     along, stated = Suspect("mechanics", "stiffness along"), []
     otherwise = wanted.pop(along.name)
     if layout.known is not None:
         stated.append(Alternative(along, otherwise, layout.spline.nearest(_along)))
     for allowed, names in _ALLOWED.items():
-        if any(a.name == allowed for a in recording.allowances):
+        if any(a.name == allowed for a in data.allowances):
             for name in names:
                 wanted.pop(name, None)
-    if recording.observations.static:  # poses have no order in time
+    if data.observations.static:  # poses have no order in time
         wanted.pop("viscous", None)
         return [*stated, *(Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items())]
     stiff = [Alternative(Suspect("mechanics", name), pattern) for name, pattern in wanted.items()]
-    return [*stated, *stiff, *_changes(recording, run, patterns), *_trends(recording, run)]
+    return [*stated, *stiff, *_changes(data, run, patterns), *_trends(data, run)]
 
 
-def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def mechanics(data: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
-    carried, ride = _carried(recording, layout, x, now), tag_ride(recording, layout, x, now.solved)
+    carried, ride = _carried(data, layout, x, now), tag_ride(data, layout, x, now.solved)
     patterns = {}
     for name, part in place_responses(
-        now.solved, _entering(recording, now), tag_places(recording, layout, x, now.solved)[0]
+        now.solved, _entering(data, now), tag_places(data, layout, x, now.solved)[0]
     ).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
@@ -147,30 +132,28 @@ def mechanics(recording: FitData, layout: Layout, x: Array, now: Prediction) -> 
     return patterns
 
 
-def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
-    """How the alternatives enter the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`.
-
-    A stretch e = N_u / (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam).
-    """
+def _entering(data: FitData, now: Prediction) -> dict[str, Perturbation]:
+    """Perturbations of the balance of moments. With N = (N_u, N_n) along and across, `M' = -L N_n`. A stretch e = N_u /
+    (E A) makes it -L (1 + e) N_n, a shear g = N_n / (G A) adds L g N_u (Reissner's beam)."""
     solved, problem = now.solved, now.solved.problem
     u, n = _tangents(solved)
     force = problem.dead_force
     product = (np.sum(force * u, axis=-1) * np.sum(force * n, axis=-1))[..., None] * n
-    pushed = recording.beyond[..., None] * now.force[:, None, :]
+    pushed = data.beyond[..., None] * now.force[:, None, :]
     turned = np.stack([-pushed[..., 1], pushed[..., 0]], axis=-1)
-    along, across = along_and_across(now.force, solved.angle(recording.push_s[:, None])[:, 0])
-    loaded = (np.arange(len(force)) < int(np.sum(recording.frames))).astype(float)
+    along, across = along_and_across(now.force, solved.angle(data.push_s[:, None])[:, 0])
+    loaded = (np.arange(len(force)) < int(np.sum(data.frames))).astype(float)
     sag = (loaded[:, None] * (1.0 - problem.grid.nodes))[..., None, None] * np.eye(2)
     return {
         "stretch": _force(product),
         "shear": _force(-product),
         "length": _force(force),
-        "push place": push_moment(problem, recording.push_s, float(problem.length) * across),
-        "push beside": push_moment(problem, recording.push_s, -along),
+        "push place": push_moment(problem, data.push_s, float(problem.length) * across),
+        "push beside": push_moment(problem, data.push_s, -along),
         "force direction": _force(turned),
         "axis scale": _force(pushed * np.array([1.0, -1.0])),
         "weight": Perturbation(sag, None, None, np.zeros(2)),
-        "viscous": Perturbation(None, None, (_rate(recording, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
+        "viscous": Perturbation(None, None, (_rate(data, solved), np.ones((force.shape[1], 1))), np.zeros(1)),
         "clamp": of_clamp_angle(problem),
         "rest shape": of_rest_curvature(problem, REST_MODES.curvature(problem.grid.nodes)),
         "stiffness along": of_stiffness(solved, problem.k[..., None] * _along(problem.grid.nodes)),
@@ -179,12 +162,12 @@ def _entering(recording: FitData, now: Prediction) -> dict[str, Perturbation]:
 
 def _along(s: Array) -> Array:
     """(..., n) Legendre polynomials of s, the constant left out."""
-    return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, _ALONG)[..., 1:])
+    return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, 3)[..., 1:])
 
 
-def _carried(recording: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def _carried(data: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
-    solved, s = now.solved, tag_places(recording, layout, x, now.solved)[0]
+    solved, s = now.solved, tag_places(data, layout, x, now.solved)[0]
     u, n = _tangents(solved)
     force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
     length = float(solved.problem.length)
@@ -205,9 +188,8 @@ def _clamp_moment(solved: Equilibrium) -> Array:
     return np.asarray(np.sum(problem.length * problem.weights * np.sum(problem.dead_force * n, axis=-1), axis=-1))
 
 
-def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
-    """What may change in the course of one recording: by the bending so far, and after the largest one."""
-    name = recording.observations.source.name
+def _changes(data: FitData, run: Course, patterns: dict[str, Array]) -> list[Alternative]:
+    name = data.observations.source.name
     frames, tags = patterns["clamp"].shape[:2]
     place = np.zeros((frames, tags, 3, 2))
     place[:, :, 0, 0] = place[:, :, 1, 1] = 1.0
@@ -216,16 +198,15 @@ def _changes(recording: FitData, run: Course, patterns: dict[str, Array]) -> lis
         Alternative(Suspect("change", "creep", recording=name), _in_time(patterns["rest shape"], run)),
         Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
     ]
-    for i, tag in enumerate(recording.observations.tag_id.tolist()):
+    for i, tag in enumerate(data.observations.tag_id.tolist()):
         own = np.zeros((frames, tags, 3, 3))
         own[:, i] = np.eye(3)
         out.append(Alternative(Suspect("change", "loose", tag, name), _in_time(own, run)))
     return out
 
 
-def _trends(recording: FitData, run: Course) -> list[Alternative]:
-    """Every coordinate of every tag: smooth in the bending, apart on the way out and back, and in time."""
-    side, tags = run.after - 0.5, recording.observations.tag_id.tolist()
+def _trends(data: FitData, run: Course) -> list[Alternative]:
+    side, tags = run.after - 0.5, data.observations.tag_id.tolist()
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
     functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
     out = []
@@ -233,12 +214,11 @@ def _trends(recording: FitData, run: Course) -> list[Alternative]:
         for c, axis in enumerate(AXES):
             pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
             pattern[:, i, c] = functions
-            out.append(Alternative(Suspect("trend", axis, tag, recording.observations.source.name), pattern))
+            out.append(Alternative(Suspect("trend", axis, tag, data.observations.source.name), pattern))
     return out
 
 
 def _in_time(pattern: Array, run: Course) -> Array:
-    """Each column twice: times the bending so far, and after the largest one."""
     return np.concatenate([f[:, None, None, None] * pattern for f in (run.past, run.after)], axis=-1)
 
 
@@ -253,27 +233,18 @@ def _force(force: Array) -> Perturbation:
     return Perturbation(force[..., None], None, None, np.zeros(1))
 
 
-def _rate(recording: FitData, solved: Equilibrium) -> Array:
+def _rate(data: FitData, solved: Equilibrium) -> Array:
     """(F, Q) rad/s of the curvature; zero at rest."""
-    time = recording.observations.time[recording.frames]
+    time = data.observations.time[data.frames]
     out = np.zeros_like(solved.q)
     if len(time) > 1:
         out[: len(time)] = np.gradient(solved.q[: len(time)], time, axis=0)
     return out
 
 
-# Score tests: would a few more free numbers lower the misfit by more than chance does?
-#
-# The linearised model at the optimum is `r = J x + D b + noise` with the priors on x, at the hyperparameters of the
-# fit. With x integrated out, b has the information `C^-1 = H_bb - H_bx (H_xx + P)^-1 H_xb`, the estimate `C g` from
-# the score g, and `g' C g` is chi-squared with as many degrees of freedom as b has numbers, if the model is right
-# (Rao 1948).
-#
-# A lasting misfit has raised the noise that the fit found. So the noise is estimated anew with b free, its
-# correlation in time included, and the F distribution takes the place of chi-squared, with as many degrees of freedom
-# as independent numbers remain.
-#
-# For a parameter that the model has under a prior, freeing it is the same as asking whether the prior is wrong:
+# Score tests (Rao 1948). With `r = J x + D b + noise` and x integrated out, b has the information
+# `C^-1 = H_bb - H_bx (H_xx + P)^-1 H_xb`, and `g' C g` of its score g is chi-squared. If b stands out, the noise is
+# estimated again with b free, and the F distribution is used. Of a parameter with a prior,
 # `x' (prior - posterior covariance)^-1 x` is chi-squared.
 
 _BLIND = 1e-8  # share of the information on b: less remains only where the model's own parameters do the same
@@ -304,31 +275,28 @@ class Score:
 class LinearisedFit:
     """The linearised model at the optimum."""
 
-    problem: FitProblem
+    problem: linear.FitProblem
     optimum: Optimum
-    rows: tuple[ResidualRows, ...]  # of each recording
+    rows: tuple[linear.ResidualRows, ...]  # of each recording
     known: tuple[IntArray, ...]  # indices of the parameters that each recording depends on
-    solved: Solved  # the posterior at the optimum's hyperparameters
+    solved: linear.Solved  # the posterior at the optimum's hyperparameters
     covariance: JointCovariance  # the same
     step: Array  # (P,) to where the slope is zero
 
 
-def linearised(problem: FitProblem, optimum: Optimum) -> LinearisedFit:
+def linearised(problem: linear.FitProblem, optimum: Optimum) -> LinearisedFit:
     """The linearised model at an optimum."""
     layout, x, noise = problem.layout, optimum.x, optimum.hyperparameters.noise
-    rows = each(residual_rows, optimum.predictions, noise)
-    before = prior(problem, optimum.hyperparameters)
-    posterior = solved(data_information(problem, rows, x, optimum.hyperparameters), before)
+    rows = each(linear.residual_rows, optimum.predictions, noise)
+    before = linear.prior(problem, optimum.hyperparameters)
+    posterior = linear.solved(linear.data_information(problem, rows, x, optimum.hyperparameters), before)
     known = tuple(layout.known_to(recording.number) for recording in problem.recordings)
     return LinearisedFit(problem, optimum, rows, known, posterior, posterior.covariance, posterior.mean - x)
 
 
 def pulls(fit: LinearisedFit) -> list[Score]:
-    """How far the nuisances came out from their priors: tags one by one, the parts of other blocks together.
-
-    Directions without information from the data are left out. Place and direction of the push are among the
-    alternatives.
-    """
+    """Tests of the priors: of each tag by itself, of the parts of other blocks together. Directions without information
+    are left out. Place and direction of the push are among the alternatives."""
     untested = {"stiffness", "force", "place", "direction", "end", "end turn", "zero"}
     untested |= {a.name for recording in fit.problem.recordings for a in recording.allowances}
     out = []
@@ -363,65 +331,50 @@ def _pull(fit: LinearisedFit, suspect: Suspect, index: IntArray, before: Array, 
     return Score(suspect, before * freed if count else np.full(len(x), np.nan), before, gain, log10_p, size, shift)
 
 
-@dataclass(frozen=True)
-class _Freed:
-    """The numbers b of one suspect, freed: what they do to the recordings that show it."""
-
-    suspect: Suspect
-    log_k: Array | None  # (p, n) what they are of log k's coefficients; None: nothing
-    numbers: tuple[int, ...]  # of these recordings
-    d: tuple[Array, ...]  # (F, R, n) of each, whitened
-    information: Array  # (n,) of each number alone
-    marginal: Array  # (n, n) information, with the parameters integrated out
-    score: Array  # (n,)
-    response: tuple[Array, ...]  # of each recording, (C, n): its parameters follow b by minus this
-
-
 def scores(fit: LinearisedFit, patterns: Sequence[Sequence[Alternative]]) -> list[Score]:
-    """The tests of the alternatives of each recording. Those of one suspect belong together; what only one recording
-    shows is judged by that one."""
+    """The tests of the alternatives of each recording. Those of one suspect are tested together."""
     places: dict[Suspect, list[tuple[int, Alternative]]] = {}
     for number, alternatives in enumerate(patterns):
         for one in alternatives:
             places.setdefault(one.suspect, []).append((number, one))
-    return list(each(lambda suspect, shown: _score(fit, _freed(fit, suspect, shown)), places, places.values()))
+    return list(each(lambda suspect, shown: _score(fit, suspect, shown), places, places.values()))
 
 
-def _freed(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> _Freed:
-    every = [(number, *_mixed(fit, number, one.pattern)) for number, one in shown]
-    steps = [fit.step[fit.known[number]] for number, *_ in every]
-    bb = np.sum([one for *_, one, _, _ in every], axis=0)
-    g = np.sum([told - bx @ step for (*_, bx, told), step in zip(every, steps, strict=True)], axis=0)
-    if len(every) == 1:
-        (number, _, _, bx, _) = every[0]
-        response = [fit.covariance.pairs[number] @ bx.T]
-        marginal = bb - bx @ response[0]
-    else:
-        wide = np.zeros((fit.problem.layout.size, len(bb)))
-        for number, *_, bx, _ in every:
-            wide[fit.known[number]] += bx.T
-        whole = fit.solved.times_covariance(wide)
-        response = [whole[fit.known[number]] for number, *_ in every]
-        marginal = bb - wide.T @ whole
-    numbers, d = tuple(one[0] for one in every), tuple(one[1] for one in every)
-    return _Freed(suspect, shown[0][1].log_k, numbers, d, np.diag(bb).copy(), marginal, g, tuple(response))
+def _marginal(fit: LinearisedFit, numbers: Sequence[int], mixed: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """(n, n) information that the parameters take from n freed numbers, and their response (C, n) in each recording.
+
+    `mixed`: (n, C) of each recording, the information on the numbers together with its parameters.
+    """
+    if len(numbers) == 1:
+        response = fit.covariance.pairs[numbers[0]] @ mixed[0].T
+        return mixed[0] @ response, [response]
+    wide = np.zeros((fit.problem.layout.size, len(mixed[0])))
+    for number, one in zip(numbers, mixed, strict=True):
+        wide[fit.known[number]] += one.T
+    whole = fit.solved.times_covariance(wide)
+    return wide.T @ whole, [whole[fit.known[number]] for number in numbers]
 
 
 def _mixed(fit: LinearisedFit, number: int, pattern: Array) -> tuple[Array, Array, Array, Array]:
-    """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), the information on its numbers (n, n) and with the
-    recording's parameters (n, C), and the score (n,) at the optimum."""
+    """A pattern (F, m, 3, n) in one recording: whitened (F, R, n), its information (n, n) and that with the parameters
+    (n, C), and the score (n,)."""
     recording, rows, noise = fit.problem.recordings[number], fit.rows[number], fit.optimum.hyperparameters.noise[number]
     d = rows.root_weight[..., None] * whitened(recording.whiten, pattern)
-    unexplained = d - rows.a @ (force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
+    unexplained = d - rows.a @ (linear.force_shrinkage(rows, noise) @ (np.swapaxes(rows.a, 1, 2) @ d))
     weighted = unexplained.reshape(-1, d.shape[-1]) / noise.marker**2
     bb = weighted.T @ d.reshape(-1, d.shape[-1])
     return d, bb, rows.onto_parameters(weighted.reshape(d.shape)), weighted.T @ rows.r.ravel()
 
 
-def _score(fit: LinearisedFit, freed: _Freed) -> Score:
-    suspect, p = freed.suspect, fit.problem.layout.spline.count
-    size = np.sqrt(np.maximum(freed.information, 1e-300))
-    scaled = freed.marginal / np.outer(size, size)
+def _score(fit: LinearisedFit, suspect: Suspect, shown: Sequence[tuple[int, Alternative]]) -> Score:
+    p, log_k = fit.problem.layout.spline.count, shown[0][1].log_k
+    numbers = [number for number, _ in shown]
+    patterns, own, mixed, slopes = zip(*(_mixed(fit, number, one.pattern) for number, one in shown), strict=True)
+    bb, (taken, responses) = np.sum(own, axis=0), _marginal(fit, numbers, mixed)
+    parts = zip(numbers, mixed, slopes, strict=True)
+    score = np.sum([slope - bx @ fit.step[fit.known[number]] for number, bx, slope in parts], axis=0)
+    size = np.sqrt(np.maximum(np.diag(bb), 1e-300))
+    scaled = (bb - taken) / np.outer(size, size)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     visible = values > _BLIND
     count = int(np.sum(visible))
@@ -429,36 +382,31 @@ def _score(fit: LinearisedFit, freed: _Freed) -> Score:
         unknown = np.full(len(size), np.nan)
         return Score(suspect, unknown, unknown, 0.0, 0.0, 0.0, np.zeros(p))
     inverse = (vectors[:, visible] / values[visible]) @ vectors[:, visible].T / np.outer(size, size)
-    b = inverse @ freed.score
-    chi2 = float(freed.score @ b)
-    log10_p = _log10(chdtrc(count, chi2))
-    steps = [-response @ b for response in freed.response]
-    every = zip(freed.numbers, freed.d, steps, strict=True)
+    b = inverse @ score
+    chi2 = float(score @ b)
+    log10_p, ratio = _log10(chdtrc(count, chi2)), 1.0
+    steps = [-response @ b for response in responses]
+    every = zip(numbers, patterns, steps, strict=True)
     changes = {number: d @ b + fit.rows[number].moved_by(step) for number, d, step in every}
-    ratio = 1.0
     if log10_p < _NEW_NOISE:
-        ratio, numbers = _noise_left(fit, changes)
+        ratio, independent = _noise_left(fit, changes)
         chi2 *= ratio
-        freedom = max(numbers - len(b), 5.0)
-        log10_p = _log10(fdtrc(count, freedom, chi2 / count))
+        log10_p = _log10(fdtrc(count, max(independent - len(b), 5.0), chi2 / count))
     moved = max(_moved(fit.problem.recordings[number], fit.rows[number], c) for number, c in changes.items())
     sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    shift = steps[0][:p] if freed.log_k is None else steps[0][:p] + freed.log_k @ b
+    shift = steps[0][:p] if log_k is None else steps[0][:p] + log_k @ b
     return Score(suspect, b, sd, chi2, log10_p, moved, shift, max(ratio, 1.0))
 
 
 def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float, float]:
-    """Variance of the noise that the fit found over that which is left after the changes (F, R) of the residuals of
-    some recordings, correlation in time included; and how many independent numbers are left.
-
-    Afterwards the coordinate with the longest correlation counts: otherwise an alternative that is smooth in time would
-    pass for signal where the noise of one tag is slow and that of the others is not.
-    """
+    """Ratio of the fit's noise variance to that left after the changes (F, R) of the residuals, with correlation in
+    time, and the number of independent values left. The coordinate with the longest correlation counts: a smooth
+    alternative must not pass for signal where one tag's noise is slow."""
     before, after, numbers = 0.0, 0.0, 0.0
     for number, change in changes.items():
         rows, noise = fit.rows[number], fit.optimum.hyperparameters.noise[number]
         plain = rows.r - rows.moved_by(fit.step[fit.known[number]])
-        old, new = (split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
+        old, new = (linear.split_off_force(rows, r, noise)[0] for r in (plain, plain - change))
         time = max(correlation_time(column[:, None]) for column in new.T)
         before += float(np.sum(old**2)) * correlation_time(old)
         after += float(np.sum(new**2)) * time
@@ -466,10 +414,10 @@ def _noise_left(fit: LinearisedFit, changes: Mapping[int, Array]) -> tuple[float
     return before / max(after, 1e-300), numbers
 
 
-def _moved(recording: FitData, rows: ResidualRows, change: Array) -> float:
+def _moved(data: FitData, rows: linear.ResidualRows, change: Array) -> float:
     """m: RMS over the frames of the tag that a change (F, R) of the whitened poses moves most."""
     weight = np.where(rows.root_weight > 0.0, rows.root_weight, 1.0)
-    away = unwhitened(recording.whiten, change / weight)[..., :2]
+    away = unwhitened(data.whiten, change / weight)[..., :2]
     known = np.any(rows.known.reshape(len(away), -1, 3), axis=-1)  # a pose may lack its angle, or a coordinate
     squares = np.sum(away**2, axis=-1)
     return float(np.sqrt(np.max(np.sum(squares, axis=0) / np.maximum(np.sum(known, axis=0), 1))))
@@ -480,18 +428,12 @@ def _log10(chance: float) -> float:
     return float(np.log10(chance)) if chance > 0.0 else -np.inf
 
 
-# Does the fit's own model hold? Score tests of what may be otherwise, and what they make of the band.
-#
-# The band of k(s) is right only if the model is. `criticise` tests the model against a list of alternatives
-# (`alternatives.py`) and against every prior, each by a score test (`score_tests.py`). Where a test is more striking
-# than any in clean recordings, the band is not to be trusted, and the suspects that explain the misfit best are
-# named. The band is not widened: a wrong model moves k(s) by an unknown amount, and `Criticism.widening` covers only
-# the part that the named cause accounts for.
+# The tests together. If one stands out as none does in clean recordings, the band is not to be trusted. It is not
+# widened: a wrong model moves k(s) by an unknown amount.
 
-# log10 p of one test of about 45: under one false alarm in 2,000 recordings. Beyond it, k(s) must move too to count.
+# log10 p of one test of about 45: under one false alarm in 2,000 recordings.
 ALARM = -5.0
-# The same of what a person writes down of the push, its sensor and the section: it is wrong more often than beams are
-# odd, and hardly shows.
+# The same for values that a person writes down: they are wrong more often, and hardly show.
 ALARM_WRITTEN = -2.5
 WRITTEN = ("push place", "force direction", "axis scale", "stiffness along")
 _AS_LIKELY = 10.0  # of -2 log p: a cause that explains less than the best by no more is named beside it
@@ -563,8 +505,7 @@ class Criticism:
 
     @property
     def widening(self) -> float:
-        """Factor on the band that would make it hold k(s) as it comes out with the best cause freed; 1 where trusted,
-        NaN where no cause is known."""
+        """Factor on the band to contain k(s) with the best cause freed; 1 if trusted, NaN if no cause is known."""
         if self.trusted:
             return 1.0
         return float(np.hypot(1.0, self.causes[0].sds)) if self.causes else np.nan
@@ -581,7 +522,7 @@ class Criticism:
         }
 
 
-def criticise(problem: FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
+def criticise(problem: linear.FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
     """Test the model of a fit that has ended."""
     fit, layout = linearised(problem, optimum), problem.layout
     patterns = each(lambda now: alternatives(now.recording, layout, optimum.x, now), optimum.predictions)

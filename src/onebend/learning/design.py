@@ -19,30 +19,16 @@ from onebend.beam.sensitivity import of_mass
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, UncertainStiffness, half_width, half_width_words
 from onebend.errors import LearningError, MechanicsError
+from onebend.learning import prediction
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
-from onebend.learning.prediction import (
-    BentBeam,
-    TagMotion,
-    TagRide,
-    along_and_across,
-    balance_changes,
-    place_responses,
-    push_blocks,
-    push_moment,
-    tag_blocks,
-)
 from onebend.options import POSITIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, IntArray
 
-# What one push would tell about k(s): Fisher information, through the exact equilibrium and its exact derivatives.
-#
-# Tags see the beam while the force grows evenly from nothing. With J the derivatives of the tags' poses and A those
-# with each frame's force, the poses' covariance is `D + A E A'`: D the tags' noise, E the force's doubt over the
-# frames, as the log's rests leave it. So the parameters' information is `J' (D + A E A')^-1 J`. What is this push's
-# alone (clamp, origin, camera scale, place, the log's axes, a new tag's place) is taken out by a Schur complement
-# with its prior.
+# Fisher information of one push. With J the derivatives of the tags' poses with the parameters and A those with the
+# force, it is `J' (D + A E A')^-1 J`: D the tags' noise, E the force error that the rests leave. Nuisances of this push
+# alone are eliminated by a Schur complement with their prior.
 
 STEPS = 24  # frames that stand for all of a push
 RESOLUTION = Resolution(order=12, widest=0.5)
@@ -57,7 +43,7 @@ class TagDerivatives:
 
     tags: Array  # (M,)
     blocks: dict[str, Array]  # (F, M, 3, n) of what bends the beam, by the names of `balance_changes` and `push_blocks`
-    motion: TagMotion  # with what holds the tags
+    motion: prediction.TagMotion  # with what holds the tags
 
     @property
     def push(self) -> Array:
@@ -72,11 +58,8 @@ def loads_of(bench: Instruments, at_s: float, forces: Array) -> Loads:
 
 
 def solve_push(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Equilibrium:
-    """The push in `STEPS` steps, each in the middle of its share of the push, and the beam at rest.
-
-    Raises:
-        MechanicsError: the beam snaps through or buckles on the way.
-    """
+    """The push in `STEPS` steps, each in the middle of its share, and the beam at rest. Raises `MechanicsError` if it
+    buckles or snaps through."""
     solved = follow(make_problem(beam, loads_of(bench, candidate.at_s, _forces(candidate)), RESOLUTION))
     if not np.all(solved.stable & np.isnan(solved.buckled_at)):
         raise MechanicsError(
@@ -96,13 +79,13 @@ def _forces(candidate: PlannedPush) -> Array:
 def tag_derivatives(
     solved: Equilibrium, bench: Instruments, candidate: PlannedPush, mass: float, on_nodes: Array, tags: Array
 ) -> TagDerivatives:
-    """Derivatives of the tags' poses with the coefficients of functions of log k, given at the nodes (Q, C), and with
-    all else. `mass` [kg] is the beam's."""
+    """Derivatives of the tags' poses with coefficients of log k, given at the nodes (Q, C), and with all else; `mass`
+    in kg."""
     problem, nodes = solved.problem, solved.problem.grid.nodes
     per_length = mass / bench.length * MASS_MODES.curvature(nodes)
     pushed, push_s = _forces(candidate), np.asarray(candidate.at_s)
-    _, across = along_and_across(pushed, solved.angle(push_s[None])[:, 0])
-    beam = BentBeam(
+    _, across = prediction.along_and_across(pushed, solved.angle(push_s[None])[:, 0])
+    beam = prediction.BentBeam(
         solved,
         on_nodes,
         REST_MODES.curvature(nodes),
@@ -111,13 +94,15 @@ def tag_derivatives(
         np.zeros_like(nodes),
         of_mass(problem, per_length, np.asarray(bench.gravity)[None]),
     )
-    changes = balance_changes(beam) | {"place": push_moment(problem, push_s, across)}  # between nodes, too
-    blocks = place_responses(solved, changes, tags)
-    blocks |= push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
+    changes = prediction.balance_changes(beam) | {
+        "place": prediction.push_moment(problem, push_s, across)
+    }  # between nodes, too
+    blocks = prediction.place_responses(solved, changes, tags)
+    blocks |= prediction.push_blocks(blocks["push"], pushed, np.eye(2), np.zeros_like(pushed))
     pose = np.concatenate([solved.xy(tags), solved.angle(tags)[..., None]], axis=-1)
     bend = apply(problem.grid.value_at(tags), solved.q) / bench.length
     nothing = np.zeros(len(tags))
-    motion = TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
+    motion = prediction.TagRide(pose[..., 2], nothing, nothing).motion(pose[..., :2], bend)
     return TagDerivatives(tags, blocks, motion)
 
 
@@ -128,10 +113,8 @@ def mass_of(beam: Beam) -> float:
 
 
 def joint_information(seen: TagDerivatives, bench: Instruments, candidate: PlannedPush, chosen: IntArray) -> Array:
-    """(C + N, C + N) of coefficients and the bench's shared nuisances; `chosen` rows of `seen.tags` are watched.
-
-    The first of them are the bench's own tags, in order; any further ones are put on for this push.
-    """
+    """(C + N, C + N) of coefficients and shared nuisances. `chosen` rows of `seen.tags` are watched: the bench's own
+    tags first."""
     jacobian, own_sd = _columns(seen, bench, chosen)
     frames, rows, columns = len(jacobian), 3 * len(chosen), jacobian.shape[-1]
     extra = len(chosen) - len(bench.tags)
@@ -148,13 +131,8 @@ def joint_information(seen: TagDerivatives, bench: Instruments, candidate: Plann
 
 @one_blas_thread
 def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array:
-    """(p, p) Fisher information of one push on the coefficients of log k, every nuisance marginalised.
-
-    Taken by itself, as on a bench without earlier pushes: tags and rest shape are known by their tolerances alone.
-
-    Raises:
-        LearningError: the beam's stiffness is no log-spline.
-        MechanicsError: the push has no stable equilibrium.
+    """(p, p) Fisher information of one push on the coefficients of log k, all nuisances marginalised, as on a bench
+    without earlier pushes. Raises `LearningError` without a log-spline, `MechanicsError` without a stable equilibrium.
     """
     stiffness = beam.stiffness
     if not isinstance(stiffness, LogSpline):
@@ -167,13 +145,8 @@ def information(beam: Beam, bench: Instruments, candidate: PlannedPush) -> Array
 
 @one_blas_thread
 def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) -> tuple[Array, Array]:
-    """Places s (Q,) along the beam and the Fisher information (Q,) about log k there, per unit of s squared.
-
-    A bump of log k of height h over a short stretch w at s changes the data's log likelihood by h^2 w^2 / 2 times this.
-
-    Raises:
-        MechanicsError: the push has no stable equilibrium.
-    """
+    """Places s (Q,) and the Fisher information (Q,) on log k there, per s squared: a bump of height h over a width w
+    changes the log likelihood by h^2 w^2 / 2 times it. Raises `MechanicsError` without a stable equilibrium."""
     solved = solve_push(beam, bench, candidate)
     weights = solved.problem.weights
     told = _of_coefficients(solved, beam, bench, candidate, np.diag(1.0 / weights))
@@ -181,10 +154,8 @@ def information_along(beam: Beam, bench: Instruments, candidate: PlannedPush) ->
 
 
 def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
-    """(2 STEPS, 2 STEPS) N^2: the force's doubt in the steps of a push, x and y in turn, after the rests' say.
-
-    The clock's doubt acts as a force along the push.
-    """
+    """(2 STEPS, 2 STEPS) N^2 of the force error in the steps, x and y in turn, after the rests. A clock error acts as a
+    force along the push."""
     one = _doubt_of_axis(bench.force, bench.seconds, bench.rest_before, bench.rest_after)
     one = one + np.eye(STEPS) * bench.force.frame**2 * STEPS / bench.frames
     unit = np.array([np.cos(candidate.direction), np.sin(candidate.direction)])
@@ -194,11 +165,8 @@ def force_covariance(bench: Instruments, candidate: PlannedPush) -> Array:
 
 @lru_cache(maxsize=8)
 def _doubt_of_axis(doubt: ForceDoubt, seconds: float, before: float, after: float) -> Array:
-    """(STEPS, STEPS) N^2 of the mean error in each step of a push.
-
-    A constant level, the coloured part and a random walk; where the log runs before and after the push it shows its
-    own error, but for what comes with the load: a constant while that grows.
-    """
+    """(STEPS, STEPS) N^2 of the mean force error in each step: level, coloured part and random walk, given the log in
+    the rests, and a constant that comes with the load."""
     apart = seconds / (STEPS * _INSTANTS)
     inside = apart * (np.arange(STEPS * _INSTANTS) + 0.5)
     earlier, later = (apart * np.arange(1, rest / apart)[:_MOST_RESTS] for rest in (before, after))
@@ -259,8 +227,8 @@ def _of_coefficients(
 def _columns(seen: TagDerivatives, bench: Instruments, chosen: IntArray) -> tuple[Array, Array]:
     """Derivatives (F, R / 3, 3, C + N + O) and the prior sd (O,) of the O nuisances of this push alone."""
     own, motion = len(bench.tags), seen.motion
-    watched = TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
-    blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | tag_blocks(watched)
+    watched = prediction.TagMotion(*(part[:, chosen] for part in (motion.along, motion.bend, motion.across, motion.xy)))
+    blocks = {name: block[:, chosen] for name, block in seen.blocks.items()} | prediction.tag_blocks(watched)
     by_tag = ("along", "across", "turn")
     shared = [blocks[name][..., :own] if name in by_tag else blocks[name] for name in bench.shared]
     wanted = [(blocks[name][..., own:], bench.placement_sd) for name in ("along", "across")]
@@ -281,10 +249,9 @@ def _doubt_left(a: Array, covariance: Array) -> Array:
     return np.asarray(0.5 * (left + left.T))
 
 
-# How hard the beam may be pushed: from nothing up to the first limit, at every place and in every direction.
+# The largest force within the limits, at every place and in every direction.
 
 _COARSE = np.geomspace(0.02, 40.0, 40)  # forces, in units of what turns a linear beam's loaded place by one radian
-_FINE = 12
 BUCKLES = "the beam buckles or snaps through"
 _MARGIN = 1.15  # of the force: so far beyond the largest the beam must still stand
 
@@ -332,7 +299,6 @@ def largest_pushes(
 
 
 def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, limits: Limits) -> list[LargestPush]:
-    """All directions at one place: a coarse ramp to find the limit, a finer one below it."""
     unit = _softness(beam, at_s)
     rough = [_first_break(beam, bench, at_s, d, unit * _COARSE, limits) for d in directions]
     out = []
@@ -340,7 +306,7 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
         if why == BUCKLES or safe == 0.0:
             out.append(LargestPush(at_s, direction, 0.0, why))
             continue
-        fine, _, _ = _first_break(beam, bench, at_s, direction, np.linspace(safe, over, _FINE), limits)
+        fine, _, _ = _first_break(beam, bench, at_s, direction, np.linspace(safe, over, 12), limits)
         largest = min(max(safe, fine), _most_force(bench, limits))
         if not _stands(beam, bench, at_s, direction, _MARGIN * largest):
             out.append(LargestPush(at_s, direction, 0.0, BUCKLES))
@@ -368,7 +334,6 @@ def _first_break(
 def _broken(
     solved: Equilibrium, bench: Instruments, at_s: float, direction: float, limits: Limits
 ) -> dict[str, BoolArray]:
-    """Which frames break which limit; the last is the beam at rest."""
     here, tip = solved.angle(np.array([at_s, 1.0])).T
     turn = np.abs(tip - tip[-1])
     side = 1.0 if np.sin(direction - here[-1]) >= 0.0 else -1.0
@@ -400,8 +365,6 @@ def _softness(beam: Beam, at_s: float) -> float:
     s = at_s * (np.arange(200) + 0.5) / 200
     return float(1.0 / (beam.length * np.mean((at_s - s) / beam.stiffness(s)) * at_s))
 
-
-# What a plan says: pushes, what each would leave of the band, and the words for it.
 
 PLACES = np.linspace(0.0, 1.0, 101)  # where the band is looked at
 
@@ -519,11 +482,7 @@ def identified_words(quality: Quality) -> str:
     return f"identified on {100.0 * quality.identified:.0f} % of the beam"
 
 
-# Which push to make next: candidates ranked by the band on k(s) that would be left after them.
-#
-# A candidate's information is added to what is known of coefficients and shared nuisances together, so a tag whose
-# place earlier pushes have shown stays known. The roughness of log k and the sizes of all noise are as the fit found
-# them.
+# Candidates ranked by the band afterwards. Their information is added to that on coefficients and shared nuisances.
 
 
 @dataclass(frozen=True)
@@ -541,8 +500,6 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class _Thought:
-    """A candidate that has been solved."""
-
     push: PlannedPush
     seen: TagDerivatives
     tip_moves: float
@@ -552,8 +509,6 @@ class _Thought:
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known of coefficients and shared nuisances, and how the band is read from it."""
-
     covariance: Array  # (p + N, p + N), the common gain apart
     gain_sd: float
     basis: Array  # (101, p)
@@ -597,14 +552,9 @@ def plan(
     *,
     progress: Progress = Silent(),
 ) -> Plan:
-    """Next pushes on a beam whose k(s) is known as `uncertain`: what costs nothing first, then by the mean width of the
-    band that they would leave.
-
-    `beam` gives length, rest shape and mass; its stiffness is taken from `uncertain`.
-
-    Raises:
-        LearningError: bench and stiffness are not of one fit, or no push is possible within the limits.
-    """
+    """Next pushes on a beam with k(s) `uncertain`, ranked by cost, then by the mean width of the band afterwards.
+    `beam` gives length, rest shape and mass. Raises `LearningError` if bench and stiffness differ, or no push is
+    possible."""
     if bench.shared_slope.shape[1] != len(uncertain.mean) or beam.length != bench.length:
         raise LearningError("the bench does not belong to this stiffness: learn the beam again, and plan from that")
     beam = replace(beam, stiffness=uncertain.profile)
@@ -624,11 +574,8 @@ def plan(
 
 
 def after_push(uncertain: UncertainStiffness, beam: Beam, bench: Instruments, push: PlannedPush) -> UncertainStiffness:
-    """What would be known of k(s) after one push with today's sensor; its mean stays where it is.
-
-    Raises:
-        MechanicsError: the push has no stable equilibrium.
-    """
+    """k(s) as known after one push with the present sensor, with the same mean. Raises `MechanicsError` without a
+    stable equilibrium."""
     beam = replace(beam, stiffness=uncertain.profile)
     solved = solve_push(beam, bench, push)
     tags = np.asarray(bench.tags)
@@ -646,7 +593,6 @@ def _thoughts(
     settings: PlanSettings,
     progress: Progress,
 ) -> Iterator[_Thought]:
-    """Every candidate within the limits, solved; and the pushes made before, once more."""
     new = [
         PlannedPush(r.at_s, r.direction, share * r.largest) for r in found if not r.why_not for share in settings.sizes
     ]
@@ -665,7 +611,6 @@ def _thoughts(
 
 
 def _gaps(bench: Instruments) -> Array:
-    """Where one more tag could go: the middle of each gap from the clamp to the last tag, and the tip if it is bare."""
     edges = np.concatenate([[0.0], np.sort(bench.tags)])
     middles = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 0.1]
     return np.append(middles, 1.0) if edges[-1] < 0.9 else middles
@@ -682,7 +627,6 @@ def _propose(thought: _Thought, now: _Known, bench: Instruments) -> Proposal:
 
 
 def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
-    """The same push with one more tag, and with a better force sensor."""
     for i in range(len(bench.tags), len(thought.seen.tags)):
         after = now.after(_told(thought, bench, i))
         yield _proposal(thought, now, after, added_tag=float(thought.seen.tags[i]))
@@ -717,13 +661,11 @@ def _left(proposal: Proposal) -> float:
 
 
 def _cost_and_left(proposal: Proposal) -> tuple[int, float]:
-    """What costs nothing first, another force sensor last; within that, by the band that would be left."""
     cost = 2 if proposal.better_sensor is not None else 1 if proposal.added_tag is not None else 0
     return cost, _left(proposal)
 
 
 def _distinct(ranked: list[Proposal], settings: PlanSettings) -> tuple[Proposal, ...]:
-    """The first ones, near-duplicates merged; the best of every kind is among them."""
     kept: list[Proposal] = []
     for one in ranked:
         alike = [k for k in kept if _kind(k) == _kind(one)]
@@ -736,7 +678,6 @@ def _distinct(ranked: list[Proposal], settings: PlanSettings) -> tuple[Proposal,
 
 
 def _kind(one: Proposal) -> str:
-    """Pushes that ask the same of the experimenter."""
     if one.added_tag is not None:
         return "tag"
     if one.better_sensor is not None:
@@ -751,7 +692,6 @@ def _updated(covariance: Array, told: Array) -> Array:
 
 
 def _left_out(found: list[LargestPush]) -> tuple[str, ...]:
-    """One sentence for each reason why pushes were left out."""
     out = []
     for why in dict.fromkeys(r.why_not for r in found if r.why_not):
         these = [r for r in found if r.why_not == why]

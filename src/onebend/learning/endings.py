@@ -20,8 +20,6 @@ from onebend.beam.vibration import settle, vibration_of
 from onebend.learning.paper import solve_states
 from onebend.records import Array, BoolArray, IntArray, Observations
 
-# The frames of a contact, and when it begins or ends.
-
 RUN = 3  # frames in a row that show a force, before it is a contact; fewer without one do not end it
 
 
@@ -43,14 +41,14 @@ class ContactFrames:
     end: Edge | None = None  # None: the bending does not tell it
 
 
-# The evidence of what is linear in normal unknowns, and mean and sd of the one that is not.
+# Evidence with linear normal unknowns, and mean and sd of the one unknown that is not linear.
 
 _LIKELY = 12.0  # of the log evidence below the best: farther down it is not
 
 
 def evidence_of(basis: Array, value: Array, noise: Array, sizes: list[tuple[float, Array]]) -> Array:
-    """(n,) log, but for a constant, that `value` (F,) with white `noise` (F,) is a sum of `basis` (n, F, d): over
-    `sizes`, each the log of how likely it is before, and the sds (d,) of the coefficients."""
+    """(n,) log evidence, up to a constant, that `value` (F,) with white `noise` (F,) is a sum of `basis` (n, F, d).
+    `sizes`: log prior and sds (d,) of the coefficients of each way."""
     basis = basis / noise[:, None]
     normal = np.swapaxes(basis, 1, 2) @ basis
     right = np.swapaxes(basis, 1, 2) @ (value / noise)
@@ -72,8 +70,8 @@ def _at_sizes(normal: Array, right: Array, sds: Array) -> Array:
 def scanned(
     evidence: Callable[[Array], Array], low: float, high: float, counts: tuple[int, ...]
 ) -> tuple[float, float, float]:
-    """Mean and sd of what is anywhere between `low` and `high`, all as likely before, and its log evidence: in rounds
-    of so many places, each where it is likely after the one before."""
+    """Mean, sd and log evidence of a number with a flat prior between `low` and `high`, on grids of `counts` places,
+    each where the one before is likely."""
     wide = high - low
     for count in counts:
         at = np.linspace(low, high, count)
@@ -87,17 +85,13 @@ def scanned(
     return mean, float(np.sqrt(weight @ (at - mean) ** 2 + step**2 / 12.0)), whole
 
 
-# One mode of a beam under a force that vanishes: `y + 2 z y' / w + y'' / w^2 = f`, f zero from the end on.
-#
-# Whatever f was, y is a free swing, that of the time after the end, continued to all times, and before the end
-# besides what f does with nothing at the end (both y and its rate zero there), going back in time. So `y` is linear
-# in two amplitudes and in f. With `u` the time that is left to the end, what `u^n / n!` does is
+# One mode under a force that vanishes at the end: `y + 2 z y' / w + y'' / w^2 = f`. y is the free swing after the end,
+# continued to earlier times, plus the effect of f backwards in time. With u the time left, the effect of `u^n / n!` is
 #
 # p(u) - p(0) free(1, 0) + p'(0) free(0, 1),   p = sum over m of the m-th derivative of u^n / n! times d_m,
 # d = 1, a, a^2 - b, a^3 - 2 a b,   a = 2 z / w, b = 1 / w^2.
 #
-# f is a sum of: powers of u; a walk (white noise, integrated twice over u); and a fall to zero within a given time,
-# along a straight line with a bridge (zero at both ends) of any shape on it.
+# f is a sum of powers of u, a random walk, and a fall to zero in a given time: a straight line with a bridge on it.
 
 POWERS = 3  # u, u^2 / 2, u^3 / 6
 STEPS = 24  # of the walk
@@ -174,14 +168,7 @@ def _fall(mode: Mode, left: Array, lasts: float) -> Array:
     return np.asarray(mode.of_powers(left[..., None] - lasts * at, 1)[..., 1] @ kinks)
 
 
-# How far the beam is bent along its slowest mode: of what a free beam does, nearly all is that one number.
-#
-# The modes are those of small vibrations about rest, for the model's k(s) and mass per length (an even one where none
-# is known). Orthogonal in stiffness: the curvature that the tags show, less that at rest, times k times the mode's
-# own.
-
-_STATES = 4  # of a shape as the tags show it
-_MODES = 6  # of the beam in motion
+# Bending along the slowest mode of small vibrations about rest. Modes are orthogonal in stiffness.
 
 
 @dataclass(frozen=True)
@@ -199,9 +186,9 @@ class ModeBending:
 
 def bending(beam: Beam, o: Observations) -> ModeBending:
     """Of every frame of a recording of a beam that swings freely, its far end not held."""
-    states = solve_states(o, min(_STATES, 2 * len(o.marker_s)))
+    states = solve_states(o, min(4, 2 * len(o.marker_s)))
     mass = np.asarray(beam.mass_per_length(np.linspace(0.0, 1.0, 11)))
-    on = body(beam if np.all(mass > 0.0) else replace(beam, mass_per_length=Uniform(1.0)), Modes(_MODES))
+    on = body(beam if np.all(mass > 0.0) else replace(beam, mass_per_length=Uniform(1.0)), Modes(6))
     shape = vibration_of(on, settle(on), count=1).shapes[:, 0]
     shape = shape / float((on.to_places(np.array([1.0])) @ shape)[0])
     bends = on.curvature @ shape
@@ -212,23 +199,18 @@ def bending(beam: Beam, o: Observations) -> ModeBending:
     return ModeBending(o.time, np.where(states.converged, value, np.nan), np.sqrt(variance))
 
 
-# When a contact ends that no swing follows: the beam's bending goes to zero then, with a jump, a kink or smoothly.
-#
-# As the force in `sensing.edges`: of the time `u` left to the end, `j + v u + a u^2 / 2 + w(u)`, w white noise
-# integrated twice over u, or `c u^3 / 3 + w(u)`, integrated four times: a hand that leads the beam back as smoothly
-# as it can (least jerk) ends with the third power, and what comes before it is as smooth. The bending is known
-# without the force along the beam, about which a straight beam tells nothing.
+# End without a swing: the bending goes to zero as `j + v u + a u^2 / 2 + w(u)`, w white noise integrated twice over the
+# time left u, or as `c u^3 / 3 + w(u)`, integrated four times (a hand with the least jerk).
 
 _FRAMES_BEFORE, _FRAMES_AFTER = 24, 48  # frames before the last one of the contact, and after it
 _LATER = 5  # frames that show a force, and still may be from after the end
-_END_TIMES = (48, 48, 48)  # times that are tried, and again where it is likely
 _CLEAR = 10.0  # sds of the noise: a smaller bending tells no end
 _REST_SDS = 3.0  # sds of the noise: of what rest differs by before the contact and after it
 _FINEST = 1e-3  # of the largest bending: what the steps of w leave out
 _STEPS = 24  # of w
 _LAST = (3e-3, 3e-2, 0.3, 1.0)  # w's sd at the first frame
 _ROUGH, _SMOOTH = 2, 4  # times that it is integrated
-# Of a jump, of the first, second and third power, and of both w.
+# Sizes of jump, first, second and third power, and of both w.
 _SIZES = (
     *((jump, kink, 2.0, 0.0, last, 0.0) for jump, kink, last in product((0.0, 1.0), (0.0, 1.0), _LAST)),
     *((0.0, 0.0, 0.0, 3.0, 0.0, last) for last in _LAST[:-1]),
@@ -236,8 +218,8 @@ _SIZES = (
 
 
 def straight(time: Array, value: Array, noise: float, first: int, last: int) -> Edge | None:
-    """End of the contact of frames `first` to `last` of (T,); None where the bending does not show one. `value` is zero
-    at rest, with an sd of `noise` in a frame."""
+    """End of the contact of frames `first` to `last`; None if the bending shows none. `value` (T,) is zero at rest,
+    with sd `noise`."""
     early, late = max((first + last + 1) // 2, last - _FRAMES_BEFORE + 1), min(len(time), last + _FRAMES_AFTER + 1)
     early = min(early, last - RUN + 1)
     if late <= last + 1 or early < 0 or float(np.max(np.abs(value[early:late]))) < _CLEAR * noise:
@@ -251,7 +233,7 @@ def straight(time: Array, value: Array, noise: float, first: int, last: int) -> 
         return evidence_of(_columns(left), value, np.full(len(time), noise), sds)
 
     low = float(time[max(last - early - _LATER, 0)])
-    mean, sd, _ = scanned(evidence, low, float(time[-1]), _END_TIMES)
+    mean, sd, _ = scanned(evidence, low, float(time[-1]), (48, 48, 48))
     return Edge(mean, sd)
 
 
@@ -274,7 +256,7 @@ def _bending_sds(
     return np.concatenate([size * np.array([jump, kink, square, cube]), size * walks, [rest]])
 
 
-# Where a contact is followed by half swings to either side, alike in time and none larger than the one before.
+# Half swings after a contact: alike in time, and none larger than the one before.
 
 CLEAR = 5.0  # sds of the noise above which a half swing is one
 _UNEVEN = (0.6, 1.6)  # of the first: how long the next ones last
@@ -293,8 +275,6 @@ class HalfSwings:
 
 
 class _Lobe(NamedTuple):
-    """Frames on one side."""
-
     sign: int
     first: int
     last: int
@@ -303,8 +283,8 @@ class _Lobe(NamedTuple):
 
 
 def find_swing(time: Array, value: Array, noise: float, first: int, last: int) -> HalfSwings | None:
-    """After the push that is largest between frames `first` and `last`; None: nothing swings. `value` (T,) is zero at
-    rest, with an sd of `noise`."""
+    """The half swings after the largest push between frames `first` and `last`; None if nothing swings. `value` (T,) is
+    zero at rest, with sd `noise`."""
     least = CLEAR * noise
     lobes = _lobes(value, least)
     inside = [i for i, lobe in enumerate(lobes) if lobe.last >= first and lobe.first <= last]
@@ -367,11 +347,8 @@ def _passage(time: Array, value: Array, before: _Lobe, after: _Lobe) -> float:
     return float(time[i] + (time[j] - time[i]) * value[i] / (value[i] - value[j]))
 
 
-# When a contact ended that a swing follows: the force on the beam's slowest mode vanishes then, and not its motion.
-#
-# Frequency and damping are those of the swing. For a given end the motion is linear in all else (`forced`), normal at
-# given sizes: the evidence is known in closed form. It is summed over sizes, over how long the fall lasts, and gives
-# mean and sd of the end. A force that goes on as long as the frames is weighed against it.
+# End with a swing: the force on the slowest mode vanishes. For a given end the motion is linear in all else, and its
+# evidence has a closed form. It is compared with that of a lasting force.
 
 _SWINGS_BEFORE, _SWINGS_AFTER = (
     3.0,
@@ -381,7 +358,6 @@ _END = 1.5  # half swings from there, in which the end is sought
 _FEWEST = 8  # frames before the passage, at least
 _FREE = 5  # frames that are free, at least
 _SHARE = 0.006  # of the motion nearby: what one mode leaves out, higher ones and the frequency's change with the size
-_RELEASE_TIMES = (72, 36, 36)  # times that are tried, and again where it is likely
 _ROUNDS = 3  # swing and end in turn
 _CHANGES = 0.3  # sd of log frequency and of damping about those of the swing
 _AMPLITUDES = 3.0  # sd of the swing's amplitudes, of the motion nearby
@@ -389,8 +365,7 @@ _RATES, _DAMPINGS = (0.75, 0.85, 1.0, 1.15, 1.35), (0.03, 0.15, 0.4)  # where th
 _AWAY = 0.53  # of the log frequency from that of the half swings, at most
 _DAMPED = (-7.0, 0.8)  # of the damping's log odds: 0.001 to 0.7, beyond which nothing swings
 _NO_FALL = -1
-# Sizes of the three powers and the walk: a force that ends slowly, of a kink, smoother, and of a hand that leads the
-# beam back; then each fall, and how the force before it changes.
+# Sizes of the three powers and the walk: slow ends, and each fall with the change of force before it.
 _SLOW = tuple(
     (_NO_FALL, *powers, walk)
     for powers in ((0.3, 0.6, 0.0), (3.0, 6.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0), (0.1, 1.0, 6.0))
@@ -401,8 +376,6 @@ _QUICK = tuple((i, 0.0, 0.0, 0.0, walk) for i in range(len(FALLS)) for walk in (
 
 @dataclass(frozen=True)
 class _Part:
-    """The frames about an end."""
-
     time: Array  # (F,) s
     value: Array  # (F,)
     noise: Array  # (F,) sd
@@ -412,8 +385,8 @@ class _Part:
 
 
 def release(time: Array, value: Array, noise: float, swing: HalfSwings, first: int) -> Edge | None:
-    """End of the contact that begins at frame `first` of (T,) and after which the beam swings; None where the evidence
-    is for a force that goes on. `value` is zero at rest, with an sd of `noise` in a frame."""
+    """End of a contact from frame `first` on that a swing follows; None if the evidence is for a lasting force. `value`
+    (T,) is zero at rest, with sd `noise`."""
     part = _part(time, value, noise, swing, first)
     low = max(float(time[first]), float(part.time[1]), swing.passage - _END * swing.half)
     high = max(min(swing.passage + _END * swing.half, float(part.time[-1]) - 0.5 * swing.half), low + 0.2 * swing.half)
@@ -428,7 +401,7 @@ def _told(part: _Part, swing: HalfSwings, low: float, high: float) -> Edge | Non
     free_from = swing.passage
     for _ in range(_ROUNDS):
         mode = _fitted(part, free_from, swing)
-        mean, sd, released = scanned(partial(_evidence, part, mode), low, high, _RELEASE_TIMES)
+        mean, sd, released = scanned(partial(_evidence, part, mode), low, high, (72, 36, 36))
         free_from = mean + sd
     goes_on = _evidence(part, mode, part.time[-1:])[0]
     return Edge(mean, sd) if released > goes_on else None
@@ -449,7 +422,6 @@ def _part(time: Array, value: Array, noise: float, swing: HalfSwings, first: int
 
 
 def _fitted(part: _Part, free_from: float, swing: HalfSwings) -> Mode:
-    """The free swing that fits the frames from then on best."""
     free: BoolArray = part.time >= free_from
     free[-_FREE:] = True
     since, seen = part.time[free] - swing.passage, part.value[free]
@@ -481,7 +453,6 @@ def _evidence(part: _Part, mode: Mode, ends: Array) -> Array:
 
 
 def _swing_sds(part: _Part, fall: int, kink: float, square: float, cube: float, walk: float) -> Array:
-    """Of the columns and of the value at rest."""
     falls = np.zeros((len(FALLS), PIECES))
     if fall != _NO_FALL:
         falls[fall] = part.size
@@ -493,9 +464,7 @@ def _swing_sds(part: _Part, fall: int, kink: float, square: float, cube: float, 
     return np.concatenate([swing, powers, steps, falls.ravel(), [part.zero]])
 
 
-# When contacts end, by how far the beam is bent along its slowest mode.
-#
-# Where it swings then, it was let go, and what it does afterwards is no contact; else the bending goes to zero.
+# Contacts with their ends by the bending. Motion after a release is no contact.
 
 _REST_FRAMES = 8  # frames before the first contact that tell how the beam is at rest
 _SLIGHT_SWING = 2.0  # times what a swing is clear from: so little is left of it
@@ -503,8 +472,8 @@ _SOON = 2.0  # half swings after the last clear one in which what is left is of 
 
 
 def ended(seen: ModeBending, runs: list[tuple[int, int]], widened: float) -> list[ContactFrames]:
-    """The contacts of `runs` (first and last frame) without those that are a swing, with the ends that the bending
-    tells; `seen` is of all frames, `widened` how much wider the variance of its noise counts, as it lasts."""
+    """The contacts of `runs` (first and last frame) without swings, with their ends. `seen`: of all frames; `widened`:
+    factor on the variance of lasting noise."""
     if not runs:
         return []
     value, noise = _from_rest(seen, runs[0][0])

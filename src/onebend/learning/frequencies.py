@@ -20,10 +20,9 @@ from onebend.errors import LearningError, MechanicsError
 from onebend.learning.allowances import patch_functions
 from onebend.learning.fit_data import MASS_MODES, POWERS, REST_MODES, OwnWeight, own_weight
 from onebend.learning.frames import mass_profile
+from onebend.learning.outcome import Notice
 from onebend.learning.parameters import NEEDS_MASS, Layout, Spline
-from onebend.records import Array, IntArray, MeasuredFrequency, Observations, PointMass, Remark
-
-# The measured frequencies of one recording as the fit sees them: everything that does not depend on the parameters.
+from onebend.records import Array, IntArray, MeasuredFrequency, Observations, PointMass
 
 _ORDER, _WIDEST = 6, 0.125  # as the statics of the fit: 1e-7 in the frequencies of the first modes
 MOST_MODES = 8  # beyond, a beam is no slender one any more
@@ -59,11 +58,7 @@ class FrequencyData:
 
 
 def frequency_data(recordings: Sequence[Observations], spline: Spline) -> tuple[FrequencyData, ...]:
-    """Prepare the frequencies of those recordings that have some; modes and mass are known or guessed.
-
-    Raises:
-        LearningError: no mass.
-    """
+    """The frequencies of the recordings that have some, with known modes. Raises `LearningError` without a mass."""
     return tuple(_prepared(o, i, spline) for i, o in enumerate(recordings) if o.frequencies)
 
 
@@ -108,11 +103,6 @@ def postures_of(frequencies: tuple[MeasuredFrequency, ...], riding: tuple[PointM
     )
 
 
-# From parameters to natural frequencies, with exact derivatives, and what measured ones say of the parameters.
-
-_LOAD_STEPS = 10  # where the weight at once is too much
-
-
 @dataclass(frozen=True)
 class PredictedFrequencies:
     """The frequencies of one recording's beam at parameters x (P,)."""
@@ -147,8 +137,7 @@ class PredictedFrequencies:
 
     @cached_property
     def slopes(self) -> Array:
-        """(N, P) derivatives of `log` with all parameters; those of shear and rotary inertia, which are small, left
-        out."""
+        """(N, P) derivatives of `log` with all parameters; the small ones of shear and rotary inertia are left out."""
         data, layout, x = self.data, self.layout, self.x
         out = np.zeros((len(data.measured), layout.size))
         k, parts = _stiffness(data, layout, x), layout.get(x, "mass")
@@ -203,7 +192,7 @@ def _vibration(on: Body, posture: Posture) -> Vibration | None:
     if not on.mass > 0.0:
         return None
     actions, count = Actions(gravity=posture.gravity), int(np.max(posture.modes)) + 1
-    for steps in (1, _LOAD_STEPS):
+    for steps in (1, 10):
         try:
             return vibration_of(on, settle(on, actions, load_steps=steps), actions, count=count)
         except (MechanicsError, np.linalg.LinAlgError):
@@ -211,9 +200,7 @@ def _vibration(on: Body, posture: Posture) -> Vibration | None:
     return None
 
 
-# Measured frequencies beside those of the fitted beam, row by row and in words.
-
-FAR, GROSS = 3.0, 6.0  # sd: a frequency that far from the fit is said to be odd; that far, k(s) is not to be trusted
+FAR, GROSS = 3.0, 6.0  # sd: a frequency is odd if it is this far from the fit; k(s) is not to be trusted if so far
 
 
 @dataclass(frozen=True)
@@ -222,7 +209,7 @@ class ComparedFrequency:
 
     recording: str
     mode: int  # 1 is the slowest
-    posture: str
+    posture: Posture
     measured: float  # Hz, undamped
     sd: float  # Hz
     fitted: float  # Hz
@@ -232,79 +219,46 @@ class ComparedFrequency:
         """Measured less fitted, in sd."""
         return (self.measured - self.fitted) / self.sd
 
-    @property
-    def words(self) -> str:
-        """The whole row."""
-        return (
-            f"mode {self.mode} ({self.posture}) {self.measured:.5g} Hz (sd {self.sd:.2g}), the fit {self.fitted:.5g} Hz"
-        )
-
 
 def compared_frequencies(predicted: Sequence[PredictedFrequencies]) -> tuple[ComparedFrequency, ...]:
-    """All of them, recording by recording and posture by posture."""
+    """All frequencies, by recording and posture."""
     out = []
     for one in predicted:
         measured, fitted = np.exp(one.data.measured), np.exp(one.log)
         for posture in one.data.postures:
             for row, mode in zip(posture.rows.tolist(), posture.modes.tolist(), strict=True):
                 hz, sd = float(measured[row]), float(measured[row] * one.data.sd[row])
-                name, words = one.data.name, posture_words(posture)
-                out.append(ComparedFrequency(name, mode + 1, words, hz, sd, float(fitted[row])))
+                out.append(ComparedFrequency(one.data.name, mode + 1, posture, hz, sd, float(fitted[row])))
     return tuple(out)
 
 
-def validated_frequencies(beam: Beam, o: Observations) -> tuple[Remark, ...]:
-    """A note on how a beam with a mass, learned elsewhere, swings beside what was measured; nothing where a mode is
-    not said."""
-    known = [one for one in o.frequencies if one.mode > 0]
-    if not known:
-        return ()
+def validated_frequencies(beam: Beam, o: Observations) -> tuple[Notice, ...]:
+    """A note on the natural frequencies of a beam with a mass beside those that were measured with a known mode."""
+    known = tuple(one for one in o.frequencies if one.mode > 0)
     rows = []
-    for posture in postures_of(tuple(known), () if beam.masses else o.stated.masses):
+    for posture in postures_of(known, () if beam.masses else o.stated.masses):
         count = int(np.max(posture.modes)) + 1
         own = natural_frequencies(beam, gravity=posture.gravity, points=posture.points, count=count)
         for row, mode in zip(posture.rows.tolist(), posture.modes.tolist(), strict=True):
-            off = 100.0 * (float(own[mode]) / known[row].frequency - 1.0)
-            said = f"mode {mode + 1} ({posture_words(posture)}) {known[row].frequency:.5g} Hz"
-            rows.append(f"{said}, the beam {float(own[mode]):.5g} Hz ({off:+.2g} %)")
-    return (Remark("note", f"frequencies: {'; '.join(rows)}"),)
+            one = known[row]
+            rows.append(ComparedFrequency(o.source.name, mode + 1, posture, one.frequency, one.sd, float(own[mode])))
+    return (Notice("validated frequencies", {"rows": tuple(rows)}),) if rows else ()
 
 
-def frequency_remarks(predicted: Sequence[PredictedFrequencies]) -> tuple[Remark, ...]:
-    """A note with all of them, a warning on those that the fit does not follow."""
+def frequency_notices(predicted: Sequence[PredictedFrequencies]) -> tuple[Notice, ...]:
+    """A note with all frequencies, and a warning on those that the fit does not follow."""
     rows = compared_frequencies(predicted)
-    if not rows:
-        return ()
-    remarks = [Remark("note", f"frequencies: {'; '.join(row.words for row in rows)}")]
-    odd = [row for row in rows if not abs(row.off) < FAR]
-    if odd:
-        each = "; ".join(f"{row.words}, {abs(row.off):.2g} sd off" for row in odd)
-        text = (
-            f"the fit does not follow every frequency: {each}. Check `mode`, base_angle_deg and tip_mass_kg of each, "
-            "mass_along and stiffness_along, that the clamp is firm, and that sd_hz is not too small"
-        )
-        remarks.append(Remark("warning", text, about="frequencies"))
-    return tuple(remarks)
+    odd = tuple(row for row in rows if not abs(row.off) < FAR)
+    note = (Notice("fitted frequencies", {"rows": rows}),) if rows else ()
+    return (*note, *((Notice("odd frequencies", {"rows": odd}),) if odd else ()))
 
 
 def worst_off(predicted: Sequence[PredictedFrequencies]) -> float:
-    """sd, of the frequency farthest from the fit; NaN where none was measured."""
+    """sd, of the frequency farthest from the fit; NaN if none was measured."""
     return max((abs(row.off) for row in compared_frequencies(predicted)), default=math.nan)
 
 
-def posture_words(posture: Posture) -> str:
-    """How the base was held, and what was at the tip."""
-    x, y = posture.gravity.tolist()
-    size = math.hypot(x, y)
-    words = "across gravity"
-    if size > 0.0:
-        upwards = {1.0: "hangs", -1.0: "stands", 0.0: "lies"}.get(round(x / size, 6))
-        words = upwards or f"base {math.degrees(math.asin(-x / size)):.3g} deg above level"
-    tip = sum(point.mass for point in posture.points if point.s == 1.0)
-    return f"{words}, {1e3 * tip:.3g} g at the tip" if tip > 0.0 else words
-
-
-# What one frequency by itself says: the uniform beam that would swing so, and the mass of a beam that is known.
+# The uniform beam with a given frequency, and the mass of a known beam.
 
 _STIFF = 100.0  # times as stiff as a beam without weight: there weight changes the square of a frequency linearly
 _LEAST = 0.05  # of the stiffness without weight: less would be a beam near buckling
@@ -312,10 +266,8 @@ _MASSES = (1e-9, 1e3)  # kg, within which one is looked for
 
 
 def uniform_stiffness(o: Observations, measured: MeasuredFrequency, mode: int, mass: float = np.nan) -> float:
-    """N m: k of the uniform beam whose `mode` (from 1) has this frequency, of the recording's mass or of `mass` kg.
-
-    `f^2 = a k + b`, with b from the weight: exact for small weights, else good enough to begin with.
-    """
+    """N m: k of the uniform beam whose `mode` (from 1) has this frequency, with the recording's mass or `mass` kg. `f^2
+    = a k + b`, with b from the weight: exact for small weights."""
     along, known = mass_profile(o), np.isfinite(mass)
     if not np.isfinite(o.stated.mass):
         along = Uniform((mass if known else 1.0) / o.length)
@@ -361,7 +313,7 @@ def swinging_mass(recordings: Sequence[Observations], stiffness: float) -> float
     return float(np.exp(brentq(too_stiff, low, high, xtol=1e-3))) if too_stiff(high) > 0.0 else _MASSES[1]
 
 
-# Which mode a measured frequency is of, where nobody says it: as the frequencies lie to each other.
+# The modes of frequencies that nobody numbered.
 
 _ALIKE = 0.25  # of log k, RMS: as far as the modes of one beam may disagree on the k of a uniform one
 _CLEARER = 0.25  # by which the second best numbering must disagree more
@@ -369,14 +321,8 @@ _SAY = "Write `mode` in each [[frequencies]]: 1 is the slowest"
 
 
 def with_modes(recordings: Sequence[Observations]) -> tuple[Observations, ...]:
-    """The recordings with the mode of every frequency.
-
-    Each posture's are numbered, in rising order, so that a uniform beam with the mass as it is spread would come
-    nearest to all of them; the slowest of all is taken to be mode 1.
-
-    Raises:
-        LearningError: a frequency by itself, no numbering that comes near, or several that come about as near.
-    """
+    """The recordings with the mode of every frequency. In each posture modes rise with frequency, and a uniform beam
+    comes nearest to all; the slowest is mode 1. Raises `LearningError` if no numbering is clear."""
     return tuple(_numbered(o) if any(one.mode == 0 for one in o.frequencies) else o for o in recordings)
 
 

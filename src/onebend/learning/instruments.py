@@ -148,11 +148,7 @@ class Instruments:
 
 @one_blas_thread
 def instruments_of(posterior: Posterior) -> Instruments:
-    """The bench on which the recordings of a fit were made; what differs between them by its median.
-
-    Raises:
-        LearningError: no recording has a force log with a push.
-    """
+    """The bench behind a fit; medians where recordings differ. Raises `LearningError` if no force log shows a push."""
     at, films, scales = posterior.layout, posterior.recordings, posterior.optimum.hyperparameters
     seen = [f.observations for f in films]
     names = tuple(name for name in SHARED if at.index[name, -1].start >= 0)
@@ -233,7 +229,6 @@ def _discrepancy(films: tuple[FitData, ...], scales: Hyperparameters) -> tuple[f
 
 
 def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDoubt:
-    """The expected noise of the force logs, as large as the fit found it."""
     pushed = [(f, n) for f, n in zip(films, scales.noise, strict=True) if len(f.error.knots)]
     if not pushed:
         raise LearningError("no recording has a force log with a push, so nothing says how well a force can be known")
@@ -263,7 +258,6 @@ def _tag_sd(observations: Observations) -> Array:
 
 
 def _rests(observations: Observations) -> tuple[float, float]:
-    """Seconds of force log before and after the push."""
     clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or len(loaded) == 0:
         return 0.0, 0.0

@@ -1,16 +1,29 @@
-"""What learning and validation return: frozen results that carry their reasons."""
+"""Results of learning and validation: frozen, with their reasons."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.section import ModulusBand, modulus_band, section_as_dict
+from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section_as_dict
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark, StatedSection
+
+if TYPE_CHECKING:  # the fit itself takes long to load
+    from onebend.learning.posterior import Posterior
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something a person should know: a code and its numbers. `report.sentences` has the sentence of each code."""
+
+    code: str  # a key of `report.sentences.SENTENCES`
+    values: Mapping[str, Any] = field(default_factory=dict)  # SI and radians
+    whose: str = ""  # the recording it is about, where there are several
 
 
 @dataclass(frozen=True)
@@ -32,7 +45,7 @@ class Comparison:
     likely_rms: (
         Array  # (m,) m, as the same noise, the band of k(s) and the push's tolerances let expect; NaN if unknown
     )
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Notice | Remark, ...] = ()
     static: bool = False  # bench poses: `time` counts them
 
 
@@ -69,117 +82,114 @@ class Learned:
     trials: tuple[Trial, ...]
     chosen: int  # index in `trials`
     training: Comparison
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Notice | Remark, ...] = ()
 
 
-# Young's modulus of a learned beam whose section was measured, and whether there is such a material.
-#
-# The section is the one that recording.toml states. What the fit learns of the section's thickness, from how the beam
-# stretches and shears, is another thing and is not used: E goes with the third power of h, and the fit tells h badly.
+POOR = 0.15  # of a marker's own motion: a larger RMS is a poor fit
+LIKELY = 3.0  # times the RMS that the band of k(s) and the tolerances of the push predict: a larger RMS is unusual
+MANY, SLIGHT = 5.0, 0.03  # times the effect of the force's noise; of a marker's own motion: a larger RMS is a failure
+
+
+def poor_fit(one: Comparison, *, other: bool = False) -> tuple[Notice, ...]:
+    """A warning if the beam misses a marker by a large part of its motion. `other`: it was not learned from this
+    recording."""
+    motion = _motion(one)
+    share = np.nan_to_num(np.divide(one.rms, motion, out=np.zeros_like(motion), where=motion > 0.0))
+    worst = int(np.argmax(share))
+    if not one.rms[worst] > POOR * motion[worst]:
+        return ()
+    code = f"tag missed{' by another beam' if other else ''}{' in poses' if one.static else ''}"
+    values = {"tag": int(one.tag_id[worst]), "rms": float(one.rms[worst]), "motion": float(motion[worst])}
+    return (Notice(code, values),)
+
+
+def another_beam(one: Comparison) -> tuple[Notice, ...]:
+    """A warning if a validation misses a marker by far more than the force's noise explains."""
+    ratio = np.divide(one.rms, one.sensor_rms, out=np.zeros_like(one.rms), where=one.sensor_rms > 0.0)
+    unusual = (one.rms > SLIGHT * _motion(one)) & ~(one.rms <= LIKELY * one.likely_rms)
+    ratio = np.where(unusual, ratio, 0.0)
+    worst = int(np.argmax(ratio))
+    if not ratio[worst] > MANY:
+        return ()
+    return (Notice("another beam", {"tag": int(one.tag_id[worst]), "times": float(ratio[worst])}),)
+
+
+def _motion(one: Comparison) -> Array:
+    """(m,) m, how far each marker moves."""
+    motion = np.linalg.norm(np.fmax.reduce(one.measured) - np.fmin.reduce(one.measured), axis=-1)
+    if one.static:  # poses may be few, or alike: counted from the straight beam
+        motion = np.maximum(motion, np.nanmax(np.abs(one.measured[..., 1])))
+    return np.asarray(motion)
+
+
+# Young's modulus of a learned beam whose section is stated. The thickness that the fit learns from stretch and shear is
+# not used: E goes with its third power, and the fit determines it badly.
 
 SOFTEST, STIFFEST = 1e3, 1.2e12  # Pa: a soft hydrogel, diamond
-UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
-_PLACES = 201
-_POWERS = {  # with which a section's sizes count
-    "rectangle": "width_m counts with its third power",
-    "second moment": "it is in m^4: 1 mm^4 is 1e-12",
-}
-_FOURTH_POWER = "the size counts with its fourth power"
-_TOO_STIFF = "stiff: a size is too small or the forces are too large"
 
 
 def stated_section(recordings: Sequence[Observations]) -> StatedSection | None:
-    """The first section that a recording states; None where none does."""
+    """The first section that a recording states; None if there is none."""
     return next((one.stated.section for one in recordings if one.stated.section is not None), None)
 
 
 def modulus_along(
     beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None, s: Array, level: float = 0.95
 ) -> ModulusBand | None:
-    """E(s) [Pa] at places s (S,), with its band where k(s) has one; None where the section is not known.
-
-    Raises:
-        MechanicsError: sizes of the section that are not positive.
-    """
+    """E(s) [Pa] at places s (S,), with its band if k(s) has one; None without a section. Raises `MechanicsError` for
+    sizes that are not positive."""
     return None if section is None else modulus_band(uncertain or beam.stiffness, beam.length, section, s, level)
 
 
 def shown_places(band: ModulusBand) -> BoolArray:
-    """(S,) where E counts: where it is identified; wherever it is known, where it is identified nowhere."""
-    known = np.isfinite(band.modulus)
-    return np.asarray(band.identified if np.any(band.identified) else known)
+    """(S,) where E is identified; if it is identified nowhere, where it is known."""
+    return np.asarray(band.identified if np.any(band.identified) else np.isfinite(band.modulus))
 
 
-def modulus_unit(values: Array) -> tuple[float, str]:
-    """Pa, and the name, of the unit in which these moduli [Pa] read best."""
-    known = values[np.isfinite(values)]
-    middle = float(np.median(np.abs(known))) if known.size else 0.0
-    return next((unit for unit in UNITS if middle >= unit[0]), UNITS[-1])
+@dataclass(frozen=True)
+class Run:
+    """Everything that came out of learning from recordings and validating on others."""
+
+    beam: Beam  # what was learned: the fit's, where there is one
+    learned: Learned | None  # the paper's regression on the first recording; None where no (n, m) gave a beam
+    posterior: Posterior | None  # the fit over all recordings; None where only the regression was asked for
+    recordings: tuple[Observations, ...]  # learned from
+    trainings: tuple[Comparison, ...]  # the beam against each of them
+    validations: tuple[Comparison, ...]
+    validation_observations: tuple[Observations, ...]
+    remarks: tuple[Remark, ...]  # on the learning itself
+    stage_seconds: dict[str, float]
+    video_seconds: float  # length of all videos together, to compare the stages with
+
+    def modulus(self, s: Array, level: float = 0.95) -> ModulusBand | None:
+        """Young's modulus E(s) [Pa] at places s (S,), with its band if k(s) has one; None if no section is stated."""
+        uncertain = None if self.posterior is None else self.posterior.stiffness
+        return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
+
+    def one_modulus(self, level: float = 0.95) -> tuple[float, float, float] | None:
+        """Young's modulus [Pa] as one number, and its band; None if `stiffness_along` is not "section"."""
+        if self.posterior is None:
+            return None
+        return one_modulus(self.posterior.stiffness, self.beam.length, stated_section(self.recordings), level)
 
 
-def size_words(section: StatedSection) -> list[str]:
-    """Each size by its key in recording.toml: "width_m 12 mm in the plane of bending", "diameter_m 4 to 9 mm"."""
-    if section.moment is not None:
-        return [f"I_m4 {_span_words(1e12 * section.moment, 'mm^4')}"]
-    if section.shape == "hexagon":
-        return [f"across_flats_m {_length_words(section.thickness)}"]
-    if section.shape in ("circle", "tube"):
-        outer = f"diameter_m {_length_words(section.thickness)}"
-        return [outer] if section.inner is None else [outer, f"inner_diameter_m {_length_words(section.inner)}"]
-    inside, across = _length_words(section.thickness), _length_words(section.width)
-    return [f"width_m {inside} in the plane of bending", f"thickness_m {across} across it"]
-
-
-def modulus_remarks(
+def modulus_notices(
     beam: Beam, uncertain: UncertainStiffness | None, recordings: Sequence[Observations]
-) -> tuple[Remark, ...]:
-    """A warning where no material has such a modulus, one where the recordings state different sections."""
-    section, s = stated_section(recordings), np.linspace(0.0, 1.0, _PLACES)
-    band = modulus_along(beam, uncertain, section, s)
+) -> tuple[Notice, ...]:
+    """A warning if no material has such a modulus, and one if the recordings state different sections."""
+    section = stated_section(recordings)
+    band = modulus_along(beam, uncertain, section, np.linspace(0.0, 1.0, 201))
     if section is None or band is None:
         return ()
-    others = [one.stated.section for one in recordings]
-    said = tuple(
-        Remark(
-            "warning",
-            f"the recordings state different sections of one beam: E is by that of {whose}. Correct them",
-            about="two sections",
-        )
-        for whose in [next(one.source.name for one in recordings if one.stated.section is not None)]
-        if not all(other is None or _same(section, other) for other in others)
-    )
+    first = next(one.source.name for one in recordings if one.stated.section is not None)
+    others = [one.stated.section for one in recordings if one.stated.section is not None]
+    alike = all(section_as_dict(section) == section_as_dict(other) for other in others)
+    different = () if alike else (Notice("two sections", {"recording": first}),)
     if uncertain is not None and not np.any(band.identified):
-        return said
-    return said + _no_such_material(section, band)
-
-
-def _no_such_material(section: StatedSection, band: ModulusBand) -> tuple[Remark, ...]:
-    """A warning where the band, or the modulus that has none, lies wholly beyond all materials."""
+        return different
     low, high = (np.where(np.isfinite(edge), edge, band.modulus) for edge in (band.low, band.high))
-    counts = shown_places(band)
-    soft, stiff = counts & (high < SOFTEST), counts & (low > STIFFEST)
+    soft, stiff = shown_places(band) & (high < SOFTEST), shown_places(band) & (low > STIFFEST)
     if not np.any(soft | stiff):
-        return ()
-    found = band.modulus[soft | stiff]
-    factor, unit = modulus_unit(found)
-    said = ", ".join(size_words(section))
-    power = _POWERS.get(section.shape, _FOURTH_POWER)
-    way = "soft: a size is too large or the forces are too small" if np.any(soft) else _TOO_STIFF
-    text = (
-        f"with the section that recording.toml states, Young's modulus is {_span_words(found / factor, unit)}. No "
-        f"material is that {way}. Check {said} ({power}), and that the forces are in N"
-    )
-    return (Remark("warning", text, about="no material"),)
-
-
-def _length_words(size: Array) -> str:
-    return _span_words(size, "m") if np.max(size) >= 1.0 else _span_words(1e3 * size, "mm")
-
-
-def _span_words(values: Array, unit: str) -> str:
-    least, most = f"{float(np.min(values)):.3g}", f"{float(np.max(values)):.3g}"
-    return f"{least} {unit}" if least == most else f"{least} to {most} {unit}"
-
-
-def _same(one: StatedSection, other: StatedSection) -> bool:
-    return section_as_dict(one) == section_as_dict(other)
+        return different
+    code = "too soft" if np.any(soft) else "too stiff"
+    return (*different, Notice(code, {"modulus": band.modulus[soft | stiff], "section": section}))

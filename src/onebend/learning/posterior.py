@@ -1,10 +1,6 @@
-"""k(s) with a band: maximum a posteriori in marker space, through the exact equilibrium.
-
-The parameters are log k(s), the beam's rest shape, where and how each tag sits, the clamp's direction and place, the
-clock offset that is left, and the slow error of the force log. The data are the tags of every loaded frame, of the beam
-at rest, and the force log where nothing pushes. All parameters are fitted together; the hyperparameters of priors and
-noise are chosen by evidence; the band comes from the curvature at the optimum (Laplace's approximation).
-"""
+"""k(s) with a band: maximum a posteriori in marker space, through the exact equilibrium. Parameters are log k(s), rest
+shape, tags, clamp, clock offset and slow force error. Data are the tags of loaded frames and at rest, and the force log
+without a push. Hyperparameters are chosen by evidence; the band is Laplace's approximation."""
 
 from __future__ import annotations
 
@@ -19,6 +15,7 @@ from onebend.beam.grid import Modes, powers_to_legendre
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import SHAPE_PLACES, Band, Powers, Profile, Scaled, Table, UncertainStiffness, Uniform
 from onebend.errors import LearningError
+from onebend.learning import optimizer
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.condensed import condensed
@@ -29,22 +26,6 @@ from onebend.learning.frequencies import GROSS, PredictedFrequencies, with_modes
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.normal import JointCovariance
-from onebend.learning.optimizer import (
-    FitSettings,
-    Miss,
-    Optimum,
-    carried_over,
-    doubts_of,
-    estimate_at,
-    find_on_branches,
-    first_problem,
-    first_recordings,
-    laplace_posterior,
-    misses,
-    shared_among,
-    whole_problem,
-    with_mass_found,
-)
 from onebend.learning.parameters import KNOWN, TOLD, Block, Layout, LearnedMass, with_shared_shape
 from onebend.learning.prediction import Prediction, predict, secant_of
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
@@ -52,12 +33,9 @@ from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.records import Array, BoolArray, Observations, PointMass
 
-# k(s) and its band, from the parameters' posterior.
 
-
-def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> UncertainStiffness:
-    """k(s) and its band at an optimum, with what stiffens the beam under its tags, and with the unknown place of a step
-    between two knots of the spline."""
+def stiffness_of(problem: FitProblem, optimum: optimizer.Optimum, gain_sd: float) -> UncertainStiffness:
+    """k(s) and its band at an optimum, with the stiffening by tags and the unknown places of steps between knots."""
     layout = problem.layout
     fine, (index, onto) = layout.spline.finer, log_k_map(problem)
     covariance = onto @ optimum.covariance.of_shared[np.ix_(index, index)] @ onto.T
@@ -82,14 +60,11 @@ def stiffness_of(problem: FitProblem, optimum: Optimum, gain_sd: float) -> Uncer
     )
 
 
-def prior_part(problem: FitProblem, optimum: Optimum, s: Array) -> Array:
-    """(S, S) the part of log k's covariance at `s` that comes from the prior, and not from errors of the data.
-
-    The fit's log k is off by `C P^-1 (m - k)`, drawn towards the prior's mean m, plus what errors of the data do; C is
-    the covariance, P the prior's. Over the beams that the prior expects, the first has the covariance `C P^-1 C`. A
-    second recording of this beam, or of one like it, is off by the same. P is that of the mean sizes of the prior's
-    parts; the part is never more than the covariance of the spline's coefficients.
-    """
+def prior_part(problem: FitProblem, optimum: optimizer.Optimum, s: Array) -> Array:
+    """(S, S) the part of log k's covariance at `s` that comes from the prior. The fit's log k is off by `C P^-1 (m -
+    k)`, plus the effect of errors of the data; C is the covariance, P and m the prior's. Over the prior's beams the
+    first has covariance `C P^-1 C`. A second recording of a like beam shares it. P has the mean sizes of the prior's
+    parts."""
     layout = problem.layout
     p, fine = layout.spline.count, layout.spline.finer
     own = _symmetric(optimum.covariance.of_shared[:p, :p])
@@ -105,12 +80,9 @@ def prior_part(problem: FitProblem, optimum: Optimum, s: Array) -> Array:
 
 
 def without_section_errors(layout: Layout, variances: Array, log_k: Array, covariance: Array) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of log k's coefficients less what the stated section is off by, from those of the
-    coefficients c, over the prior's mean; `variances` (n,) are of the prior's parts.
-
-    Before the data c has covariance S, of which P comes from the section. So its share in c is `P S^-1 c`, give or take
-    `P - P S^-1 P`: what the data say of c is passed on, and what they leave open stays open.
-    """
+    """Mean (p,) and covariance (p, p) of log k's coefficients less the errors of the stated section, from those of the
+    coefficients c over the prior's mean; `variances` (n,) are of the prior's parts. Before the data c has covariance S,
+    of which P comes from the section. Its share in c is `P S^-1 c`, with covariance `P - P S^-1 P` left open."""
     off, root = layout.section_errors, layout.stiffness_root(variances)
     share = np.linalg.solve(root @ root.T, off).T
     kept = np.eye(len(log_k)) - share
@@ -121,9 +93,7 @@ def _symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + matrix.T)
 
 
-# The mass of the fitted beam: what was written down, and what the fit changed of it.
-
-# Of the pull of an even beam of the written mass on its clamp: a cone on its base has 0.5, a mass at the tip 2.
+# The pull of an even beam on its clamp, as a share: a cone has 0.5, a mass at the tip 2.
 LEAST_PULL, MOST_PULL = 0.42, 2.2
 LEANS = 4.0  # sds of gravity's written direction, beyond which it is another one
 
@@ -138,34 +108,34 @@ def weight_doubts(mass: LearnedMass | None, leaning: Sequence[float]) -> tuple[s
     return tuple(doubts)
 
 
-def leans(recordings: Sequence[FitData], layout: Layout, mean: Array) -> list[float]:
+def leans(data: Sequence[FitData], layout: Layout, mean: Array) -> list[float]:
     """How far off its written direction gravity came out in each recording in which it bends the beam, in sds."""
     found = []
-    for recording in recordings:
-        block = layout.index.get(("gravity direction", recording.number))
+    for one in data:
+        block = layout.index.get(("gravity direction", one.number))
         if block is not None and block.start >= 0:
             found.append(float(mean[block.where][0] / block.prior_sd[0]))
     return found
 
 
 def learned_mass(
-    recordings: Sequence[FitData],
+    data: Sequence[FitData],
     layout: Layout,
     mean: Array,
     covariance: JointCovariance,
     stiffness: UncertainStiffness,
     gain_sd: float,
 ) -> LearnedMass | None:
-    """The mass after the fit, from mean (P,) and covariance of its parameters; None where nothing weighs or the
-    mass was held as written."""
-    block, weighed = layout.index["mass", -1], _weighed(recordings)
+    """The mass after the fit, from mean (P,) and covariance of the parameters; None if nothing weighs or the mass was
+    fixed."""
+    block, weighed = layout.index["mass", -1], _weighed(data)
     if block.start < 0 or weighed is None:
         return None
     change, spread = mean[block.where], covariance.among(block.where)
     written = np.nan if np.isfinite(weighed.stated.mass_sd) else weighed.stated.mass
     lever = np.array([1.0, 1.0 / 3.0, 0.0, 0.0])  # 2 int s P_i(2 s - 1) ds
     value, s = weighed.stated.mass * (1.0 + float(change[0])), np.linspace(0.0, 1.0, 2001)
-    line = mass_per_length(recordings, layout, mean, stiffness)
+    line = mass_per_length(data, layout, mean, stiffness)
     pull = 2.0 * weighed.length * float(np.trapezoid(s * line(s), s))
     if weighed.stated.mass_along != "unknown":
         lever = np.array([pull / value, 0.0, 0.0, 0.0])
@@ -183,11 +153,9 @@ def learned_mass(
     )
 
 
-def mass_per_length(
-    recordings: Sequence[FitData], layout: Layout, mean: Array, stiffness: UncertainStiffness
-) -> Profile:
+def mass_per_length(data: Sequence[FitData], layout: Layout, mean: Array, stiffness: UncertainStiffness) -> Profile:
     """kg/m, at parameters (P,)."""
-    weighed, change = _weighed(recordings), layout.get(mean, "mass")
+    weighed, change = _weighed(data), layout.get(mean, "mass")
     if weighed is None:
         return Uniform(0.0)
     along = following(weighed, stiffness, weighed.stated.mass * (1.0 + float(change[0])))
@@ -203,9 +171,9 @@ def mass_per_length(
     return Table(tuple(s.tolist()), tuple(value.tolist()))
 
 
-def riding_masses(recordings: Sequence[FitData]) -> tuple[PointMass, ...]:
+def riding_masses(data: Sequence[FitData]) -> tuple[PointMass, ...]:
     """What rides on the beam in every recording of it."""
-    first, *others = (recording.observations.stated.masses for recording in recordings)
+    first, *others = (one.observations.stated.masses for one in data)
     return tuple(one for one in first if all(one in masses for masses in others))
 
 
@@ -216,19 +184,14 @@ def from_legendre(states: Array) -> Profile:
     return Powers(tuple(np.linalg.solve(powers_to_legendre(len(states)), states).tolist()))
 
 
-def _weighed(recordings: Sequence[FitData]) -> Observations | None:
-    """The recording whose mass the fit changes."""
-    return next((r.observations for r in recordings if np.isfinite(r.observations.stated.mass)), None)
+def _weighed(data: Sequence[FitData]) -> Observations | None:
+    return next((r.observations for r in data if np.isfinite(r.observations.stated.mass)), None)
 
 
 def _largest_sd(written: float, block: Block) -> float:
-    """One sd over the mass itself, below which the mass counts as learned."""
     if np.isnan(written):
         return KNOWN
     return TOLD * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
-
-
-# The parameters beside k(s) as they are reported: each by itself, and of a force log's slow error mean and drift.
 
 
 @dataclass(frozen=True)
@@ -241,19 +204,19 @@ class Quantities:
     prior_sd: Array  # (N,) before the data, the sizes of a force error integrated out
 
 
-def quantities(block: Block, recordings: Sequence[FitData]) -> Quantities:
+def quantities(block: Block, data: Sequence[FitData]) -> Quantities:
     """A block's parameters; of a force log's error (a spline in time) mean and drift over the frames of the push."""
     if block.name != "force":
         return Quantities(block.labels, (block.unit,) * len(block.labels), np.eye(len(block.labels)), block.prior_sd)
-    recording = recordings[block.recording]
-    time = recording.observations.time[recording.frames]
+    one = data[block.recording]
+    time = one.observations.time[one.frames]
     time = time - np.mean(time)
-    weights = recording.error.weights[: len(time)]
+    weights = one.error.weights[: len(time)]
     rows = np.stack([np.mean(weights, axis=0), time @ weights / max(float(time @ time), 1e-300)])
     whose = block.labels[0].rpartition(": ")[0]
     names = tuple(f"{whose}: {what} {axis}" for what in ("mean force error", "force drift") for axis in "xy")
     coloured, _, walk, load = np.exp(SPREAD**2).tolist()  # root mean squares of log-normal factors
-    prior = recording.error.covariance(coloured, 1.0, walk, load)
+    prior = one.error.covariance(coloured, 1.0, walk, load)
     before = np.sqrt(np.einsum("rk,kl,rl->r", rows, prior, rows))
     return Quantities(names, ("N", "N", "N/s", "N/s"), np.kron(rows, np.eye(2)), np.repeat(before, 2))
 
@@ -279,7 +242,7 @@ class Posterior:
     """What the data and the priors say about the beam."""
 
     problem: FitProblem
-    optimum: Optimum
+    optimum: optimizer.Optimum
     gain_sd: float  # of the force's common scale, as declared; 0 where it was not
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
@@ -317,9 +280,9 @@ class Posterior:
         return self.problem.predicted_frequencies(self.mean)
 
     @cached_property
-    def misses(self) -> tuple[Miss, ...]:
+    def misses(self) -> tuple[optimizer.Miss, ...]:
         """The recordings that the fit cannot explain; empty as a rule."""
-        return misses(self.recordings, self.slow)
+        return optimizer.misses(self.recordings, self.slow)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -337,7 +300,7 @@ class Posterior:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts
         for o in (recording.observations for recording in self.recordings):
-            doubts += [f"{o.source.name}: {words}" if several else words for words in doubts_of(o)]
+            doubts += [f"{o.source.name}: {words}" if several else words for words in optimizer.doubts_of(o)]
         return tuple(doubts)
 
     @cached_property
@@ -356,8 +319,7 @@ class Posterior:
 
     @property
     def secant_shares(self) -> tuple[float, ...]:
-        """Of each recording: k(s), the secant stiffness of its push, over the instantaneous stiffness; 1 where the
-        material does not relax."""
+        """Of each recording: k(s), the secant stiffness, over the instantaneous stiffness; 1 without relaxation."""
         return tuple(secant_of(p.recording, p.layout, p.x, p.solved) for p in self.optimum.predictions)
 
     @property
@@ -375,8 +337,8 @@ class Posterior:
 
     @cached_property
     def mountings(self) -> tuple[float, float, float]:
-        """Between recordings, one sd of log k over the beam (root mean square): the likely one, and a range of about
-        80 %; NaN where it was not looked at, as of one recording."""
+        """Sd of log k between recordings (RMS along the beam): likely value, and a range of about 80 %; NaN if not
+        estimated."""
         factors = sorted(one[BETWEEN] for one in self.optimum.sizes if BETWEEN in one)
         if not factors:
             return np.nan, np.nan, np.nan
@@ -385,8 +347,8 @@ class Posterior:
 
     @property
     def load_error(self) -> tuple[float, float]:
-        """N, one sd of the force error that comes with the load, as the data chose it, and its share of the largest
-        force; those of the recording where the share is largest, (0, 0) without a force."""
+        """N, sd of the force error that comes with the load, and its share of the largest force, for the recording with
+        the largest share; (0, 0) without a force."""
         pushed = [r for r in self.recordings if len(r.error.knots)]
         sizes = [self.optimum.hyperparameters.load * r.error.load for r in pushed]
         forces = [float(np.max(np.linalg.norm(r.force, axis=1))) for r in pushed]
@@ -394,8 +356,8 @@ class Posterior:
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
 
     def nuisances(self) -> list[Nuisance]:
-        """Every parameter but k's and the discrepancy's, before and after the data; of the force's slow error its mean
-        and drift."""
+        """Every parameter but k's and the discrepancy's, before and after the data; of a slow force error mean and
+        drift."""
         out = []
         left_out = {"stiffness"} | {
             a.name for recording in self.recordings for a in recording.allowances if a.enters == "poses" and a.sized
@@ -438,22 +400,17 @@ def fit(
     recordings: Sequence[Observations],
     start: Profile | float | None = None,
     *,
-    settings: FitSettings = FitSettings(),
+    settings: optimizer.FitSettings = optimizer.FitSettings(),
     gain_sd: float = 0.0,
     progress: Progress = Silent(),
 ) -> Posterior:
-    """Maximum a posteriori over one or several recordings of the same beam.
-
-    It begins at the stiffness `start` [N m]; None: at that of the uniform beam that is nearest to the tags.
-
-    Raises:
-        LearningError: recordings of different beams, no usable frame, a start from which no equilibrium is found,
-            force logs with more error than force, or equations that rounding makes unsolvable.
-    """
+    """Maximum a posteriori over recordings of one beam, from the stiffness `start` [N m] (None: the best uniform beam).
+    Raises `LearningError` for recordings of different beams, no usable frame, no equilibrium at the start, force logs
+    with more error than force, or equations that cannot be solved."""
     check_same_beam(recordings)
     recordings = with_modes(recordings)
     try:
-        some = [recordings[i] for i in first_recordings(recordings, settings)]
+        some = [recordings[i] for i in optimizer.first_recordings(recordings, settings)]
         begin = start_of(some, None) if start is None else start
         return _fit(recordings, begin, settings, gain_sd, progress)
     except np.linalg.LinAlgError as error:
@@ -467,30 +424,29 @@ def fit(
 def _fit(
     recordings: Sequence[Observations],
     start: Profile | float,
-    settings: FitSettings,
+    settings: optimizer.FitSettings,
     gain_sd: float,
     progress: Progress,
 ) -> Posterior:
-    """Data, problem, start, optimum, posterior, criticism: first with a few frames of each recording, then with all."""
     late = replace(settings.optimizer, coarse_rounds=0, rounds=settings.last_rounds)
     early = replace(settings.optimizer, tolerance=settings.optimizer.on_the_way, rounds=settings.first_rounds)
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
-    settings = shared_among(settings, len(recordings))
+    settings = optimizer.shared_among(settings, len(recordings))
     recordings = with_shared_shape([condensed(one, settings.most_frames) for one in recordings])
-    some = first_recordings(recordings, settings)
-    problem, x = first_problem([recordings[i] for i in some], start, settings)
-    few, near = find_on_branches(problem, estimate_at(problem, x), early, progress)
-    hopeless = any(miss.hopeless for miss in misses(few.recordings, near.predictions))
+    some = optimizer.first_recordings(recordings, settings)
+    problem, x = optimizer.first_problem([recordings[i] for i in some], start, settings)
+    few, near = optimizer.find_on_branches(problem, optimizer.estimate_at(problem, x), early, progress)
+    hopeless = any(miss.hopeless for miss in optimizer.misses(few.recordings, near.predictions))
     if hopeless:  # nothing that is fitted means anything: a short look at all frames says so as clearly
         late = replace(late, rounds=_HOPELESS_ROUNDS, most_steps=_HOPELESS_STEPS)
-    recordings, near = with_mass_found(recordings, problem, near)
+    recordings, near = optimizer.with_mass_found(recordings, problem, near)
 
-    every = whole_problem(recordings, problem, settings)
-    begin = carried_over(few, near, every, some)
+    every = optimizer.whole_problem(recordings, problem, settings)
+    begin = optimizer.carried_over(few, near, every, some)
     del problem, few, near
-    whole, estimate = find_on_branches(every, begin, late, progress)
-    optimum = laplace_posterior(whole, estimate, late)
+    whole, estimate = optimizer.find_on_branches(every, begin, late, progress)
+    optimum = optimizer.laplace_posterior(whole, estimate, late)
     found = stiffness_of(whole, optimum, gain_sd)
     critic = criticise(whole, optimum, found)
     known = bool(np.any(found.band(np.linspace(0.0, 1.0, 101)).identified))
@@ -502,14 +458,9 @@ def _fit(
     return Posterior(whole, optimum, gain_sd, critic, left_out, place)
 
 
-# What the data cannot tell apart: the largest correlations of the posterior.
-#
-# Two quantities that are strongly correlated trade off: the data fix a combination of them, and what one is depends
-# on the prior of the other. The quantities are the nuisances, mean and drift of each force log's error, and the mean
-# level of log k over the places where k(s) is identified.
+# Correlations of the posterior. Of two strongly correlated quantities the data fix one combination.
 
 LEVEL = "mean log k(s)"
-_PLACES = 201
 
 
 @dataclass(frozen=True)
@@ -522,10 +473,7 @@ class Tradeoff:
 
 
 def tradeoffs(posterior: Posterior, *, most: int = 5, least: float = 0.5) -> tuple[Tradeoff, ...]:
-    """The strongest pairs, strongest first: at most `most`, none weaker than `least`.
-
-    Every quantity is named once, with what it trades off against most.
-    """
+    """The strongest pairs first: at most `most`, none weaker than `least`. Every quantity appears once."""
     names, correlation = correlations(posterior)
     first, second = np.triu_indices(len(names), k=1)
     strength = np.abs(correlation[first, second])
@@ -566,7 +514,7 @@ def correlations(posterior: Posterior) -> tuple[list[str], Array]:
 
 def _level(posterior: Posterior) -> Array:
     """(n,) weights of the shared parameters in the mean of log k, over the identified places if there are any."""
-    s = np.linspace(0.0, 1.0, _PLACES)
+    s = np.linspace(0.0, 1.0, 201)
     identified = posterior.band(s).identified
     index, onto = log_k_map(posterior.problem)
     basis = posterior.layout.spline.finer.basis(s[identified] if np.any(identified) else s) @ onto

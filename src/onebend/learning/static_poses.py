@@ -1,8 +1,5 @@
-"""Which equilibrium a static pose of a free end is in: of all that are stable, the one that its points show.
-
-A soft beam on a turned base has several, and which of them it is in depends on how it came there; the points tell.
-Where they do not (too few, or alike in both), it is the one to which the stated history leads, if any.
-"""
+"""The equilibrium of a static pose. A soft beam has several stable ones; the points show which, or else the stated
+history."""
 
 from __future__ import annotations
 
@@ -18,8 +15,9 @@ from onebend.beam.problem import Problem, Resolution
 from onebend.beam.sensitivity import of_force, of_moment, respond
 from onebend.beam.statics import Equilibrium, correct, is_convex, is_stable
 from onebend.beam.stiffness import UncertainStiffness, half_width
+from onebend.learning.outcome import Notice
 from onebend.learning.parameters import KnownShape, Layout, forced, known_shape, needs_mass
-from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+from onebend.records import Array, BoolArray, IntArray, Observations
 
 _SAME_BRANCH = 0.7  # rad, the largest turn of Newton's method from a shape that is still on its branch
 _ROPE = 20.0  # of `int sqrt(L N / k) ds`: above it the search may miss equilibria, and the shape seen is let fall, too
@@ -48,8 +46,8 @@ class SeenPoses:
 
 
 def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
-    """Those of some frames (T,); None where the recording is a film, where no end is free, or where readings do not
-    say where marks are: rulers and zeroed gauges read small deflections."""
+    """Those of some frames (T,); None for a film, without a free end, or with rulers and zeroed gauges, which read
+    small deflections."""
     plain = o.readings.at == "mark" and o.readings.bare < 0
     if not o.static or not plain or (o.held is not None and bool(np.all(o.held[frames]))):
         return None
@@ -60,10 +58,8 @@ def seen_poses(o: Observations, frames: BoolArray) -> SeenPoses | None:
 
 
 def nearest(problem: Problem, seen: SeenPoses, *, with_history: bool = True) -> Equilibrium:
-    """Of all stable equilibria (F,) under the loads of each pose, those nearest to the points.
-
-    `with_history`: where several are as near, the one to which the stated history leads.
-    """
+    """The stable equilibria (F,) nearest to the points. `with_history`: among equals, that to which the stated history
+    leads."""
     q, frame = _every(problem, seen)
     off = _misfit(problem.take(frame), q, seen.take(frame))
     least = np.full(problem.size, np.inf)
@@ -80,8 +76,8 @@ def nearest(problem: Problem, seen: SeenPoses, *, with_history: bool = True) -> 
 
 
 def stay(problem: Problem, start: Array) -> Equilibrium:
-    """The equilibria near known shapes (F, Q): Newton's method, and where a branch has ended, that to which the beam
-    falls from it."""
+    """The equilibria near known shapes (F, Q) by Newton's method; after the end of a branch, that to which the beam
+    falls."""
     full = np.ones(problem.size)
     q, near, _ = correct(problem, start, full, trust=_SAME_BRANCH * full, remaining=1e-13 * full, max_iterations=12)
     near[near] &= is_stable(problem.take(near), q[near])
@@ -104,18 +100,15 @@ def pose_rms(off: Array) -> Array:
 
 
 def unexplained(rms: Array, length: float) -> BoolArray:
-    """(P,) poses that are much farther from their equilibria than the others are, by their RMS (P,) [m].
-
-    None where these are many: then what is wrong is no single pose.
-    """
+    """(P,) poses much farther from their equilibria than the others, by their RMS (P,) [m]; none if they are many."""
     usual = float(np.median(rms)) if len(rms) > 1 else 0.0
     out = rms > max(_FAR * length, _FARTHER * usual)
     return np.asarray(out & (np.sum(out) <= max(_MOST_LEFT_OUT * len(rms), 1.0)))
 
 
 def elsewhere(solved: Equilibrium, seen: SeenPoses) -> tuple[Array, BoolArray]:
-    """(F,) m RMS of the points from the equilibria to which the stated histories lead, and True where these are others
-    than `solved`, and farther from the points by more than their noise."""
+    """(F,) m RMS of the points from the equilibria to which the histories lead, and True where these differ from
+    `solved` and are farther from the points than noise."""
     problem = solved.problem
     shapes, there = led(problem, seen)
     here = np.flatnonzero(there)
@@ -152,8 +145,7 @@ def led(problem: Problem, seen: SeenPoses) -> tuple[Array, BoolArray]:
 
 
 def shown_curvature(xy: Array, angle: Array, s: Array, nodes: Array) -> Array:
-    """(Q,) rad at the nodes, from the chords between the points (m, 2) of one pose, the clamp (along x) and the angle
-    (m,) of the last of them, if measured."""
+    """(Q,) rad at the nodes, from the chords between clamp and points (m, 2), and the last measured angle (m,)."""
     seen = np.flatnonzero(np.isfinite(xy).all(axis=1))
     seen = seen[np.argsort(s[seen], kind="stable")]
     place = np.concatenate([[0.0], s[seen]])
@@ -235,20 +227,14 @@ def _solved(problem: Problem, q: Array, well: BoolArray) -> Equilibrium:
     return Equilibrium(problem, q, well, well.copy(), factor, nothing, np.zeros(count, dtype=bool), 0)
 
 
-# Poses whose end s = 1 somebody or something holds with a force and a moment that nobody measured.
-#
-# Where the end was in such a pose counts among the parameters of the fit (three a pose, next to no prior); the wrench
-# follows from it. So an end seen badly, or only its direction not seen, costs what it must, and no wrench is guessed.
-# The wrench sets no scale: from shapes alone, with neither weight nor a force of known size, k(s) is known but for a
-# factor.
+# Poses whose end s = 1 an unknown force and moment hold. The end's pose is a parameter of the fit, with a wide prior;
+# the wrench follows from it. Such shapes alone give k(s) only up to a factor.
 
 RESOLUTION = Resolution(order=6, widest=0.125)  # below 1e-7 L for physical shapes; the measurement is near 1e-4 L
 HELD_RESOLUTION = Resolution(order=12, widest=0.125)  # a held beam may hang like a rope and bend sharply at its ends
 _REACH = 0.999  # of the length: an end that was read as farther away is put where the way to it ends
-_SETTLE = 3  # steps of the ends towards the points
 _STRIDE = 0.3  # of the length, rad: the longest of them
 _WEAK = 1e-6  # of the derivatives squared: what keeps an end in place that no point tells of
-_PLACES = (0.1, 0.5, 0.9)  # where k is compared if only its shape is known
 
 
 @dataclass(frozen=True)
@@ -344,11 +330,9 @@ def solve(problem: Problem, ends: HeldEnds, away: Array, start: Array | None, se
 
 
 def with_ends_held(poses: Array, ends: HeldEnds) -> tuple[Array, Array]:
-    """Derivatives of poses (F, m, 3, P), those of the end s = 1 last among the m and the wrench's last among the P.
-
-    Returns them for the m - 1 others and the P - 3 others, the end staying where it is in the held frames, and there
-    (H, m - 1, 3, 3) with the end's own pose: `dp = R dx + W dw` with `0 = R1 dx + W1 dw`.
-    """
+    """Derivatives of poses (F, m, 3, P), with the end s = 1 last among m and the wrench last among P, as those of the
+    other m - 1 with the other P - 3, the end fixed in the held frames; and (H, m - 1, 3, 3) with the end's pose: `dp =
+    R dx + W dw` with `0 = R1 dx + W1 dw`."""
     others = poses[:, :-1, :, :-3].copy()
     held = poses[ends.frames]
     by_end = held[:, :-1, :, -3:] @ np.linalg.inv(held[:, -1, :, -3:])[:, None]
@@ -370,7 +354,7 @@ def shapes_of(o: Observations, frames: BoolArray, problem: Problem) -> Equilibri
         return free_ends(problem, seen, None)
     away = np.zeros((len(ends.frames), 3))
     solved = solve(problem, ends, away, None, seen)
-    for _ in range(_SETTLE):
+    for _ in range(3):
         step = _closer(o.xy[frames][ends.frames], o.marker_s, solved, ends)
         there = solve(problem, ends, away + step, solved.q, seen)
         if not np.all(there.converged):
@@ -393,38 +377,25 @@ def _closer(xy: Array, s: Array, solved: Equilibrium, ends: HeldEnds) -> Array:
     return np.asarray(step * np.minimum(1.0, _STRIDE / np.maximum(size, 1e-300)))
 
 
-def stated_remarks(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Remark, ...]:
-    """What was stated of how k varies; and what can be said of it where nothing sets its scale."""
-    known = known_shape(recordings)
-    said = () if known is None else (_of_shape(known),)
-    return said + (_no_scale(stiffness) if sets_no_scale(recordings) else ())
-
-
-def _of_shape(known: KnownShape) -> Remark:
-    text = 'k is taken as one number along the beam, as stiffness_along = "even" says'
-    if known.section is not None:
-        text = 'k is taken as one modulus times the section\'s I(s), as stiffness_along = "section" says'
-        if known.errors(np.zeros(1)).size == 0:
-            sd = "I_sd" if known.section.moment is not None else "section_sd_m"
-            text += f" (exact, as no {sd} is stated)"
-    if known.varies > 0.0:
-        text += f", and as free to vary slowly by {100.0 * known.varies:.2g} % (sd) beside that"
-    return Remark("note", text)
-
-
-def _no_scale(stiffness: UncertainStiffness) -> tuple[Remark, ...]:
-    s = np.array(_PLACES)
+def stated_notices(recordings: Sequence[Observations], stiffness: UncertainStiffness) -> tuple[Notice, ...]:
+    """A note on how k was stated to vary, and a warning if nothing determines the size of k(s)."""
+    shape = known_shape(recordings)
+    known = () if shape is None else (_of_shape(shape),)
+    if not sets_no_scale(recordings):
+        return known
+    s = np.array([0.1, 0.5, 0.9])
     rows, logs = stiffness.basis(s), stiffness.log_at(s)[0]
     rows = rows[[0, 2]] - rows[1]
     sd = np.sqrt(np.einsum("si,ij,sj->s", rows, stiffness.covariance, rows))
     ratio, wide = np.exp(logs[[0, 2]] - logs[1]), np.exp(half_width(sd))
-    said = ", ".join(
-        f"{r:.3g} at s = {place:g} ({r / w:.3g} to {r * w:.3g})"
-        for r, w, place in zip(ratio, wide, s[[0, 2]], strict=True)
-    )
-    text = (
-        "the size of k(s) is not identifiable: neither weight nor a force of known size acts, only holders with "
-        f"unknown ones. Only ratios are known; k over k(0.5), with its 95 % band: {said}. Weigh the beam and let its "
-        "weight act, or hang on or measure one force"
-    )
-    return (Remark("warning", text, about="no scale"),)
+    ratios = np.stack([s[[0, 2]], ratio, ratio / wide, ratio * wide], axis=1)
+    return (*known, Notice("no scale", {"ratios": ratios.tolist()}))
+
+
+def _of_shape(known: KnownShape) -> Notice:
+    code, exact = "even k", ""
+    if known.section is not None:
+        code = "k by section"
+        if known.errors(np.zeros(1)).size == 0:
+            exact = "I_sd" if known.section.moment is not None else "section_sd_m"
+    return Notice(code, {"exact": exact, "varies": known.varies})

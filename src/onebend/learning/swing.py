@@ -16,13 +16,12 @@ from onebend.beam.stiffness import Profile, Scaled, Table, UncertainStiffness, U
 from onebend.beam.vibration import Vibration, settle, vibration_of
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning.frames import whitening
+from onebend.learning.outcome import Notice
 from onebend.learning.parameters import Priors
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.recording.signals import MAD_TO_SD
-from onebend.records import Array, Observations, Remark, covariance_with_camera
-
-# The frames of a recording in which the beam swings freely, and a first look at how fast and how damped it swings.
+from onebend.records import Array, Observations, covariance_with_camera
 
 _MARGIN = 0.1  # s after the last contact found: the tool leaves the beam within it
 _FEWEST = 12  # frames
@@ -72,11 +71,8 @@ class Glance:
 
 
 def find_swing(o: Observations, part: FilmPart = FilmPart()) -> Swing:
-    """The free swing after the last contact, or in the part of the film asked for.
-
-    Raises:
-        LearningError: no such frames, too few of them, no rest to swing about, a base that turns, no visible motion.
-    """
+    """The free swing after the last contact, or in `part` of the film. Raises `LearningError` for too few frames, no
+    rest, a base that turns, or no visible motion."""
     film_time = o.time - (o.source.clock.offset if o.source.clock is not None else 0.0)
     begin = _release(o, film_time) if part.begin is None else part.begin
     chosen = (film_time >= begin) & (film_time <= (np.inf if part.end is None else part.end))
@@ -124,11 +120,8 @@ def shortened(swing: Swing, duration: float) -> Swing:
 
 
 def glance(swing: Swing, expected: float) -> Glance:
-    """Frequency and decay from the number that is seen most often; `expected`: rad/s, what the model says.
-
-    Raises:
-        LearningError: the film is too slow for this beam, or too short.
-    """
+    """Frequency and decay of the best seen coordinate; `expected`: rad/s, of the model. Raises `LearningError` if the
+    film is too slow or too short."""
     highest = _NYQUIST * swing.rate * 2.0 * np.pi
     if expected > highest:
         raise LearningError(
@@ -154,8 +147,8 @@ def glance(swing: Swing, expected: float) -> Glance:
 
 
 def _release(o: Observations, film_time: Array) -> float:
-    """s on the film's clock from which the beam is free: after the last contact, or from where the tags swing through
-    rest though a force is logged, as sensors do that forget a load slowly."""
+    """s on the film's clock from which the beam is free: after the last contact, or from the first regular passage
+    through rest."""
     touched = np.flatnonzero(o.loaded)
     free = _swings_from(o, film_time)
     if np.isfinite(free) and not (len(touched) and film_time[touched[-1]] < free):
@@ -185,8 +178,7 @@ def _swings_from(o: Observations, film_time: Array) -> float:
 
 
 def swinging_part(time: Array, signals: Array) -> tuple[float, float]:
-    """s, from the first passage through the middle of a regular swing that dies away, to the end; all of it where no
-    signal (N, C) shows one."""
+    """s, from the first passage of a regular decaying swing to the end; all of it if no signal (N, C) shows one."""
     found = []
     for column in signals.T:
         seen = np.isfinite(column)
@@ -200,8 +192,8 @@ def swinging_part(time: Array, signals: Array) -> tuple[float, float]:
 
 
 def _first_passage(time: Array, value: Array, least: float) -> float:
-    """s, where the longest chain of half swings begins: alike in time, none much larger than the one before, none below
-    `least`; NaN where no chain has enough of them."""
+    """s, begin of the longest chain of half swings that are alike in time, do not grow and exceed `least`; NaN if it is
+    short."""
     change = np.flatnonzero(np.diff(np.sign(value)) != 0.0)
     share = value[change] / (value[change] - value[change + 1])
     passage = time[change] + share * (time[change + 1] - time[change])
@@ -237,8 +229,6 @@ def _left(time: Array, values: Array, omega: float, decay: float) -> tuple[Array
     found = np.linalg.lstsq(rows, values, rcond=None)[0]
     return values - rows @ found, found[:2]
 
-
-# The learned beam swinging: where its tags are, for a loss time, k over mass, and a state to start from.
 
 _STEPS = 40  # a period of the slowest mode
 _METHOD = IntegrationSettings(Method(3, "radau"))  # the fastest modes are over-damped; Gauss would let them ring
@@ -322,8 +312,6 @@ def at_rest(on: Body, gravity: Array) -> MotionState:
     """The body at rest under its weight."""
     return settle(on, Actions(gravity=gravity), load_steps=20 if np.any(gravity) else 1)
 
-
-# Least squares between a film of a free swing and the simulated motion, and how sure its result is.
 
 _ROUNDS, _ENOUGH = 25, 1e-3  # of Gauss-Newton; the step in sd at which it stops
 _HUBER = 3.0  # scaled sd beyond which a residual counts linearly
@@ -419,7 +407,6 @@ def _slope(problem: SwingProblem, x: Array, left: Array) -> Array:
 
 
 def _scale(left: Array) -> float:
-    """Spread of the residuals in sd of the tags' noise, at least a tenth of it."""
     return max(MAD_TO_SD * float(np.median(np.abs(left))), 0.1)
 
 
@@ -439,15 +426,8 @@ def _covariance(problem: SwingProblem, rows: Array, left: Array, scale: float) -
     return np.asarray(grown[:, None] * plain * grown)
 
 
-# Damping from a free swing, and k over mass beside it: least squares in marker space against the simulated motion.
-#
-# The learned beam moves by (7) with Kelvin-Voigt damping d(s) = tau k(s). Unknown are the loss time tau, one factor c
-# on k over mass (it sets the frequency), and the state at the first frame used: displacements and rates along the
-# slowest vibration modes. Nothing is asked of the release: the swing is taken from after it.
-#
-# The sd come from sums over half swings of what the fit leaves (White's estimate with blocks), and are never below
-# what the residuals' size alone would give: what is left is mostly the model's error, which is alike from frame to
-# frame.
+# The beam moves by (7) with Kelvin-Voigt damping d(s) = tau k(s). Unknown are tau, a factor c on k over mass, and the
+# first state along the slowest modes. The sd come from residuals summed over half swings (White's estimate).
 
 MassAlong = Literal["even", "width"]
 
@@ -492,11 +472,7 @@ class Damping:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Damping:
-        """Inverse of `as_dict`.
-
-        Raises:
-            LearningError: an entry is missing, unknown, not a number, or without meaning.
-        """
+        """Inverse of `as_dict`. Raises `LearningError` for an entry that is missing, unknown or without meaning."""
         names = {key + _UNITS.get(key, ""): key for key in cls.__dataclass_fields__}
         if set(data) != set(names):
             raise LearningError(f"must have the keys {', '.join(names)}")
@@ -532,7 +508,7 @@ class SwingFit:
     swing: Swing
     predicted: Array  # (T, m, 3) tags as the fitted motion moves them: x, y, angle
     rms: Array  # (m,) m, distance of the tags from it
-    remarks: tuple[Remark, ...]
+    remarks: tuple[Notice, ...]
 
 
 @one_blas_thread
@@ -545,14 +521,9 @@ def learn_damping(
     settings: DampingSettings = DampingSettings(),
     progress: Progress = Silent(),
 ) -> SwingFit:
-    """Loss time, and k over mass, from the free swing in a recording of a learned beam.
-
-    A beam without a mass gets the recording's; where neither is known, the mass that makes the frequency right is
-    found. `uncertain`: the band on k(s), for how sure the model's own frequency is.
-
-    Raises:
-        LearningError: no free swing is seen, or no motion of this beam follows it.
-    """
+    """Loss time, and k over mass, from a free swing of a learned beam. A beam without a mass gets the recording's, or
+    else the mass that fits the frequency. `uncertain`: the band on k(s). Raises `LearningError` if no swing is seen, or
+    no motion of this beam fits."""
     swing = find_swing(recording, part)
     weighed, known = _with_mass(beam, recording, settings)
     try:
@@ -615,7 +586,6 @@ def _uneven(mass: Profile, spread: float, rng: np.random.Generator) -> Profile:
 
 
 def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) -> SwingFit:
-    """Numbers of the fit, and what is to be said of them."""
     known, swing = problem.mass_known, problem.swing
     loss, factor = (float(np.exp(v)) for v in fitted.x[:2])
     sd = np.sqrt(np.diag(fitted.covariance))[:2]
@@ -646,42 +616,26 @@ def _result(problem: SwingProblem, fitted: Fitted, beam: Beam, model_sd: float) 
         rms=np.sqrt(np.nanmean(away**2, axis=0)),
         remarks=(),
     )
-    return replace(fit, remarks=_remarks(fit, fitted))
+    return replace(fit, remarks=_notices(fit, fitted))
 
 
-def _remarks(fit: SwingFit, fitted: Fitted) -> tuple[Remark, ...]:
-    out: list[Remark] = []
+def _notices(fit: SwingFit, fitted: Fitted) -> tuple[Notice, ...]:
+    out: list[Notice] = []
     if fitted.moved:
-        text = "The fit still moved when its rounds were used up: its numbers are provisional. Film for longer."
-        out.append(Remark("warning", text, about="swing"))
+        out.append(Notice("swing moved"))
     travel = np.sqrt(np.nanmean(np.sum((fit.swing.seen - fit.swing.rest)[..., :2] ** 2, axis=-1), axis=0))
     worst = int(np.nanargmax(fit.rms / travel))
     if fit.rms[worst] > _FAR_OFF * travel[worst]:
-        text = (
-            f"The tag at s = {fit.swing.s[worst]:.3g} is {1000 * fit.rms[worst]:.2g} mm (RMS) from the fitted motion, "
-            f"and {1000 * travel[worst]:.2g} mm from rest: the beam does not swing as the model says (another k(s) or "
-            "mass along it), or is touched while it swings. Learn k(s) again, and film a release that nothing touches."
-        )
-        out.append(Remark("warning", text, about="swing"))
+        values = {"s": float(fit.swing.s[worst]), "rms": float(fit.rms[worst]), "motion": float(travel[worst])}
+        out.append(Notice("swing missed", values))
     if fit.damping.loss_time_sd > _HARDLY * fit.damping.loss_time:
-        text = "The damping is hardly seen: film the swing for longer, or from further out."
-        out.append(Remark("warning", text, about="swing"))
+        out.append(Notice("damping unseen"))
     if fit.mass_known:
-        out.append(_check_of_stiffness(fit))
-    if not fit.mass_known and not np.isfinite(fit.mass_sd):
-        out.append(Remark("note", "The model has no band on k(s), so nothing says how sure the mass is."))
+        sd = float(np.hypot(fit.factor_sd, fit.model_sd))
+        away = abs(np.log(fit.factor)) / sd if np.isfinite(sd) else 0.0
+        code = "swing agrees" if away <= _CONTRADICTS else "swing contradicts"
+        values = {"factor": fit.factor, "sd": sd, "swing_sd": fit.factor_sd, "model_sd": fit.model_sd, "away": away}
+        out.append(Notice(code if np.isfinite(sd) else "swing without a band", values))
+    elif not np.isfinite(fit.mass_sd):
+        out.append(Notice("mass without a band"))
     return tuple(out)
-
-
-def _check_of_stiffness(fit: SwingFit) -> Remark:
-    """k over mass against the model's."""
-    sd = float(np.hypot(fit.factor_sd, fit.model_sd))
-    said = f"k over mass is {fit.factor:.3f} times the model's"
-    if not np.isfinite(sd):
-        return Remark("note", f"The swing says that {said}; the model has no band that would say if this is much.")
-    said += f" (sd {sd:.2g}: {fit.factor_sd:.2g} from the swing, {fit.model_sd:.2g} from k(s) and how the mass lies)"
-    away = abs(np.log(fit.factor)) / sd
-    if away > _CONTRADICTS:
-        text = f"The swing contradicts the model: {said}. Weigh the beam, and check the force's gain."
-        return Remark("warning", text, about="swing")
-    return Remark("note", f"The swing agrees with the model to {away:.1f} sd: {said}.")

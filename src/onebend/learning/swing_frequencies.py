@@ -1,12 +1,7 @@
-"""Natural frequencies in signals of a free swing: places of points, accelerations, whatever swings with the beam.
-
-All signals together are taken for a sum of damped sinusoids, each with one frequency and one decay, and with a size and
-a phase in every signal: least squares, in which only frequencies and decays are searched for (variable projection). The
-modes are found one after the other, as peaks of the spectrum of what the ones before leave.
-
-The sd come from the sums of the scores over blocks of several swings (White's estimate with blocks), and are never
-below what the size of the residuals alone would give.
-"""
+"""Natural frequencies in signals of a free swing. All signals are a sum of damped sinusoids with common frequencies and
+decays, fitted by least squares (variable projection). Modes are found in turn, as peaks of the spectrum of the
+residuals. The sd come from scores summed over blocks of swings (White's estimate), and are at least those of
+independent residuals."""
 
 from __future__ import annotations
 
@@ -17,9 +12,10 @@ from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
 from onebend.errors import LearningError
+from onebend.learning.outcome import Notice
 from onebend.learning.swing import FilmPart, swinging_part
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, IntArray, Remark
+from onebend.records import Array, BoolArray
 
 _FEWEST = 30  # samples
 _FAST = 0.2  # of the sampling rate: a faster mode may be one that is faster still
@@ -60,7 +56,7 @@ class FoundFrequencies:
     samples: int
     rate: float  # samples/s
     left: float  # of the signals' own size, RMS: what no mode explains
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Notice, ...] = ()
 
     def sped_up(self, times: float) -> FoundFrequencies:
         """As it was, where the record plays so many times slower."""
@@ -83,11 +79,7 @@ class _Signals:
 def frequencies_of(
     time: Array, signals: Array, part: FilmPart = FilmPart(), *, most: int = 4, name: str = "the signals"
 ) -> FoundFrequencies:
-    """`swing_frequencies` of a part of the record; where none is asked for, from the release on, if one is seen.
-
-    Raises:
-        LearningError: as `swing_frequencies`.
-    """
+    """`swing_frequencies` of a part of the record; by default from the release on, if one is seen. Raises the same."""
     _refuse_unordered(time, name)
     ends = swinging_part(time, signals)
     begin, end = (known if asked is None else asked for asked, known in zip((part.begin, part.end), ends, strict=True))
@@ -96,23 +88,14 @@ def frequencies_of(
     found = swing_frequencies(time[looked_at], signals[looked_at], most=most, name=name)
     if len(looked_at) == len(inside):
         return found
-    return replace(found, remarks=(*found.remarks, _too_many(time, inside, looked_at)))
-
-
-def _too_many(time: Array, inside: IntArray, looked_at: IntArray) -> Remark:
-    text = (
-        f"{len(inside)} samples from {time[inside[0]]:.2f} to {time[inside[-1]]:.2f} s are more than are looked at: "
-        f"the first {len(looked_at)} are, to {time[looked_at[-1]]:.2f} s. For more of it write fewer samples a second"
-    )
-    return Remark("note", text)
+    values = {"samples": len(inside), "used": len(looked_at)}
+    values |= {"begin": time[inside[0]], "end": time[inside[-1]], "last": time[looked_at[-1]]}
+    return replace(found, remarks=(*found.remarks, Notice("many samples", values)))
 
 
 def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str = "the signals") -> FoundFrequencies:
-    """The modes that show in signals (N, C) at times (N,) s, NaN where a signal is not known.
-
-    Raises:
-        LearningError: too few samples, times that do not rise, or nothing that swings.
-    """
+    """The modes in signals (N, C) at times (N,) s, NaN where unknown. Raises `LearningError` for too few samples, times
+    that do not rise, or no swing."""
     s = _prepared(time, signals, name)
     found: list[tuple[float, float]] = []  # rad/s, 1/s
     refused: list[tuple[float, float]] = []
@@ -139,7 +122,7 @@ def swing_frequencies(time: Array, signals: Array, *, most: int = 4, name: str =
     modes = _modes(s, found, covariance)
     size = float(np.sqrt(np.sum(_left(s, found) ** 2) / np.sum(s.value**2)))
     ends = float(time[0]), float(time[-1])
-    return FoundFrequencies(name, modes, *ends, len(s.time), s.rate, size, _remarks(modes, s))
+    return FoundFrequencies(name, modes, *ends, len(s.time), s.rate, size, _notices(modes, s))
 
 
 def _prepared(time: Array, signals: Array, name: str) -> _Signals:
@@ -263,7 +246,6 @@ def _highest_peak(s: _Signals, left: Array, known: list[tuple[float, float]]) ->
 
 
 def _on_even_times(even: Array, time: Array, value: Array) -> Array:
-    """Values at even times, straight between neighbours; 0 in gaps."""
     after = np.clip(np.searchsorted(time, even), 1, len(time) - 1)
     near = np.minimum(np.abs(even - time[after - 1]), np.abs(time[after] - even)) < 0.75 * (even[1] - even[0])
     return np.where(near, np.interp(even, time, value), 0.0)
@@ -295,17 +277,8 @@ def _is_multiple(hz: float, base: float) -> bool:
     return any(abs(hz / (n * base) - 1.0) < _MULTIPLE for n in (2, 3))
 
 
-def _remarks(modes: tuple[SwingFrequency, ...], s: _Signals) -> tuple[Remark, ...]:
-    out = []
+def _notices(modes: tuple[SwingFrequency, ...], s: _Signals) -> tuple[Notice, ...]:
     fastest = modes[-1].frequency
-    if fastest > _FAST * s.rate:
-        text = (
-            f"{fastest:.4g} Hz is fast for {s.rate:.4g} samples a second, and may be the image of a faster mode: see "
-            "whether it stays where it is at another frame rate"
-        )
-        out.append(Remark("note", text))
-    for one in modes:
-        if one.multiple_of:
-            text = f"{one.frequency:.4g} Hz is a multiple of {one.multiple_of:.4g} Hz: the way the points move, no mode"
-            out.append(Remark("note", text))
-    return tuple(out)
+    fast = (Notice("fast mode", {"frequency": fastest, "rate": s.rate}),) if fastest > _FAST * s.rate else ()
+    multiples = [one for one in modes if one.multiple_of]
+    return (*fast, *(Notice("multiple", {"frequency": one.frequency, "of": one.multiple_of}) for one in multiples))

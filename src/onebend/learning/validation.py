@@ -14,6 +14,7 @@ from onebend.beam.sensitivity import of_force, respond
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
+from onebend.learning import static_poses
 from onebend.learning.fit_data import AtRest
 from onebend.learning.frames import (
     from_the_clamp,
@@ -25,32 +26,19 @@ from onebend.learning.frames import (
     usable_frames,
 )
 from onebend.learning.frequencies import validated_frequencies
-from onebend.learning.outcome import Comparison
+from onebend.learning.outcome import Comparison, Notice
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.prediction import few_frames, variances
-from onebend.learning.static_poses import (
-    RESOLUTION,
-    SeenPoses,
-    elsewhere,
-    is_held,
-    pose_names,
-    pose_rms,
-    resolution_of,
-    seen_poses,
-    shapes_of,
-    unexplained,
-)
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, Observations, Remark
 
-_MOST_NAMED = 6  # poses
 _CHUNK = 500  # frames solved together: their tangents stay in the cache
 
 
 def simulate(beam: Beam, loads: Loads) -> Iterator[Equilibrium]:
     """Equilibria of the beam, chunk by chunk of the frames: those of very many frames would fill the memory."""
     for i in range(0, loads.size, _CHUNK):
-        yield follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), RESOLUTION))
+        yield follow(make_problem(beam, loads.take(slice(i, i + _CHUNK)), static_poses.RESOLUTION))
 
 
 @one_blas_thread
@@ -61,16 +49,10 @@ def validate(
     rest: AtRest | None = None,
     stiffness: UncertainStiffness | None = None,
 ) -> Comparison:
-    """Measured markers against the beam's own under the measured forces, in every usable frame.
-
-    The tags' mounting errors, as seen at rest, ride on the simulated beam too: what is compared is the bending. They
-    are taken from `rest`, or else against the beam's own shape at rest. `stiffness` is the beam's k(s) with its
-    band, where it has one and was learned from other recordings; then it is said how far off the tags are likely to be.
-
-    Raises:
-        LearningError: no usable frame, or weight acts and the beam has no mass.
-        MechanicsError: k(s) is not positive somewhere.
-    """
+    """Measured markers against the beam's under the measured forces, in every usable frame. The tags' mounting errors
+    come from `rest`, or else from the beam's own shape at rest. `stiffness`: its k(s) with a band, if it was learned
+    from other recordings; it gives the likely RMS. Raises `LearningError` without a usable frame, or without a mass
+    where weight acts; `MechanicsError` if k(s) is not positive."""
     frames = usable_frames(observations)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"
@@ -87,10 +69,10 @@ def validate(
     predicted, stable, converged, by_sensor = (np.concatenate(values) for values in zip(*parts, strict=True))
     measured = from_the_clamp(observations, frames, predicted)
     sensor_rms = np.sqrt(np.mean(by_sensor, axis=0))
-    remarks = _remarks(stable, converged)
-    seen = seen_poses(observations, frames)
+    notices: tuple[Notice | Remark, ...] = _notices(stable, converged)
+    seen = static_poses.seen_poses(observations, frames)
     if seen is not None:  # of static poses, which are one chunk
-        remarks += _pose_remarks(observations, frames, seen, solved, predicted)
+        notices += _pose_notices(observations, frames, seen, solved, predicted)
     return Comparison(
         name=observations.source.name,
         frame=observations.frame[frames],
@@ -105,7 +87,7 @@ def validate(
         rms=np.where(np.any(observations.marker_s), marker_rms(measured - predicted), np.nan),  # no clamp by itself
         sensor_rms=sensor_rms,
         likely_rms=_likely_rms(beam, observations, frames, stiffness, sensor_rms),
-        remarks=remarks + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
+        remarks=notices + (validated_frequencies(beam, observations) if has_mass(beam) else ()),
         static=observations.static,
     )
 
@@ -113,17 +95,13 @@ def validate(
 def marker_misfit(
     beam: Beam, observations: Observations, frames: BoolArray, rest: AtRest, near: Equilibrium | None = None
 ) -> tuple[Array, Equilibrium]:
-    """RMS (m,) [m] of each tag in a few frames, as `validate` has it, and the equilibria; NaN where the beam snaps
-    through in one of them. `near`: those of a similar beam, to begin at.
-
-    Raises:
-        MechanicsError: k(s) is not positive somewhere.
-    """
+    """RMS (m,) [m] of each tag in a few frames as in `validate`, NaN if the beam snaps through, and the equilibria.
+    `near`: those of a similar beam. Raises `MechanicsError` if k(s) is not positive."""
     if weighs(observations) and not has_mass(beam):
         raise LearningError(f"{observations.source.name}: {NEEDS_MASS}")
-    problem = make_problem(beam, loads_of(observations, frames), resolution_of(observations))
+    problem = make_problem(beam, loads_of(observations, frames), static_poses.resolution_of(observations))
     if observations.static:
-        solved = shapes_of(observations, frames, problem)
+        solved = static_poses.shapes_of(observations, frames, problem)
     elif near is not None and np.array_equal(near.problem.grid.nodes, problem.grid.nodes):
         solved = refine(problem, near.q)
     else:
@@ -137,15 +115,17 @@ def marker_misfit(
 def solved_frames(
     beam: Beam, observations: Observations, frames: BoolArray, near: Array | None = None
 ) -> Iterator[Equilibrium]:
-    """Under the measured loads, chunk by chunk; static poses in the equilibria that their points show, all together,
-    and so those of a film near shapes (F, Q) of a similar beam, where these are known."""
+    """Equilibria under the measured loads, in chunks; for static poses those that their points show; for a film near
+    shapes (F, Q), if known."""
     loads = loads_of(observations, frames)
     if not observations.static and near is not None:
-        yield refine(make_problem(beam, loads, RESOLUTION), near)
+        yield refine(make_problem(beam, loads, static_poses.RESOLUTION), near)
     elif not observations.static:
         yield from simulate(beam, loads)
     else:
-        yield shapes_of(observations, frames, make_problem(beam, loads, resolution_of(observations)))
+        yield static_poses.shapes_of(
+            observations, frames, make_problem(beam, loads, static_poses.resolution_of(observations))
+        )
 
 
 def mounting(beam: Beam, observations: Observations) -> Array:
@@ -185,9 +165,9 @@ def _by_sensor(solved: Equilibrium, observations: Observations, frames: BoolArra
 def _likely_rms(
     beam: Beam, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness | None, sensor_rms: Array
 ) -> Array:
-    """(m,) RMS that the band of k(s) and the tolerances of this push give with the force's noise; NaN where no band is
-    known, or where unknown wrenches hold the end."""
-    if stiffness is None or is_held(observations):
+    """(m,) RMS expected from the band of k(s), the push's tolerances and the force's noise; NaN without a band or with
+    held ends."""
+    if stiffness is None or static_poses.is_held(observations):
         return np.full(len(observations.marker_s), np.nan)
     few = few_frames(frames)
     [solved] = solved_frames(beam, observations, few)
@@ -195,54 +175,25 @@ def _likely_rms(
     return np.asarray(np.sqrt(np.nan_to_num(sensor_rms) ** 2 + sum(parts.values())))
 
 
-def _remarks(stable: BoolArray, converged: BoolArray) -> tuple[Remark, ...]:
-    out = []
-    if not np.all(converged):
-        out.append(
-            Remark(
-                "warning",
-                f"in {np.sum(~converged)} of {len(converged)} frames the simulated beam has no equilibrium on the "
-                "branch that grows from rest (it would snap through); these frames are left out of the comparison: "
-                "check the force and its place",
-                about="no equilibrium",
-            )
-        )
-    if not np.all(stable | ~converged):
-        text = f"in {np.sum(converged & ~stable)} frames the simulated beam has buckled"
-        text += ": check the force's sign, and that it is this beam"
-        out.append(Remark("warning", text, about="no equilibrium"))
-    return tuple(out)
+def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:
+    lost, buckled = int(np.sum(~converged)), int(np.sum(converged & ~stable))
+    snaps = (Notice("snaps", {"lost": lost, "frames": len(converged)}),) if lost else ()
+    return (*snaps, *((Notice("buckled", {"frames": buckled}),) if buckled else ()))
 
 
-def _pose_remarks(
-    o: Observations, frames: BoolArray, seen: SeenPoses, solved: Equilibrium, predicted: Array
-) -> tuple[Remark, ...]:
-    """Warnings on single poses: that no stable equilibrium is near the points, or another one than the stated history
-    leads to. Where most poses are far off, it is nothing of one pose."""
-    names, held = pose_names(o, frames), np.zeros(int(np.sum(frames)), dtype=bool) if o.held is None else o.held[frames]
-    rms = pose_rms(o.xy[frames] - predicted)
-    unlike = unexplained(rms, o.length) & ~held
-    out = []
-    if unlike.any():
-        text = (
-            f"no stable equilibrium of the beam under its loads is near the points: {_poses_off(names, rms, unlike)} "
-            "(RMS). Check the loads, clamp_deg, and the points there, and that nothing touched the beam"
-        )
-        out.append(Remark("warning", text, about="pose"))
-    off, other = elsewhere(solved, seen)
-    other &= ~unlike & ~held
-    if other.any():
-        text = (
-            "the points show another equilibrium than the base's turning leads to, and were followed: it would be off "
-            f"by {_poses_off(names, off, other)} (RMS). Check turned_from_deg and order, and that nobody touched the "
-            "beam"
-        )
-        out.append(Remark("warning", text, about="pose history"))
-    return tuple(out)
+def _pose_notices(
+    o: Observations, frames: BoolArray, seen: static_poses.SeenPoses, solved: Equilibrium, predicted: Array
+) -> tuple[Notice, ...]:
+    """Warnings on single poses: no stable equilibrium near the points, or another one than the history leads to."""
+    names = static_poses.pose_names(o, frames)
+    free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
+    rms = static_poses.pose_rms(o.xy[frames] - predicted)
+    unlike = static_poses.unexplained(rms, o.length) & free
+    off, other = static_poses.elsewhere(solved, seen)
+    found = (("pose", rms, unlike), ("pose history", off, other & ~unlike & free))
+    return tuple(Notice(code, {"poses": _farthest(names, far, which)}) for code, far, which in found if which.any())
 
 
-def _poses_off(names: tuple[str, ...], rms: Array, which: BoolArray) -> str:
-    """Poses with their distances [m], the farthest first."""
-    order = [i for i in np.argsort(-rms).tolist() if which[i]]
-    said = ", ".join(f"pose {names[i]} by {1e3 * rms[i]:.3g} mm" for i in order[:_MOST_NAMED])
-    return said + (f" and {len(order) - _MOST_NAMED} more" if len(order) > _MOST_NAMED else "")
+def _farthest(names: tuple[str, ...], rms: Array, which: BoolArray) -> tuple[tuple[str, float], ...]:
+    """Names of poses with their distances [m], the farthest first."""
+    return tuple((names[i], float(rms[i])) for i in np.argsort(-rms).tolist() if which[i])

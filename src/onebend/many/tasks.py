@@ -35,8 +35,8 @@ from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.records import Array
 from onebend.report.pictures import Pictures
+from onebend.report.sentences import all_remarks
 from onebend.report.verdict import verdict_of
-from onebend.report.wording import all_remarks
 from onebend.results.learned_files import LEARN_FORMAT, learned_writer, summary_of
 from onebend.results.observations_file import fields_from, to_data
 from onebend.results.provenance import InputFile, as_data, files_of, inputs_of, provenance

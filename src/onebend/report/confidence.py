@@ -13,26 +13,17 @@ from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import IDENTIFIED_SD, UncertainStiffness, half_width, half_width_words
 from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
 from onebend.learning.criticism import ALARM_WRITTEN
-from onebend.learning.outcome import modulus_along, modulus_unit, shown_places, size_words, stated_section
-from onebend.learning.posterior import Nuisance, Posterior, Tradeoff, tradeoffs, with_level
-from onebend.learning.verdict import possible, supposed_words
+from onebend.learning.outcome import Run, modulus_along, shown_places, stated_section
+from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_level
+from onebend.learning.verdict import possible, what_is_tested
 from onebend.recording.signals import runs
 from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection
-from onebend.report.wording import (
-    ANOTHER,
-    Findings,
-    change_words,
-    is_forced,
-    millimetres,
-    only_frequencies,
-    only_static,
-    significant,
-    span,
-)
+from onebend.report import wording
+from onebend.report.sentences import modulus_unit, odds, say, words
+from onebend.report.wording import millimetres, significant, span
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
 SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
-_BAND_PLACES = 401
 NARROW = 0.03  # of the beam: a gap between identified stretches that is as wide as the edge of a tag's patch
 _SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
 _SHOWN = {
@@ -61,16 +52,14 @@ class NuisanceRow:
 
 def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
     """First and last s of every stretch where k(s) is identified, to 1/400."""
-    s = np.linspace(0.0, 1.0, _BAND_PLACES)
+    s = np.linspace(0.0, 1.0, 401)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
 
 
 def identified_words(ranges: Sequence[tuple[float, float]]) -> str:
-    """Where k(s) is identified, as "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90"; narrow gaps are not named.
-
-    Neither is an identified stretch as short as they are, beside longer ones. `ranges`: at least one.
-    """
+    """Where k(s) is identified: "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90". Short gaps and stretches are left
+    out."""
     joined: list[list[tuple[float, float]]] = []
     for one in ranges:
         if joined and one[0] - joined[-1][-1][1] < NARROW:
@@ -98,7 +87,7 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
     return float(np.median(uncertain.half_width(s)))
 
 
-def stiffness_range(findings: Findings) -> tuple[float, float]:
+def stiffness_range(findings: Run) -> tuple[float, float]:
     """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
@@ -109,75 +98,49 @@ def stiffness_range(findings: Findings) -> tuple[float, float]:
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
-    """Sentences on where the data do not show k(s); one sentence only where all of k(s) is in doubt."""
+    """Sentences on where the data do not show k(s); one sentence if all of k(s) is in doubt."""
     if uncertain.doubts:
-        return [f"NOT TO BE TRUSTED: {'; '.join(uncertain.doubts)}. No place of k(s) counts as identified."]
+        return [say("in doubt", doubts="; ".join(uncertain.doubts))]
     ranges = identified_ranges(uncertain)
-    whose = "this recording says" if recordings == 1 else "these recordings say"
+    common = {"whose": "this recording says" if recordings == 1 else "these recordings say", "factor": FACTOR}
     if not ranges:
-        return [f"At no place {whose} enough: k(s) is not known to a factor of {FACTOR:.1f} (95 %) anywhere."]
-    rest = f"next to nothing: k is not known to a factor of {FACTOR:.1f} there (95 %)."
-    words = []
+        return [say("nowhere", **common)]
+    sentences = []
     if ranges[0][0] > 0.0:
-        words.append(f"Nearer to the clamp than s = {np.ceil(100 * ranges[0][0]) / 100:.2f} {whose} {rest}")
+        sentences.append(say("blind near the clamp", s=np.ceil(100 * ranges[0][0]) / 100, **common))
     gaps = [(before[1], after[0]) for before, after in pairwise(ranges)]
-    words += [f"Between s = {low:.2f} and s = {high:.2f} {whose} {rest}" for low, high in gaps if high - low >= NARROW]
+    sentences += [say("blind between", low=low, high=high, **common) for low, high in gaps if high - low >= NARROW]
     narrow = [f"{0.5 * (low + high):.2f}" for low, high in gaps if high - low < NARROW]
     if narrow:
-        words.append(f"Near s = {', '.join(narrow)}, over less than {NARROW:g} each, {whose} {rest}")
+        sentences.append(say("blind in places", places=", ".join(narrow), narrow=NARROW, **common))
     if ranges[-1][1] < 1.0:
-        words.append(f"Beyond s = {ranges[-1][1]:.2f} {whose} {rest}")
-    return words
-
-
-def gain_words(gain_sd: float, *, forced: bool = True) -> str:
-    """What the scale error of the force does to k(s), apart from the band's shape."""
-    if not forced:
-        return "Nothing but its weight bends the beam: the scale of k(s) is that of its weight, m g."
-    if gain_sd > 0.0:
-        return (
-            f"The force's scale is taken as known to {100 * gain_sd:.3g} % (sd; gain_sd in [force]): an error of it "
-            "moves all of k(s) alike, by as much, and is in the band."
-        )
-    return (
-        "The force's scale is taken as exact (gain_sd in [force]), and no error of it is in the band: a sensor that "
-        "reads 1 % too much makes all of k(s) 1 % too stiff."
-    )
+        sentences.append(say("blind at the tip", s=ranges[-1][1], **common))
+    return sentences
 
 
 def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
-    """What the scale of k(s) rests on: the force's, the loads', or the beam's own weight."""
-    if only_frequencies(recordings):
-        return "Only how fast the beam swings was measured: the scale of k(s) is that of its mass."
-    forced = [one for one in recordings if is_forced(one)]
-    if not only_static(forced) or not forced:
-        return gain_words(gain_sd, forced=bool(forced))
+    """What the scale of k(s) rests on: the scale of the force or of the loads, or the beam's own weight."""
+    if wording.only_frequencies(recordings):
+        return say("scale by mass")
+    forced = [one for one in recordings if wording.is_forced(one)]
+    if not forced:
+        return say("scale by weight")
+    if not wording.only_static(forced):
+        return say("gain", sd=gain_sd) if gain_sd > 0.0 else say("gain exact")
     sd = max(float(np.max(one.force_sd)) for one in forced)
-    known = f"known to {significant(1e3 * sd)} mN each (sd; load_sd_N)" if sd > 0.0 else "exact (load_sd_N)"
-    return (
-        f"The loads are taken as {known}. An error of their common scale is not in the band: a balance that reads 1 % "
-        "too much makes all of k(s) 1 % too stiff."
-    )
+    return say("loads", sd=significant(1e3 * sd)) if sd > 0.0 else say("loads exact")
 
 
 def load_error_words(load_error: tuple[float, float]) -> list[str]:
-    """What a force error that comes with the load (sd [N], share of the largest force) does to k(s); empty if small."""
+    """The effect of a force error that comes with the load (sd [N], share of the largest force); empty if small."""
     size, share = load_error
-    if share < SMALL_SHARE:
-        return []
-    return [
-        f"The force log seems off by about {size:.2g} N under load ({100 * share:.0f} % of the largest force), by "
-        "another amount while it grows than while it falls, which no rest shows. The fit corrects for it; the "
-        "uncertainty that remains is in the band. Push harder, or more than once, for a narrower band."
-    ]
+    return [] if share < SMALL_SHARE else [say("load error", size=size, share=share)]
 
 
 def stop_words(posterior: Posterior) -> str:
-    """Whether the fit converged; where not, why it stopped."""
-    steps = f"after {posterior.optimum.steps} steps"
-    if posterior.optimum.converged:
-        return f"converged {steps}: {posterior.optimum.stopped}"
-    return f"did not converge {steps}: {posterior.optimum.stopped}"
+    """Whether the fit converged, and why it stopped."""
+    found = posterior.optimum
+    return say("converged" if found.converged else "stopped early", steps=found.steps, why=found.stopped)
 
 
 def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
@@ -216,7 +179,7 @@ def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
         AllowanceRow(
             name=share.name,
             widening=f"{share.widening:.2f}",
-            change=change_words(share.shift),
+            change=wording.change_words(share.shift),
             sds=f"{share.sds:.1f}",
             matters=share.matters,
         )
@@ -242,8 +205,8 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
     critic = possible(posterior).criticism
     return [
         ModelTestRow(
-            what=supposed_words(finding, posterior),
-            odds=_odds(finding.score.log10_p),
+            what=words(what_is_tested(finding, posterior)),
+            odds=odds(finding.score.log10_p),
             size=millimetres(finding.score.size),
             shift=f"{100.0 * float(np.expm1(finding.shift)):.2g} %",
             alarm=finding in critic.alarms,
@@ -255,96 +218,64 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 def alarm_words(posterior: Posterior) -> str:
     """The threshold of the tests: among so many, some stand out by chance."""
     critic = possible(posterior).criticism
-    written = max(critic.alarm, ALARM_WRITTEN)
-    pushed = f" ({_odds(written)} for place and direction of the push, which people write down)"
-    return (
-        f"Of {len(critic.able)} tests some stand out by chance: one counts as standing out beyond "
-        f"{_odds(critic.alarm)}{'' if only_static([one.observations for one in posterior.recordings]) else pushed}, if "
-        "k(s) would change by more than half of its sd."
-    )
+    code = "alarm of poses" if wording.only_static([one.observations for one in posterior.recordings]) else "alarm"
+    return say(code, tests=len(critic.able), odds=critic.alarm, written=max(critic.alarm, ALARM_WRITTEN))
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:
-    """The strongest pairs, one sentence each; first what the mean of log k(s) depends on."""
+    """The strongest pairs, one sentence each; first the pairs with the mean of log k(s)."""
     level = with_level(posterior)
-    words = [f"{_pair(pair)}" for pair in level]
-    return words + [_pair(pair) for pair in tradeoffs(posterior) if pair not in level]
-
-
-def _pair(pair: Tradeoff) -> str:
-    how = "rise and fall together" if pair.correlation > 0.0 else "go against each other"
-    return f"{pair.first} and {pair.second} {how} (correlation {pair.correlation:+.2f})"
-
-
-def _odds(log10_p: float) -> str:
-    """A probability as "1 in N", to two digits, down to one in a billion."""
-    count = 10.0 ** min(-log10_p, 9.0)
-    whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
-    return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")
-
-
-# What the allowances do to k(s), in words: each with its share, and what would narrow the band.
-
-_MOST_TOLD = 2
-_MOST_HIDING = 3
+    pairs = [*level, *(pair for pair in tradeoffs(posterior) if pair not in level)]
+    return [say("together" if pair.correlation > 0.0 else "opposed", **vars(pair)) for pair in pairs]
 
 
 def share_words(share: Attribution) -> str:
-    """`relaxation (left out, k(s) would be 9.8 % off)`: what the data show of it, else what it costs."""
-    does = []
+    """The effect of an allowance on k(s) and its band: `relaxation (left out, k(s) would be 9.8 % off)`."""
+    effects = []
     if share.sure and share.shift > SHIFTS:
-        change = change_words(share.shift)
-        does.append(f"left out, {change} k(s)" if change == ANOTHER else f"left out, k(s) would be {change} off")
+        change = wording.change_words(share.shift)
+        effects.append(say("share: another" if change == wording.ANOTHER else "share: left out", change=change))
     if share.widening > WIDENS:
-        does.append(f"band {share.widening:.2f} times as wide")
-    if not does:
-        does.append(f"left out, k(s) might be {change_words(share.size)} off")
-    return f"{share.name} ({', '.join(does)})"
+        effects.append(say("share: wider", times=share.widening))
+    effects = effects or [say("share: open", change=wording.change_words(share.size))]
+    return f"{share.name} ({', '.join(effects)})"
 
 
 def narrower_words(posterior: Posterior) -> str:
-    """What would narrow the band, at most two things, and by how many times at most; empty where nothing that a person
-    can do would by much."""
+    """At most two measures that narrow the band, with the factor; empty if none helps by much."""
     shares = sorted((one for one in posterior.attributions if one.matters), key=lambda one: -one.widening)
     seen = [recording.observations for recording in posterior.recordings]
     every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
     told = [f"{what} (up to {widening:.2f} times)" for widening, what in every if what]
-    return ", ".join(told[:_MOST_TOLD])
+    return ", ".join(told[:2])
 
 
 def why_words(posterior: Posterior) -> str:
-    """Why k(s) is identified nowhere: what hides it, or that the tags would not tell it were all else known."""
+    """Why k(s) is identified nowhere: what hides it, or that the tags would not show it even if all else were known."""
     s, count = np.linspace(0.0, 1.0, 101), sum(len(one.force) for one in posterior.recordings)
     alone, with_one = hidden_by(posterior.problem, posterior.optimum, posterior.gain_sd, s)
     static = all(one.observations.static for one in posterior.recordings)
-    told = "one pose does" if static and count == 1 else "the poses do" if static else "the push does"
+    seen = "one pose does" if static and count == 1 else "the poses do" if static else "the push does"
     if np.min(alone) >= IDENTIFIED_SD:
         more = "bend the beam further, and read the points more exactly" if static else "push further"
-        return f"{told} not tell it even were all else known: {more}"
+        return say("hidden", seen=seen, do=more)
     best = int(np.argmin(alone))
     enough = {name: float(np.min(sd)) for name, sd in with_one.items() if np.min(sd) >= IDENTIFIED_SD}
     each = enough or {name: float(sd[best]) for name, sd in with_one.items() if sd[best] > WIDENS * alone[best]}
-    names = sorted(each, key=lambda name: -each[name])[:_MOST_HIDING]
-    one = "" if len(names) == 1 else ", each enough to hide it" if enough else ", which hide it together"
+    names = sorted(each, key=lambda name: -each[name])[:3]
+    how = "" if len(names) == 1 else ", each enough to hide it" if enough else ", which hide it together"
+    width = half_width_words(float(half_width(alone[best])))
     mends = "state more of that, or add poses under other loads" if static else "state more of that"
-    return (
-        f"{told} not tell it from {', '.join(names)}{one}. Were all else known, k would be known to "
-        f"{half_width_words(float(half_width(alone[best])))} at s = {s[best]:.2g}: {mends}"
-    )
+    return say("hidden by", seen=seen, causes=f"{', '.join(names)}{how}", width=width, s=s[best], do=mends)
 
 
 def mounting_words(posterior: Posterior) -> str:
-    """What differs between recordings, and whether the band holds it."""
+    """How much k(s) differs between recordings, and whether the band contains it."""
     if len(posterior.recordings) == 1:
-        return "What would differ were the beam mounted anew is not in the band: one recording cannot show it."
+        return say("one mounting")
     likely, low, high = posterior.mountings
-    if np.isnan(likely):
-        return ""
-    some = f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)" if high > low else ""
-    return (
-        f"Between the recordings k(s) differs by about {100.0 * likely:.2g} %{some}, one sd: the band is that of the "
-        "beam's own k(s), around which each recording has its own."
-    )
+    interval = f" ({100.0 * low:.2g} to {100.0 * high:.2g} %)" if high > low else ""
+    return "" if np.isnan(likely) else say("mountings", likely=likely, span=interval)
 
 
 def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
@@ -361,11 +292,6 @@ def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
     }
     way, is_open = ways.get(name, ("", False))
     return way if is_open else ""
-
-
-# Young's modulus as people read it, where the beam's section was measured.
-
-_MODULUS_PLACES = 201
 
 
 @dataclass(frozen=True)
@@ -391,7 +317,7 @@ class MeasuredBeam:
         return modulus_along(self.beam, self.uncertain, self.section, s)
 
 
-def measured_beam(findings: Findings) -> MeasuredBeam:
+def measured_beam(findings: Run) -> MeasuredBeam:
     """The beam of the findings, with the section that its recordings state."""
     uncertain = None if findings.posterior is None else findings.posterior.stiffness
     return MeasuredBeam(findings.beam, uncertain, stated_section(findings.recordings))
@@ -410,8 +336,7 @@ def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
 
 
 def one_modulus_words(measured: MeasuredBeam) -> str:
-    """E as one number with its band: "50.5 GPa (49.8 to 51.2)"; empty where k(s) was not learned as the section's shape
-    times a modulus."""
+    """E with its band, "50.5 GPa (49.8 to 51.2)"; empty if k(s) was not learned as a modulus times the section."""
     found = one_modulus(measured.uncertain or measured.beam.stiffness, measured.beam.length, measured.section)
     if found is None:
         return ""
@@ -421,9 +346,8 @@ def one_modulus_words(measured: MeasuredBeam) -> str:
 
 
 def modulus_range(measured: MeasuredBeam) -> str:
-    """Smallest and largest E where k(s) is identified, of all that is known where it is nowhere: "0.68 … 0.73 MPa";
-    empty where the section is not known, or at no place."""
-    band = measured.band(np.linspace(0.0, 1.0, _MODULUS_PLACES))
+    """Smallest and largest E where k(s) is identified, "0.68 … 0.73 MPa"; empty if the section is not known."""
+    band = measured.band(np.linspace(0.0, 1.0, 201))
     if band is None or not np.any(shown := shown_places(band)):
         return ""
     found = band.modulus[shown]
@@ -442,4 +366,4 @@ def modulus_words(measured: MeasuredBeam) -> list[str]:
     found = modulus_range(measured) or "not known at any place"
     one = one_modulus_words(measured)
     found = f"{one}, 95 %, mean along the beam; {found} at its places" if one else found
-    return [f"Young's modulus E = k L / I: {found}, by {', '.join(size_words(section))}, {known}"]
+    return [say("modulus", found=found, section=section, known=known)]

@@ -21,7 +21,6 @@ from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, 
 from onebend.report.wording import significant
 
 MM = 1000.0
-SNAPSHOTS = 6
 ARROW = 0.22  # of L, of the largest force
 TORN = 0.25  # of L: the neighbours of a sample that lie further apart belong to two sheets
 
@@ -41,7 +40,7 @@ def draw_reach(axes: Axes, result: Reach, error: PredictedError | None) -> None:
     """Snapshots, goal, point, force and ellipse."""
     s = np.linspace(0.0, 1.0, 121)
     shapes = result.shapes(s)
-    chosen = np.unique(np.round(np.linspace(0, len(shapes) - 1, SNAPSHOTS)).astype(int))
+    chosen = np.unique(np.round(np.linspace(0, len(shapes) - 1, 6)).astype(int))
     for i in chosen:
         last, rest = i == chosen[-1], i == 0
         label = "under the force" if last else "at rest" if rest else "on the way" if i == chosen[1] else None
@@ -93,10 +92,7 @@ def draw_reachable(axes: Axes, within: ReachableSet) -> None:
     bar.ax.set_ylim(0.0, within.max_force)
 
 
-# Pictures of a shape that hands hold, and of a path.
-
 TICK = 0.06  # of L: a wanted direction, and half a gripper's jaw
-PATH_SNAPSHOTS = 7
 S = np.linspace(0.0, 1.0, 121)
 
 
@@ -127,7 +123,7 @@ def shaping(beam: Beam, result: ShapeResult) -> Figure:
 def path_figure(way: FollowedPath) -> Figure:
     """The beam on its way, what the hands do in time, and what is missing to the goals."""
     figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
-    shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, PATH_SNAPSHOTS)).astype(int))
+    shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, 7)).astype(int))
     shapes = way.actuators.solved(way.q[shown], way.u[shown]).xy(S)
     for j, one in enumerate(shapes):
         places.plot(*(MM * one.T), color=BLUE, alpha=0.25 + 0.75 * j / max(len(shown) - 1, 1), lw=1.4)
@@ -145,7 +141,6 @@ def path_figure(way: FollowedPath) -> Figure:
 
 
 def _hands_in_time(axes: Axes, way: FollowedPath) -> None:
-    """Forces of the pushes; of a grip the pose."""
     for i, pusher in enumerate(way.actuators.pushes):
         axes.plot(way.time, way.forces[:, i, 0], color=hue_of(i), label=f"$F_x$ at s = {pusher.at_s:.3g}")
         axes.plot(way.time, way.forces[:, i, 1], "--", color=hue_of(i), label=f"$F_y$ at s = {pusher.at_s:.3g}")
@@ -201,8 +196,6 @@ def _jaw(axes: Axes, pose: Array, length: float) -> None:
     axes.plot(*(MM * np.stack([pose[:2] - across, pose[:2] + across]).T), color=ORANGE, lw=5, zorder=4)
 
 
-# The picture of a rehearsed closed loop: distance from the goal, and the force, over time.
-
 LEAST = 1e-5  # m: what the logarithmic axis shows of less
 LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 
@@ -232,7 +225,6 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
 
 
 def _said(axes: Axes, height: float, text: str) -> None:
-    """What a dotted line is, on it."""
     axes.text(0.01, 1.03 * height, text, fontsize=8, color=MUTED, va="bottom", transform=axes.get_yaxis_transform())
 
 
@@ -241,18 +233,14 @@ def _place(control: Controller) -> str:
     return f"({x:.4g}, {y:.4g})"
 
 
-# The picture of a force that a beam's shape told.
-
 _FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
-_ELLIPSES = 7  # frames of a contact that are drawn
 _BEYOND = 1.6  # of the largest force: the axes show no more of a band
 
 
 @styled
 def sensing(found: Sensed) -> Figure:
-    """Both components with their bands over time, and the log's; the moment, where it was asked for; the place; the
-    misfit of each frame; when contacts begin and end."""
+    """Force and moment over time with their bands, the log, the place, the misfit and the contacts."""
     more = int(found.moment is not None)
     figure, (x, y, *others, place, misfit) = blank(8.0 + 1.6 * more, 4 + more, 1, sharex=True)
     if found.moment is not None:
@@ -313,7 +301,7 @@ def sensed_regions(found: Sensed) -> Figure:
     """The force in its plane: 95 % regions of some frames, the log's path, and the direction that is known least."""
     figure, (axes,) = blank(4.6)
     rows = np.flatnonzero(found.touched)
-    chosen = rows[np.linspace(0, len(rows) - 1, min(_ELLIPSES, len(rows))).astype(int)]
+    chosen = rows[np.linspace(0, len(rows) - 1, min(7, len(rows))).astype(int)]
     axes.plot(*found.logged.T, "--", color=INK, lw=1.0, label="log")
     axes.plot(*found.force[rows].T, color=BLUE, lw=1.0, label="from the shape")
     for i, t in enumerate(chosen):

@@ -20,7 +20,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, Profile, UncertainStiffness
 from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.frames import distances
-from onebend.learning.outcome import Comparison, Explained, Learned, Trial
+from onebend.learning.outcome import Comparison, Explained, Learned, Run, Trial
 from onebend.learning.posterior import Nuisance
 from onebend.learning.validation import solved_frames
 from onebend.learning.verdict import explained
@@ -48,15 +48,12 @@ from onebend.report.style import (
     shape,
     styled,
 )
-from onebend.report.wording import LEVELS, Findings, highest_shown, millimetres, only_frequencies, significant, words_of
+from onebend.report.wording import LEVELS, highest_shown, millimetres, only_frequencies, significant, words_of
 from onebend.text_files import figure_text
-
-# The figures of what was learned: k(s) with its band, and the nuisances before and after the data.
 
 MM = 1000.0
 GREY = "#98a2b3"
 _S = np.linspace(0.0, 1.0, 401)
-_MOST_ROWS = 40  # of a picture
 _SAID = 0.05  # of the sd before the data: what it shrank by, or the value
 
 
@@ -69,10 +66,8 @@ def stiffness(
     tags: Mapping[int, float] = MappingProxyType({}),
     push_s: float | None = None,
 ) -> Figure:
-    """k(s) along the beam with its bands, grey where the data are blind; the regression's k(s) beside it.
-
-    The symbols are the tags, by id and place; hatched: what no push reached.
-    """
+    """k(s) with its bands, grey where it is not identified, beside the regression. Symbols: tags; hatched: never
+    loaded."""
     if uncertain is None:
         figure, (axes,) = blank(3.1)
         low, top = _plain(axes, beam.stiffness(_S))
@@ -95,7 +90,6 @@ def stiffness(
 
 
 def _plain(axes: Axes, k: Array) -> tuple[float, float]:
-    """A curve without a band; returns the lowest and highest value to show."""
     axes.plot(_S, k, color=BLUE)
     axes.fill_between(_S, 0.0, k, color=BLUE, alpha=0.08, linewidth=0)
     if k.min() <= 0.0:
@@ -145,7 +139,6 @@ def _reach(where: BoolArray) -> BoolArray:
 
 
 def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None:
-    """The tags on the axis, and what no push reached."""
     count = len(tags)
     for i, (tag, place) in enumerate(tags.items()):
         tint, text = hue_of(i, count), f"tag {tag}" if i == 0 else f"{tag}"
@@ -160,7 +153,7 @@ def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None
 def told(every: Sequence[Nuisance]) -> list[Nuisance]:
     """The nuisances of which the data say something, in their order; of many the 40 of which they say most."""
     said = np.array([max(1.0 - n.sd / n.prior_sd, abs(n.value) / n.prior_sd) for n in every])
-    most = np.argsort(-said, kind="stable")[:_MOST_ROWS]
+    most = np.argsort(-said, kind="stable")[:40]
     return [every[i] for i in sorted(most.tolist()) if said[i] > _SAID]
 
 
@@ -182,8 +175,6 @@ def nuisances(rows: Sequence[Nuisance]) -> Figure:
     axes.set(xlabel="value [sd before the data]\n(grey: one sd before; blue: value and one sd after)")
     return figure
 
-
-# Which frames a picture shows, and the beam simulated for them.
 
 LARGE = 0.99  # of the largest force: so large is as good to look at
 
@@ -235,11 +226,11 @@ def centreline(
     return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None
 
 
-# The figures of a report, one function a figure. Lengths are shown in mm, forces in N, stiffness in N m.
+# Lengths are shown in mm, forces in N, stiffness in N m.
 
 _A_ROW = 5  # markers whose names fit side by side
 _DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
-# What is drawn over a photo keeps a white edge, to be seen on any background.
+# A white edge, to be seen on any photo.
 _EDGED_WIDE: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
 
 
@@ -252,11 +243,7 @@ def fit_over_frame(
     observations: Observations,
     fitted: Explained | None = None,
 ) -> Figure:
-    """Measured tags and the beam at the largest push (to a percent), over the video frame (RGB) itself.
-
-    The beam is the one that the fit found, where there is a fit; dashed beside it, or else alone: simulated under the
-    force as logged.
-    """
+    """Measured tags and the fitted beam over the RGB frame of the largest push; dashed: under the logged force."""
     shown = comparison if fitted is None else fitted.comparison
     t = push_to_show(shown)
     logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
@@ -474,7 +461,6 @@ def force(observations: Observations, fitted: Explained | None = None) -> Figure
 
 
 def _flagged_spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """First and last time of every run of True."""
     return [(float(time[first]), float(time[end - 1])) for first, end in runs(flags)]
 
 
@@ -502,12 +488,8 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
     return figure
 
 
-# All figures of a report, by name.
-
-
-def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
-    """Every figure that the findings allow, in the order of the page. The film is read for those of its frames that
-    are not in `frames`."""
+def draw_all(findings: Run, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
+    """Every figure that the findings allow, in the order of the page. Frames that are not in `frames` are read."""
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     posterior = findings.posterior
     if posterior is not None and (rows_told := told(posterior.nuisances())):
@@ -519,8 +501,7 @@ def draw_all(findings: Findings, *, frames: KeptFrames | None = None, progress: 
     return _with_film(findings, draw(wanted | _of_recordings(findings, fits, kept), progress), fits[0], kept)
 
 
-def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
-    """What the recordings show, and how near the fit comes."""
+def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFrames) -> dict[str, Draw]:
     beam, learned = findings.beam, findings.learned
     training, recording = findings.trainings[0], findings.recordings[0]
     wanted: dict[str, Draw] = {
@@ -551,7 +532,7 @@ def _of_recordings(findings: Findings, fits: Sequence[Explained | None], kept: K
     return wanted | validation_figures(beam, pairs, *own)
 
 
-def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
+def _with_film(findings: Run, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
     """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
     if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
         return pictures
@@ -563,7 +544,7 @@ def _with_film(findings: Findings, pictures: Pictures, fitted: Explained | None,
         return pictures
 
 
-def _stiffness(findings: Findings) -> Figure:
+def _stiffness(findings: Run) -> Figure:
     """k(s) with its band, and the regression's beside it where it is not the result itself."""
     posterior, learned, first = findings.posterior, findings.learned, findings.trainings[0]
     pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in findings.trainings])
@@ -613,18 +594,14 @@ def fit(
     )
 
 
-# One picture of a recording before it is learned from: what was understood, drawn over what was filmed.
-
 ROWS = 4000  # of the log that are drawn
 ARROW = 0.3  # of the beam's length
 _EDGED_NARROW: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground="white")]}
 
 
 def check_picture(found: Overview) -> Figure | None:
-    """A frame with the tags, the beam's axis and the largest force; below it the force over time.
-
-    Of tracks and poses, which have no picture, the tags in the plane. None where there is nothing to draw.
-    """
+    """A frame with tags, axis and largest force, and the force over time; without a film the tags in the plane, or
+    None."""
     return None if found.preview is None and found.observations is None else _drawn(found)
 
 
@@ -647,11 +624,10 @@ def _drawn(found: Overview) -> Figure:
     return figure
 
 
-def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -> None:
-    """The frame that says most, the ids in it, the axis and the arrow."""
+def _frame(axes: Axes, description: Recording, preview: Preview, log: ForceLog | None) -> None:
     at = preview.shown
     frame, tags = preview.looked[at], preview.sightings[at]
-    expected = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
+    expected = [tag.id for tag in (*description.tags.on_base, *description.tags.on_beam)]
     axes.imshow(frame.luma, cmap="gray", vmin=0, vmax=255)
     axes.set_axis_off()
     for tag in tags:
@@ -661,7 +637,7 @@ def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -
         below: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "top", "weight": "bold"}
         axes.annotate(str(tag.tag_id), low, (0, -7), color=colour, **below, **_EDGED_NARROW)
     if preview.markers is not None and preview.markers.view is not None:
-        _axis(axes, rec, preview, preview.markers.view, at, log)
+        _axis(axes, description, preview, preview.markers.view, at, log)
     here = {tag.tag_id for tag in tags}
     ever = {tag.tag_id for found in preview.sightings for tag in found}
     missing = [f"{tag}{' (in other frames)' if tag in ever else ''}" for tag in expected if tag not in here]
@@ -672,10 +648,10 @@ def _frame(axes: Axes, rec: Recording, preview: Preview, log: ForceLog | None) -
     axes.set_title("; ".join(words))
 
 
-def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:
+def _axis(axes: Axes, description: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:
     """The beam's x axis and y axis at the base, the line of its tags, and the largest force where it is said to act."""
     assert preview.markers is not None
-    markers, length = preview.markers, rec.beam.length
+    markers, length = preview.markers, description.beam.length
     ends = project(view, np.array([[0.0, 0.0], [length, 0.0], [0.0, 0.25 * length]]))
     for end, name in ((ends[1], "x"), (ends[2], "y")):
         axes.annotate("", end, ends[0], arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 1.4})
@@ -686,10 +662,10 @@ def _axis(axes: Axes, rec: Recording, preview: Preview, view: View, at: int, log
     good = np.isfinite(points).all(axis=1)
     axes.plot(*project(view, points[good]).T, color=BLUE, linewidth=1.6, linestyle=(0, (4, 3)), label="the beam's axis")
     _tool(axes, preview, view, s[good], points[good])
-    place = rec.push.at if rec.push is not None else np.nan
+    place = description.push.at if description.push is not None else np.nan
     if log is None or not np.isfinite(place) or good.sum() < 2:
         return
-    force = tared(rec, log)
+    force = tared(description, log)
     largest = force[int(np.argmax(np.linalg.norm(force, axis=1)))]
     size = float(np.linalg.norm(largest))
     where = np.array([np.interp(place, s[good], points[good, k]) for k in (0, 1)])
@@ -713,7 +689,6 @@ def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> 
 
 
 def _plane(axes: Axes, found: Overview) -> None:
-    """Where tracks or poses have the tags, in the beam's frame."""
     assert found.observations is not None
     o = found.observations
     for i, tag in enumerate(o.tag_id.tolist()):
@@ -726,7 +701,6 @@ def _plane(axes: Axes, found: Overview) -> None:
 
 
 def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
-    """The force on the beam over time, with the film's span, its rests and its push."""
     force = tared(found.recording, log)
     every = max(1, len(force) // ROWS)
     for values, name, colour in zip(force[::every].T, ("along x", "along y"), (BLUE, ORANGE), strict=True):
@@ -778,8 +752,8 @@ def _film_span(found: Overview) -> tuple[float, float] | None:
     return start, start + found.preview.looked[-1].time
 
 
-def _give(rec: Recording) -> str:
-    doubt = rec.start[1]
+def _give(description: Recording) -> str:
+    doubt = description.start[1]
     return f" (to {doubt:.2g} s)" if np.isfinite(doubt) and doubt > 0.0 else ""
 
 

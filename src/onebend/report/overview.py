@@ -11,7 +11,6 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from onebend.errors import ObservationError, OnebendError, told
-from onebend.learning.outcome import size_words
 from onebend.recording.bag_topics import bag_span
 from onebend.recording.beam_frame import read_base_log, rest_shape
 from onebend.recording.clock import ClockSettings, reach_of
@@ -28,6 +27,7 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
 from onebend.records import Array, ForceLog, Markers, Observations, Remark
+from onebend.report.sentences import size_words
 from onebend.report.wording import significant
 
 STEP, MOST_OFFSETS = 0.05, 2000  # s between offsets of the clocks that are tried, and how many at most
@@ -66,11 +66,8 @@ class FilmInfo:
 
 
 def overview(folder: Path | str) -> Overview:
-    """Read and check every file of a recording, and look for its tags in some frames of the film.
-
-    Raises:
-        RecordingError: a file cannot be read, with all that `read_recording` says.
-        ObservationError: marker tracks or poses that make no observations.
+    """Read and check every file of a recording, and look for its tags in some frames of the film. Raises
+    `RecordingError` for a file that cannot be read, `ObservationError` for tracks or poses that make no observations.
     """
     recording = read_recording(folder)
     section = stated_in(recording).section
@@ -112,25 +109,25 @@ def film_info(video: VideoEntry, preview: Preview) -> FilmInfo:
     return FilmInfo(width, height, None, seconds)
 
 
-def _faults(recording: Recording, preview: Preview, film: FilmInfo | None, log: ForceLog | None) -> list[str]:
+def _faults(description: Recording, preview: Preview, film: FilmInfo | None, log: ForceLog | None) -> list[str]:
     """For what `learn` would end, in its own words."""
     faults = [preview.fault] if preview.fault else []
     if preview.whole and preview.frames < FEWEST_FRAMES:
         faults.append(
-            f"{recording.name}: there are {preview.frames} frames; at least {FEWEST_FRAMES} are needed. Film the whole "
-            "push, with the beam at rest before it."
+            f"{description.name}: there are {preview.frames} frames; at least {FEWEST_FRAMES} are needed. Film the "
+            "whole push, with the beam at rest before it."
         )
     if log is None:
         return faults
     checks: list[Callable[[], None]] = [
-        lambda: refuse_other_unit(_largest(recording, log), recording.beam.mass, recording.name)
+        lambda: refuse_other_unit(_largest(description, log), description.beam.mass, description.name)
     ]
     if film is not None and np.isfinite(film.seconds):
-        checks.append(lambda: _refuse_apart(recording, film.seconds, log))
+        checks.append(lambda: _refuse_apart(description, film.seconds, log))
     markers = preview.markers
     if markers is not None:
-        checks.append(lambda: check_pace(recording, markers, log))
-        checks.append(lambda: _refuse_axes(recording, markers, log))
+        checks.append(lambda: check_pace(description, markers, log))
+        checks.append(lambda: _refuse_axes(description, markers, log))
     return faults + [words for words in map(_words, checks) if words]
 
 
@@ -143,33 +140,32 @@ def _words(check: Callable[[], None]) -> str:
     return ""
 
 
-def _largest(recording: Recording, log: ForceLog) -> Array:
+def _largest(description: Recording, log: ForceLog) -> Array:
     """(1, 2) N, about the largest force on the beam."""
-    force = tared(recording, log)
+    force = tared(description, log)
     return force[[int(np.argmax(np.linalg.norm(force, axis=1)))]]
 
 
-def tared(recording: Recording, log: ForceLog) -> Array:
-    """(N, 2) N, the log's force on the beam in its axes without spikes and quick noise, less what it shows in its
-    first rows: roughly its zero."""
+def tared(description: Recording, log: ForceLog) -> Array:
+    """(N, 2) N, the log's force on the beam without spikes and quick noise, less the force in its first rows."""
     bad = outliers(log.force, spacing=step(log.time))
     span = max(1, round(SMOOTH / step(log.time)))
     values = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
     smooth = uniform_filter1d(np.stack(values, axis=1), min(span, len(bad) // 4), axis=0, mode="nearest")
-    force = smooth @ to_beam(recording.force.rotation if recording.force else 0.0)
-    if recording.force is not None and recording.force.acts_on == "robot":
+    force = smooth @ to_beam(description.force.rotation if description.force else 0.0)
+    if description.force is not None and description.force.acts_on == "robot":
         force = -force
     first = max(5, len(force) // 50)
     return np.asarray(force - np.median(force[:first], axis=0))
 
 
-def _force_remarks(recording: Recording, log: ForceLog | None) -> tuple[Remark, ...]:
-    return () if log is None else size_remarks(_largest(recording, log), recording.beam.mass)
+def _force_remarks(description: Recording, log: ForceLog | None) -> tuple[Remark, ...]:
+    return () if log is None else size_remarks(_largest(description, log), description.beam.mass)
 
 
-def _refuse_apart(recording: Recording, seconds: float, log: ForceLog) -> None:
+def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None:
     """Raise where no start that is possible by what is written lets film and log overlap."""
-    start, doubt = recording.start
+    start, doubt = description.start
     if not np.isfinite(start + doubt):
         return
     slack = reach_of(doubt, ClockSettings().margin)
@@ -182,15 +178,12 @@ def _refuse_apart(recording: Recording, seconds: float, log: ForceLog) -> None:
         )
 
 
-def _refuse_axes(recording: Recording, markers: Markers, log: ForceLog) -> None:
-    """Raise where the force contradicts the bending in the frames that were looked at, as `learn` does for all.
-
-    The clocks are brought together by the size of the force and of the bending, which no sign and no axis changes. What
-    is less than certain is left to `learn`.
-    """
-    away, force = displacement(markers), tared(recording, log)
-    start, doubt = recording.start
-    place = np.nan if recording.push is None else recording.push.at
+def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> None:
+    """Raise if the force contradicts the bending in these frames. The clocks are matched by the sizes of force and
+    bending, which no sign or axis changes."""
+    away, force = displacement(markers), tared(description, log)
+    start, doubt = description.start
+    place = np.nan if description.push is None else description.push.at
     if not np.isfinite(start + doubt + place) or not away.max() > 0.0:
         return
     size, reach = np.linalg.norm(force, axis=1), reach_of(doubt, ClockSettings().margin)
@@ -204,7 +197,7 @@ def _refuse_axes(recording: Recording, markers: Markers, log: ForceLog) -> None:
     at_frames = np.stack([np.interp(time, log.time, column) for column in force.T], axis=1)
     loaded = bent(markers)
     rest = rest_shape(markers, ~loaded)
-    check_direction(recording, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
+    check_direction(description, markers, rest, at_frames, np.full(len(time), place), loaded, refuse=True)
 
 
 def _likeness(time: Array, away: Array, log_time: Array, size: Array) -> float:
@@ -216,7 +209,6 @@ def _likeness(time: Array, away: Array, log_time: Array, size: Array) -> float:
 
 
 def _tag_rows(preview: Preview | None) -> list[tuple[str, str]]:
-    """Which tags were seen, and how wide."""
     if preview is None:
         return []
     seen = sorted({tag.tag_id for found in preview.sightings for tag in found})
@@ -224,79 +216,79 @@ def _tag_rows(preview: Preview | None) -> list[tuple[str, str]]:
     return [("tags seen", f"{ids}, in {len(preview.looked)} frames spread over the film")]
 
 
-def _beam_rows(recording: Recording) -> list[tuple[str, str]]:
-    beam, tags = recording.beam, recording.tags
+def _beam_rows(description: Recording) -> list[tuple[str, str]]:
+    beam, tags = description.beam, description.tags
     mass = f"{1000 * beam.mass:.4g} g" if np.isfinite(beam.mass) else "mass not given"
     places = ", ".join(f"tag {tag.id} at s = {tag.s:.3g}" for tag in tags.on_beam)
     base = ", ".join(f"tag {tag.id}" for tag in tags.on_base)
-    weight = "acts in the plane of bending" if recording.gravity is not None else "across the plane of bending"
-    swings = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in recording.frequencies]
+    weight = "acts in the plane of bending" if description.gravity is not None else "across the plane of bending"
+    swings = [f"{one.hz:.5g} Hz (sd {one.sd:.2g})" for one in description.frequencies]
     size = f"{tags.family}, {1000 * tags.size:.4g} mm; " if np.isfinite(tags.size) else ""
     return [
         ("beam", f"{1000 * beam.length:.4g} mm long, {mass}, at rest: {beam.rest}; gravity {weight}"),
-        *([] if recording.only_frequencies else [("tags", f"{size}{base or 'none'} on the base; {places}")]),
+        *([] if description.only_frequencies else [("tags", f"{size}{base or 'none'} on the base; {places}")]),
         *([("swings", ", ".join(swings))] if swings else []),
     ]
 
 
-def _film_rows(recording: Recording, film: FilmInfo | None) -> list[tuple[str, str]]:
-    if recording.poses is not None or recording.photos is not None:
-        return _pose_rows(recording)
-    if recording.markers is not None:
-        tracks = read_tracks(recording)
+def _film_rows(description: Recording, film: FilmInfo | None) -> list[tuple[str, str]]:
+    if description.poses is not None or description.photos is not None:
+        return _pose_rows(description)
+    if description.markers is not None:
+        tracks = read_tracks(description)
         rate = (len(tracks.time) - 1) / max(float(np.ptp(tracks.time)), 1e-9)
         seen = 100.0 * float(np.mean(np.isfinite(tracks.xy).all(axis=-1)))
         said = f"{len(tracks.time)} frames, {np.ptp(tracks.time):.2f} s at {significant(rate)} Hz, {seen:.3g} % of the"
-        return [("markers", f"{recording.markers.file.name}, {said} points there")]
-    if film is None or recording.video is None:
+        return [("markers", f"{description.markers.file.name}, {said} points there")]
+    if film is None or description.video is None:
         return []
     length = f", {film.seconds:.2f} s" if np.isfinite(film.seconds) else ""
     count = f", {film.frames} frames" if film.frames else ""
-    camera = recording.camera
+    camera = description.camera
     how = "not calibrated: the tags' size gives the scale"
     if camera is not None:
         how = f"calibrated at {camera.width} x {camera.height}, fx = {camera.fx:.0f} px"
-    if np.isfinite(recording.scale_sd):
-        how += f"; lengths to {100.0 * recording.scale_sd:.3g} % (sd)"
-    video = " ".join((recording.video.file.name, recording.video.topic)).strip()
+    if np.isfinite(description.scale_sd):
+        how += f"; lengths to {100.0 * description.scale_sd:.3g} % (sd)"
+    video = " ".join((description.video.file.name, description.video.topic)).strip()
     return [("video", f"{video}, {film.width} x {film.height}{count}{length}"), ("camera", how)]
 
 
-def _pose_rows(recording: Recording) -> list[tuple[str, str]]:
+def _pose_rows(description: Recording) -> list[tuple[str, str]]:
     """Poses and loads; photos are not searched for tags."""
-    source = recording.poses or recording.photos
+    source = description.poses or description.photos
     assert source is not None
-    loads = read_loads(source.loads, recording, source.axes)
+    loads = read_loads(source.loads, description, source.axes)
     forces = np.linalg.norm(loads.force, axis=1)
     more = "; further forces or moments besides" if loads.others is not None else ""
     said = f"{source.loads.name}, {len(loads.names)} poses, {forces.min():.3g} … {forces.max():.3g} N{more}"
-    if recording.photos is not None:
-        return [("photos", recording.photos.folder.name), ("loads", said)]
-    assert recording.poses is not None
-    points, name = read_points(recording, loads), recording.poses.file.name
+    if description.photos is not None:
+        return [("photos", description.photos.folder.name), ("loads", said)]
+    assert description.poses is not None
+    points, name = read_points(description, loads), description.poses.file.name
     known = np.isfinite(points.xy[np.arange(len(points.xy)) != points.readings.bare])  # of the zero nothing is read
     seen, both = int(known.any(axis=-1).sum()), int(known.all(axis=-1).sum())
     return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
 
 
-def _log_rows(recording: Recording, log: ForceLog | None, preview: Preview | None) -> list[tuple[str, str]]:
-    if log is None or recording.force is None or recording.push is None:
-        return [] if recording.poses is not None or recording.photos is not None else [("force", "none")]
+def _log_rows(description: Recording, log: ForceLog | None, preview: Preview | None) -> list[tuple[str, str]]:
+    if log is None or description.force is None or description.push is None:
+        return [] if description.poses is not None or description.photos is not None else [("force", "none")]
     span = log.time[-1] - log.time[0]
     rate = 1.0 / float(np.median(np.diff(log.time)))
     reach = ", ".join(f"{low:.2f} … {high:.2f} N" for low, high in zip(log.force.min(0), log.force.max(0), strict=True))
-    column = recording.push.column
-    place = f"column {column}" if column else f"s = {recording.push.at:.3g}"
+    column = description.push.column
+    place = f"column {column}" if column else f"s = {description.push.at:.3g}"
     place += f"; the film shows the tool at s = {preview.tool.words}" if preview and preview.tool.seen else ""
-    start, doubt = recording.start
-    source = " ".join((recording.force.file.name, recording.force.topic)).strip()
-    what = "the video starts" if recording.video is not None else "the tracks start"
+    start, doubt = description.start
+    source = " ".join((description.force.file.name, description.force.topic)).strip()
+    what = "the video starts" if description.video is not None else "the tracks start"
     told = f"give or take {doubt:.2g} s" if doubt > 0.0 else "as written: exact, nothing is looked for"
     said = f"{what} at {start:.3f} s of the log, {told}"
     return [
         ("force log", f"{source}, {len(log.time)} rows, {span:.2f} s at {significant(rate)} Hz"),
-        ("force as logged (x, y)", f"{reach}; on the {recording.force.acts_on}, turned by "
-                                   f"{np.rad2deg(recording.force.rotation):.4g} deg"),
+        ("force as logged (x, y)", f"{reach}; on the {description.force.acts_on}, turned by "
+                                   f"{np.rad2deg(description.force.rotation):.4g} deg"),
         ("push", place),
         ("clocks", said if np.isfinite(start) else "the start is not given and will be looked for in the whole log"),
     ]  # fmt: skip

@@ -30,14 +30,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Small frames of the film to look through on the page: the fitted beam, the tags and the force in their pixels.
+# Small frames of the film for the page.
 
 MOST_FRAMES = 24  # fewer than are kept of most films
 WIDEST = 560  # px
 LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
 QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
-_ARROW = 0.25  # of the beam's length, at the largest force
-_DRAWS = 16  # of k(s), for the band of the shape
 _STEP = 4  # of the centre line's places, one is drawn
 
 
@@ -83,8 +81,7 @@ def film_strip(
     uncertain: UncertainStiffness,
     kept: KeptFrames | None = None,
 ) -> FilmStrip | None:
-    """Frames spread evenly over those of the fit, the film being read for those that are not `kept`; None where it is
-    gone, or there is no camera."""
+    """Frames spread evenly over those of the fit; those not in `kept` are read. None without a film or a camera."""
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
         return None
@@ -124,18 +121,15 @@ def film_strip(
 def shape_band(
     beam: Beam, uncertain: UncertainStiffness, observations: Observations, fitted: Explained, chosen: NDArray[np.int_]
 ) -> Array:
-    """(F, 2, places, 2) m, either side of the fitted centre line: what the uncertainty of k(s) alone does to the shape.
-
-    Beams drawn from the posterior of k(s) are bent by the loads of the frames `chosen`, and the fitted line is moved by
-    the quantile of how far they lie to its side. Errors of the force, which the fit sees together with k(s), are left
-    out. Without width where the drawn beams cannot be simulated.
-    """
+    """(F, 2, places, 2) m, either side of the fitted centre line: 95 % of the shapes of beams with k(s) drawn from its
+    posterior, under the loads of the frames `chosen`. Force errors are not included. Zero width if no drawn beam can be
+    simulated."""
     lines = fitted.line[chosen, ::_STEP]
     s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
     frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
     bent: list[Array] = []
     near: Array | None = None
-    for profile in uncertain.draw(_DRAWS, seed=0):
+    for profile in uncertain.draw(16, seed=0):
         try:
             [solved] = solved_frames(replace(beam, stiffness=profile), observations, frames, near)
         except MechanicsError:
@@ -158,7 +152,7 @@ def _arrows(view: View, length: float, fitted: Explained, chosen: NDArray[np.int
     places = np.nan_to_num(shown.push_s[chosen], nan=1.0)
     at = lines[np.arange(len(chosen)), (places * (lines.shape[1] - 1)).round().astype(int)]
     largest = max(float(np.max(np.linalg.norm(shown.force, axis=1))), 1e-12)
-    begin = at - _ARROW * length * shown.force[chosen] / largest
+    begin = at - 0.25 * length * shown.force[chosen] / largest
     return np.asarray(project(view, np.stack([begin, at], axis=1)))
 
 

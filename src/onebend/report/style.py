@@ -5,10 +5,11 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, ParamSpec
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps, rc_context, rc_params_from_file
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
@@ -26,32 +27,7 @@ MARKER_COLOURS = (BLUE, ORANGE, GREEN, PINK, "#56b4e9", "#e69f00", "#000000")
 _LIGHTEST = 0.9  # of the colour map: what is lighter is lost on white
 MARKER_SHAPES = ("o", "s", "^", "D", "v", "P", "X")
 
-_LOOK: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.5,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlecolor": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": FAINT,
-    "grid.linewidth": 0.6,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "lines.linewidth": 1.8,
-    "lines.solid_capstyle": "round",
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-}
+_LOOK = rc_params_from_file(Path(__file__).with_name("look.mplstyle"), use_default_template=False)
 
 P = ParamSpec("P")
 
@@ -76,10 +52,7 @@ def blank(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tup
 
 
 def png_of(figure: Figure, *, software: str | None = None) -> bytes:
-    """The figure as a PNG, without a date: the same findings give the same bytes.
-
-    It is laid out once and drawn once; `Figure.savefig` draws everything once more, to lay it out.
-    """
+    """The figure as a PNG without a date. It is laid out and drawn once; `Figure.savefig` would draw it twice."""
     with rc_context(_LOOK):
         stream = io.BytesIO()
         if (engine := figure.get_layout_engine()) is not None:

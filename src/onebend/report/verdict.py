@@ -1,7 +1,4 @@
-"""The verdict on k(s): what it is, what it rests on, what it is good for, and what to do next.
-
-One function makes it, and terminal, report and `summary.json` say it in the same words.
-"""
+"""The verdict on k(s), for terminal, report and `summary.json`: value, grounds, use and next step."""
 
 from __future__ import annotations
 
@@ -14,33 +11,14 @@ import numpy as np
 
 from onebend.beam.stiffness import half_width_words
 from onebend.errors import section
-from onebend.learning.criticism import Suspect
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison
+from onebend.learning.outcome import Comparison, Run, another_beam, poor_fit
 from onebend.learning.posterior import Grade, Posterior
-from onebend.learning.verdict import cause_words, fitted_rms, possible
-from onebend.records import Array, Observations
-from onebend.report.confidence import (
-    identified_ranges,
-    identified_words,
-    measured_beam,
-    narrower_words,
-    one_modulus_words,
-    share_words,
-    stiffness_range,
-    typical_half_width,
-    why_words,
-)
-from onebend.report.wording import (
-    Findings,
-    another_beam,
-    millimetres,
-    only_frequencies,
-    poor_fit,
-    significant,
-    span,
-    tag_words,
-)
+from onebend.learning.verdict import cause, fitted_rms, possible
+from onebend.records import Array
+from onebend.report import confidence
+from onebend.report.sentences import SENTENCES, remedy, say
+from onebend.report.wording import millimetres, only_frequencies, significant, span, tag_words
 
 AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
 _MOST_NAMED = 4  # allowances, tests
@@ -79,8 +57,6 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Error:
-    """The worst tag of the recordings that count."""
-
     of: ErrorOf
     rms: float  # m
     tag: str
@@ -91,7 +67,7 @@ class _Error:
     failed: bool  # a warning says so
 
 
-def verdict_of(findings: Findings) -> Verdict:
+def verdict_of(findings: Run) -> Verdict:
     """The verdict on a run."""
     error = _error(findings)
     posterior = findings.posterior
@@ -101,84 +77,77 @@ def verdict_of(findings: Findings) -> Verdict:
         known=_known(findings),
         rests_on=_rests_on(posterior),
         use=_use(findings, error),
-        narrower="" if posterior is None or posterior.doubts else narrower_words(posterior),
+        narrower="" if posterior is None or posterior.doubts else confidence.narrower_words(posterior),
         next=_next(findings, error),
         error=error.rms,
         error_of=error.of,
-        about=_about(findings.posterior),
+        about=_about(posterior),
     )
 
 
 def _about(posterior: Posterior | None) -> str:
-    """What the verdict itself finds wrong; warnings have sections of their own."""
     if posterior is None:
         return ""
-    if posterior.doubts:
-        return "not trusted"
-    return "" if identified_ranges(posterior.stiffness) else "not identified"
+    code = "verdict: doubt" if posterior.doubts else "known: nowhere"
+    return "" if not posterior.doubts and confidence.identified_ranges(posterior.stiffness) else SENTENCES[code].about
 
 
-def hopeless(findings: Findings) -> bool:
-    """Whether the fit misses a recording so far that nothing that was fitted means anything."""
+def hopeless(findings: Run) -> bool:
+    """Whether the fit misses a recording so far that no fitted value means anything."""
     return findings.posterior is not None and any(one.hopeless for one in findings.posterior.misses)
 
 
 def _headline(posterior: Posterior | None) -> str:
     if posterior is None:
-        return "k(s) by the paper's regression: it has no band, and nothing tests it"
+        return say("verdict: regression")
     if posterior.doubts:
-        return f"k(s) is NOT TO BE TRUSTED: {'; '.join(posterior.doubts)}"
-    matter = [share_words(share) for share in posterior.attributions if share.matters]
-    if not matter:
-        return "k(s) holds: the beam and the bench are as the model has them"
-    return f"k(s) holds with allowances: {', '.join(matter[:_MOST_NAMED])}"
+        return say("verdict: doubt", doubts="; ".join(posterior.doubts))
+    matter = [confidence.share_words(share) for share in posterior.attributions if share.matters][:_MOST_NAMED]
+    return say("verdict: allowances", allowances=", ".join(matter)) if matter else say("verdict: holds")
 
 
-def _known(findings: Findings) -> str:
-    low, high = stiffness_range(findings)
+def _known(findings: Run) -> str:
+    low, high = confidence.stiffness_range(findings)
     values = f"{span(low, high)} N m"
     if findings.posterior is None:
         return values
     if findings.posterior.doubts:
-        return "no value that came out counts" if hopeless(findings) else f"{values} came out, with no band that holds"
+        return say("known: nothing") if hopeless(findings) else say("known: no band", values=values)
     uncertain = findings.posterior.stiffness
-    ranges = identified_ranges(uncertain)
+    ranges = confidence.identified_ranges(uncertain)
     if not ranges:
-        return f"{values}, not identified: at no place to a factor of 1.5 (95 %); {why_words(findings.posterior)}"
-    wide = half_width_words(typical_half_width(uncertain))
-    one = one_modulus_words(measured_beam(findings))
-    headline = f"E = {one}, 95 %, times the section's I(s); " if one else ""
-    return f"{headline}{values}, {wide} (95 %, median) over s = {identified_words(ranges)}"
+        return say("known: nowhere", values=values, why=confidence.why_words(findings.posterior))
+    width = half_width_words(confidence.typical_half_width(uncertain))
+    k = say("known: band", values=values, width=width, places=confidence.identified_words(ranges))
+    modulus = confidence.one_modulus_words(confidence.measured_beam(findings))
+    return say("known: modulus", modulus=modulus, k=k) if modulus else k
 
 
 def _rests_on(posterior: Posterior | None) -> str:
     if posterior is None:
-        return "the equations (12) to (18) alone; `--method fit` gives a band and tests the model"
+        return say("rests: regression")
     if any(one.hopeless for one in posterior.misses):
-        return "nothing: the fit misses the tags by far"
-    critic = posterior.criticism
-    tests = len(possible(posterior).criticism.able)
+        return say("rests: nothing")
+    critic, able = posterior.criticism, possible(posterior).criticism
+    tests = len(able.able)
     if not tests and not critic.alarms:
-        return "no test of the model: the data tell nothing of its other causes"
+        return say("rests: no test")
     count = f"{tests} tests of the model" if tests > 1 else "one test of the model"
     if critic.alarms:
-        able = possible(posterior).criticism.alarms
-        named = ", ".join(dict.fromkeys(_suspect_words(one.score.suspect) for one in able[:_MOST_NAMED]))
-        return f"{count}: {_stand_out(len(critic.alarms))}" + (f" ({named})" if named else "")
+        suspects = [one.score.suspect for one in able.alarms[:_MOST_NAMED]]
+        names = dict.fromkeys(f"tag {one.tag} {one.name}" if one.tag >= 0 else one.name for one in suspects)
+        named = f" ({', '.join(names)})" if names else ""
+        return say("rests: alarms", tests=count, some=_stand_out(len(critic.alarms)), named=named)
     if critic.striking:
-        return f"{count}: {_stand_out(len(critic.striking))}, but would hardly move k(s)"
-    return f"{count}: none stands out"
-
-
-def _suspect_words(suspect: Suspect) -> str:
-    return f"tag {suspect.tag} {suspect.name}" if suspect.tag >= 0 else suspect.name
+        return say("rests: striking", tests=count, some=_stand_out(len(critic.striking)))
+    return say("rests: tests", tests=count)
 
 
 def _stand_out(count: int) -> str:
     return "1 stands out" if count == 1 else f"{count} stand out"
 
 
-def _error(findings: Findings) -> _Error:
+def _error(findings: Run) -> _Error:
     """Of the validations, where there are any; else of the fit; else under the force as logged."""
     seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
     if seen:
@@ -203,91 +172,72 @@ def _worst(of: ErrorOf, comparisons: Sequence[Comparison], rms: Sequence[Array])
     )
 
 
-def _use(findings: Findings, error: _Error) -> str:
-    if findings.posterior is not None and findings.posterior.doubts:
-        return "none: no place of k(s) counts as identified"
-    said = f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"
-    if error.of == "fit" and (poor := _poor(findings.trainings)) != "":
-        return f"the fit is off by {said}, but {poor}: no good prediction"
-    if findings.posterior is not None and only_frequencies(findings.recordings) and error.of != "validation":
-        rows = compared_frequencies(findings.posterior.frequencies)
-        off = significant(worst_off(findings.posterior.frequencies), 2)
-        return f"the beam as fitted is within {off} sd of its {len(rows)} frequencies; not validated"
+def _use(findings: Run, error: _Error) -> str:
+    posterior = findings.posterior
+    if posterior is not None and posterior.doubts:
+        return say("use: none")
+    worst = f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"
+    # Poses have no log, and a wrong pose is named by a warning of its own.
+    if error.of == "fit" and any(poor_fit(one) for one in findings.trainings if not one.static):
+        logged = _worst("as logged", findings.trainings, [one.rms for one in findings.trainings])
+        numbers = {"logged": millimetres(logged.rms), "tag": logged.tag, "motion": significant(1e3 * logged.motion)}
+        return say("use: poor", error=worst, **numbers)
+    if posterior is not None and only_frequencies(findings.recordings) and error.of != "validation":
+        rows = compared_frequencies(posterior.frequencies)
+        return say("use: frequencies", off=significant(worst_off(posterior.frequencies), 2), count=len(rows))
     if error.of != "validation":
-        how = "the fit is off by" if error.of == "fit" else "off by"
-        another = "pose" if findings.recordings[0].static else "push"
-        return f"{how} {said}; not validated on another {another}"
-    where = f"validation on {error.name}: {said}"
-    part = f"{significant(100.0 * error.rms / error.motion, 2)} % of its motion"
-    means = f"no good prediction, {part}" if error.failed else f"shapes are predicted to {part}"
+        kind = "pose" if findings.recordings[0].static else "push"
+        return say("use: fit" if error.of == "fit" else "use: logged", error=worst, kind=kind)
+    values = {"recording": error.name, "error": worst}
+    share = f"{significant(100.0 * error.rms / error.motion, 2)} % of its motion"
+    meaning = f"no good prediction, {share}" if error.failed else f"shapes are predicted to {share}"
     if not (math.isfinite(error.noise) and error.noise > 0.0):
-        return f"{where}: {means}"
-    explained = f"force noise {millimetres(error.noise)} mm"
+        return say("use: validated", noise="", meaning=meaning, **values)
+    noise = f"; force noise {millimetres(error.noise)} mm"
     if error.rms <= AS_GOOD * error.noise and not error.failed:
-        return f"{where}; {explained}: as good as this force sensor allows"
+        return say("use: as good", noise=noise, **values)
     if math.isfinite(error.likely):
-        explained += f", with the band of k(s) and the push's place {millimetres(error.likely)} mm"
+        noise += f", with the band of k(s) and the push's place {millimetres(error.likely)} mm"
         if error.rms <= AS_GOOD * error.likely and not error.failed:
-            means += ", as well as its band says"
-    return f"{where}; {explained}: {means}"
+            meaning += ", as well as its band says"
+    return say("use: validated", noise=noise, meaning=meaning, **values)
 
 
-def _poor(trainings: Sequence[Comparison]) -> str:
-    """By how much the beam misses what it was learned from, under the force as logged; empty as a rule."""
-    if not any(poor_fit(one) for one in trainings if not one.static):  # poses have no log; a wrong one is named apart
-        return ""
-    logged = _worst("as logged", trainings, [one.rms for one in trainings])
-    moves = f"{logged.tag}, which moves by {significant(1e3 * logged.motion)}"
-    return f"under the force as logged by {millimetres(logged.rms)} at {moves}"
-
-
-def _next(findings: Findings, error: _Error) -> str:
-    """The first that applies: mend what is wrong, validate, then learn more."""
+def _next(findings: Run, error: _Error) -> str:
     posterior, first = findings.posterior, findings.recordings[0]
     if posterior is None:
-        return "learn with `--method fit`: it gives a band, and says where the push does not tell"
-    if (mend := _mend(posterior)) != "":
-        return mend
+        return say("next: fit")
+    if (correction := _correction(posterior)) != "":
+        return correction
     if error.failed:
-        return f"see that {error.name} is of this beam, then that the force and its place are right in both"
+        return say("next: same beam", recording=error.name)
     if error.of != "validation":
-        return _validate_words(first)
+        if only_frequencies([first]):
+            return say("next: another posture")
+        return say("next: another pose" if first.static else "next: another push")
     if _known_well(posterior):
-        return "nothing: use it (`onebend reach`, `shape`, `path`, `export`)"
-    if first.source.clean_force is not None:
-        return "`onebend plan` says which push would tell more of k(s)"
-    return "add poses with a load at another place: they tell more of k(s)"
+        return say("next: use it")
+    return say("next: more poses" if first.source.clean_force is None else "next: plan")
 
 
-def _mend(posterior: Posterior) -> str:
-    """What to do about the likeliest fault; empty where there is none."""
-    hopeless = any(one.hopeless for one in posterior.misses)
-    causes = possible(posterior).criticism.causes
-    if causes and not hopeless and not posterior.criticism.trusted:
-        what, do = cause_words(causes[0], posterior)
-        return f"{do[:1].lower()}{do[1:]} (the likeliest cause: {what})"
-    whose = [one.observations for one in posterior.recordings]
-    for remark in (remark for one in whose for remark in one.source.remarks if remark.doubt):
+def _correction(posterior: Posterior) -> str:
+    causes, trusted = possible(posterior).criticism.causes, posterior.criticism.trusted
+    if causes and not trusted and not any(one.hopeless for one in posterior.misses):
+        likeliest = cause(causes[0], posterior)
+        do = remedy(likeliest)
+        return say("next: cause", do=f"{do[:1].lower()}{do[1:]}", cause=likeliest)
+    data = [one.observations for one in posterior.recordings]
+    for remark in (remark for one in data for remark in one.source.remarks if remark.doubt):
         return remark.text.rstrip(".")
+    static = all(one.static for one in data)
     if posterior.doubts:
-        if all(one.static for one in whose):
-            return "check the loads and their unit, then the points' axes (first of all the sign of y) and clamp_deg"
-        return "check the sign and the axes of [force], then the clocks: `onebend check` shows both"
-    if not posterior.criticism.trusted:
-        film = "" if all(one.static for one in whose) else ", and at the film"
-        return f"look at the residuals in the report{film}: no single cause explains them"
+        return say("next: poses" if static else "next: force")
+    if not trusted:
+        return say("next: residuals of poses" if static else "next: residuals")
     return ""
-
-
-def _validate_words(first: Observations) -> str:
-    if only_frequencies([first]):
-        return "measure it in another posture, or with a known tip_mass_kg, or hang a weight on it, and learn from both"
-    if first.static:
-        return "measure a pose under another load, and run `onebend validate` on it"
-    return "film a second push (faster, elsewhere), and run `onebend validate`"
 
 
 def _known_well(posterior: Posterior) -> bool:
     uncertain = posterior.stiffness
-    share = sum(end - begin for begin, end in identified_ranges(uncertain))
-    return share >= _MOST and typical_half_width(uncertain) <= _NARROW
+    share = sum(end - begin for begin, end in confidence.identified_ranges(uncertain))
+    return share >= _MOST and confidence.typical_half_width(uncertain) <= _NARROW

@@ -79,8 +79,6 @@ def reach_writer(result: Reach, pictures: Pictures, summary: Mapping[str, Any]) 
     return write
 
 
-# What `onebend shape` and `onebend path` leave in a folder.
-
 SHAPE_FORMAT = "onebend-shape-1"
 PATH_FORMAT = "onebend-path-1"
 TARGET_ROWS = (
@@ -184,8 +182,6 @@ def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
     write_csv(file, names, ([f"{value:.9g}" if np.isfinite(value) else "" for value in row] for row in rows))
 
 
-# What `onebend loop` leaves in a folder: the rehearsals in time, the picture, and a summary.
-
 LOOP_FORMAT = "onebend-loop-1"
 LOOP_COLUMNS = ("k_factor", "time_s", "x_m", "y_m", "asked_x_N", "asked_y_N", "force_x_N", "force_y_N", "error_m")
 
@@ -199,8 +195,7 @@ def loop_summary(
     *,
     written_by: str,
 ) -> dict[str, Any]:
-    """What `onebend loop --json` prints and `summary.json` holds (there with `files`); SI; null is infinite.
-    `rehearsed`: what the rehearsals were made with beside the controller."""
+    """What `onebend loop --json` prints and `summary.json` holds; SI; null is infinite. `rehearsed`: other settings."""
     timing = control.settings.timing
     return {
         "format": LOOP_FORMAT,

@@ -1,9 +1,5 @@
-"""Detections on disk, by the content of the film: the same film is not searched for tags a second time.
-
-They are kept in the user's cache (`files.kept`); where that is turned off or cannot be written, in a folder of the
-run's own, so that an interrupted run goes on from there. The key is the SHA-256 of the film's content, of all that
-decides what is found in it, and of the code that finds it: another film, other ids or another onebend miss.
-"""
+"""Detections on disk, so that no film is searched twice. They lie in the user's cache (`files.kept`), or else in a
+folder of the run. The key is the SHA-256 of the film, of the search settings, and of the code that searches."""
 
 from __future__ import annotations
 
@@ -66,11 +62,8 @@ def detection_cache(version: str, workplace: Path | None = None, keep: Keep | No
 
 
 def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:
-    """40 hexadecimal digits for "this film, searched for these tags by this version".
-
-    Names of folders and files do not count, nor does what is used only after the search: sizes and places of the tags,
-    clocks, the camera.
-    """
+    """40 hexadecimal digits of film, tags and version. Names of files, and settings used after the search, do not
+    count."""
     contents = [(kind, checksum_of(one)) for kind, path in film_files(video) for one in inputs_of([path])]
     ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
     settings = (tags.family, ids, video.fps, video.topic, video.damaged)

@@ -11,7 +11,7 @@ import numpy as np
 
 from onebend.files.publish import write_summary
 from onebend.learning.instruments import instruments_if_pushed
-from onebend.learning.outcome import Comparison, Learned, stated_section
+from onebend.learning.outcome import Comparison, Learned, Run, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
 from onebend.learning.swing import SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
@@ -20,8 +20,8 @@ from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
 from onebend.report.page import page, shown_made_from
 from onebend.report.pictures import Pictures
+from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.verdict import verdict_of
-from onebend.report.wording import Findings, all_remarks, pair_remarks
 from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of, stiffness_summary
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
@@ -30,7 +30,7 @@ Writer = Callable[[Path], None]  # fills a folder
 
 
 def learned_writer(
-    findings: Findings,
+    findings: Run,
     pictures: Pictures | None,
     summary: Mapping[str, Any],
     *,
@@ -38,13 +38,8 @@ def learned_writer(
     made_from: Mapping[str, Any] = {},
     tables: Writer | None = None,
 ) -> Writer:
-    """What `publish` needs to fill a folder with the results of learning.
-
-    Args:
-        pictures: of the report; None: without a report.
-        made_from: what `provenance` gives, for the report to show.
-        tables: what writes the model and the tables; None: `tables_writer`.
-    """
+    """Fills a folder with the results of learning, for `publish`. `pictures`: None for no report; `made_from`: the
+    result of `provenance`; `tables`: writes model and tables (None: `tables_writer`)."""
     write_tables = tables or tables_writer(findings, version=version)
 
     def write(folder: Path) -> None:
@@ -59,9 +54,8 @@ def learned_writer(
     return write
 
 
-def tables_writer(findings: Findings, *, version: str) -> Writer:
-    """What fills an empty folder with the model, the tables and the observations; they are made once, however often
-    they are written."""
+def tables_writer(findings: Run, *, version: str) -> Writer:
+    """Fills an empty folder with model, tables and observations. They are made once, however often they are written."""
     made: dict[str, bytes] = {}
 
     def write(folder: Path) -> None:
@@ -75,7 +69,7 @@ def tables_writer(findings: Findings, *, version: str) -> Writer:
     return write
 
 
-def _write_tables(folder: Path, findings: Findings, version: str) -> None:
+def _write_tables(folder: Path, findings: Run, version: str) -> None:
     learned, posterior = findings.learned, findings.posterior
     uncertain = None if posterior is None else posterior.stiffness
     origin = origin_of(learned, posterior, findings.trainings)
@@ -116,7 +110,7 @@ def _write_figures(folder: Path, pictures: Pictures) -> None:
     pictures.write(folder / "figures")
 
 
-# `summary.json`: the numbers for scripts, in SI units; `null` where a number is unknown or not finite.
+# `summary.json`: SI units; `null` for a number that is unknown or not finite.
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -125,7 +119,7 @@ DAMP_FORMAT = "onebend-damp-1"
 FREQUENCIES_FORMAT = "onebend-frequencies-1"
 
 
-def summary_of(findings: Findings, *, written_by: str) -> dict[str, Any]:
+def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
     """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
     learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
     uncertain = None if posterior is None else posterior.stiffness
@@ -176,7 +170,7 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
         "frames": len(fit.swing.time),
         "s": fit.swing.s,
         "rms_m": fit.rms,
-        "remarks": [remark.as_dict() for remark in fit.remarks],
+        "remarks": [remark.as_dict() for remark in worded(fit.remarks)],
     }
 
 
@@ -193,7 +187,7 @@ def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str
         "samples": found.samples,
         "samples_per_s": found.rate,
         "left": found.left,
-        "remarks": [remark.as_dict() for remark in found.remarks],
+        "remarks": [remark.as_dict() for remark in worded(found.remarks)],
     }
 
 
@@ -208,12 +202,11 @@ def comparison_summary(comparison: Comparison) -> dict[str, Any]:
         "sensor_rms_m": comparison.sensor_rms,
         "likely_rms_m": comparison.likely_rms,
         "all_stable": bool(np.all(comparison.stable)),
-        "remarks": [remark.as_dict() for remark in comparison.remarks],
+        "remarks": [remark.as_dict() for remark in worded(comparison.remarks)],
     }
 
 
 def _fit(posterior: Posterior) -> dict[str, Any]:
-    """The marker-space fit: nuisances, what trades off, scales, why it stopped."""
     optimum, uncertain = posterior.optimum, posterior.stiffness
     return {
         "trusted": not uncertain.doubts,
@@ -238,7 +231,6 @@ def _fit(posterior: Posterior) -> dict[str, Any]:
 
 
 def _regression(learned: Learned) -> dict[str, Any]:
-    """The paper's result on the first recording."""
     return {
         "method": learned.method,
         "family": learned.family,
@@ -250,7 +242,6 @@ def _regression(learned: Learned) -> dict[str, Any]:
 
 
 def _observed(observations: Observations) -> dict[str, Any]:
-    """What one recording said."""
     return {
         "recording": observations.source.name,
         "frames": {"all": len(observations.time), "loaded": int(observations.loaded.sum())},

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from onebend.learning.swing import Damping
 
 
-# Where a learned beam comes from, as `model.json` says it.
-
-
 @dataclass(frozen=True)
 class Origin:
     """Where a model comes from. For people: nothing is computed from it."""
@@ -97,10 +94,7 @@ def save_model(
     uncertain: UncertainStiffness | None = None,
     bench: Instruments | None = None,
 ) -> None:
-    """Write `beam` to `path`, so that `load_model` gives back an equal one.
-
-    `uncertain`: its k(s) with the band; `bench`: what the recordings were made with.
-    """
+    """Write `beam` with its band `uncertain` and its instruments `bench`; `load_model` returns an equal beam."""
     stored = StoredModel(beam, origin, uncertain, bench)
     try:
         path.write_text(model_text(stored, written_by=written_by), encoding="utf-8")
@@ -109,11 +103,7 @@ def save_model(
 
 
 def model_text(stored: StoredModel, *, written_by: str) -> str:
-    """The content of a `model.json`, from which `read_model` makes an equal one.
-
-    Raises:
-        ResultsError: a number is not finite.
-    """
+    """The content of a `model.json`, for `read_model`. Raises `ResultsError` if a number is not finite."""
     data: dict[str, Any] = {"format": FORMAT, "version": VERSION, "written_by": written_by}
     data["beam"] = stored.beam.as_dict()
     if stored.origin is not None:
@@ -131,22 +121,14 @@ def model_text(stored: StoredModel, *, written_by: str) -> str:
 
 
 def load_model(path: Path | str) -> Beam:
-    """The beam in `path`, a `model.json` or the results folder that holds one.
-
-    Warns where the file was changed since it was written.
-
-    Raises `ResultsError` where there is no such file, or it is damaged, of another version, or describes no beam.
-    """
+    """The beam in `path`, a `model.json` or a results folder. Warns if the file was changed since it was written.
+    Raises `ResultsError` if it is missing, damaged, of another version, or describes no beam."""
     return _read_and_warn(path).beam
 
 
 def load_uncertain(path: Path | str) -> UncertainStiffness:
-    """k(s) with its band from `path`, a `model.json` or the results folder that holds one.
-
-    Warns where the file was changed since it was written; that is among the doubts of the band, too.
-
-    Raises `ResultsError` as `load_model` does, and where the model was learned without a band.
-    """
+    """k(s) with its band from `path`, a `model.json` or a results folder. A changed file gives a warning and a doubt.
+    Raises `ResultsError` as `load_model`, and if the model has no band."""
     stored = _read_and_warn(path)
     if stored.uncertain is None:
         raise ResultsError(
@@ -157,16 +139,14 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
 
 
 def load_instruments(path: Path | str) -> Instruments | None:
-    """What the recordings behind the model in `path` were made with, and where the tags were found to sit; None where
-    it was learned without a band or a force log. Warns and raises as `load_model`."""
+    """The instruments and tag places behind the model in `path`; None without a band or a force log. Warns and raises
+    as `load_model`."""
     return _read_and_warn(path).bench
 
 
 def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand | None:
-    """Young's modulus E(s) [Pa] at places s (S,) from `path`, as `load_uncertain`; with its band where k(s) has one.
-
-    None where the recordings did not state the beam's section.
-    """
+    """Young's modulus E(s) [Pa] at places s (S,) from `path`, as `load_uncertain`, with its band if k(s) has one; None
+    if the recordings did not state the section."""
     stored = _read_and_warn(path)
     section = stored.section
     if section is None:

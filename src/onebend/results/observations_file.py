@@ -1,9 +1,6 @@
-"""`observations.parquet`: what a recording said, so that it can be learned from again without its video.
-
-One row a frame, one column a quantity, units in the names. All other fields of the records (lengths, rests, what is
-stated, the source with its clock and view) stand as JSON in the file's metadata under `onebend`; so does the force log
-behind its filter, with as many rows as the filter leaves it something to say.
-"""
+"""`observations.parquet`: observations, from which a recording can be learned without its video. One row a frame, one
+column a quantity, units in the names. All other fields stand as JSON in the metadata under `onebend`, with the thinned
+force log."""
 
 from __future__ import annotations
 
@@ -24,10 +21,7 @@ from onebend.errors import ResultsError
 from onebend.files.publish import SUMMARY, is_listed_otherwise
 from onebend.records import Array, CleanForce, Observations
 
-# Frozen records as JSON, field by field: what a record holds follows from its class, not from a list kept by hand.
-#
-# An array stands as its shape, its type and its values in one row, so that an empty one comes back as it was.
-# Python's JSON keeps NaN and infinity, and floats to the last bit.
+# Frozen records as JSON by the fields of their classes. An array stands with shape, type and values in one row.
 
 
 def to_data(record: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
@@ -36,11 +30,7 @@ def to_data(record: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
 
 
 def fields_from(kind: type, data: dict[str, Any], leave_out: Collection[str] = ()) -> dict[str, Any]:
-    """The fields of a `kind` of record, as its class names and types them, but for those left out.
-
-    Raises:
-        ValueError: a field is missing, or there is one that the class does not have.
-    """
+    """The fields of a `kind` of record, typed as in its class. Raises `ValueError` for a missing or unknown field."""
     types = {name: type_ for name, type_ in _types(kind).items() if name not in leave_out}
     if set(types) != set(data):
         raise ValueError(f"{kind.__name__} has other fields: {sorted(set(types) ^ set(data))}")
@@ -93,7 +83,7 @@ FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
 _VERSION = 5
 _ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of what the filter passes
-# Fields with one row a frame: their columns, one a component. The rest of the fields goes into the metadata.
+# Fields with one row a frame, and their columns.
 _COLUMNS = {
     "time": ("time_s",),
     "frame": ("frame",),
@@ -126,12 +116,8 @@ def save_observations(path: Path, observations: Observations) -> None:
 
 
 def load_observations(path: Path | str) -> Observations:
-    """What `save_observations` wrote (a file, or the results folder that holds it).
-
-    Warns where the summary beside it lists another content.
-
-    Raises `ResultsError` where the file is missing, damaged, of another version, or was not written by onebend.
-    """
+    """Observations from a file, or from the results folder that holds it. Warns if the summary beside it lists another
+    checksum. Raises `ResultsError` if it is missing, damaged, of another version, or not by onebend."""
     file = Path(path)
     if file.is_dir():
         file = file / FILE_NAME
@@ -167,7 +153,6 @@ def observations_beside(model: Path) -> tuple[Observations, ...]:
 
 
 def _tabled() -> set[str]:
-    """The fields that stand in the table."""
     return {*_COLUMNS, *_TAG_COLUMNS, _COVARIANCE}
 
 

@@ -50,12 +50,7 @@ def inputs_of(paths: Iterable[Path]) -> tuple[InputFile, ...]:
 def provenance(
     inputs: Sequence[InputFile], options: Mapping[str, Any], settings: Mapping[str, Any] = {}
 ) -> dict[str, Any]:
-    """What `summary.json` says of where results come from, under `provenance`.
-
-    Args:
-        options: of the command, by name.
-        settings: records of settings, by name.
-    """
+    """The entry `provenance` of `summary.json`. `options`: of the command, by name; `settings`: records, by name."""
     return {
         "provenance": {
             "command": ["onebend", *sys.argv[1:]],
@@ -101,9 +96,6 @@ def _version(name: str) -> str | None:
         return None
 
 
-# Every file that a recording is read from.
-
-
 def recording_files(folders: Iterable[Path]) -> list[Path]:
     """Every file of the recordings. One that cannot be read has none: to say why is its reader's part."""
     found: list[Path] = []
@@ -116,13 +108,12 @@ def recording_files(folders: Iterable[Path]) -> list[Path]:
     return found
 
 
-def files_of(recording: Recording) -> list[Path]:
+def files_of(description: Recording) -> list[Path]:
     """Every file of a recording that was read: its `recording.toml`, and those that it names."""
-    return [recording.folder / FILE_NAME, *_named(recording)]
+    return [description.folder / FILE_NAME, *_named(description)]
 
 
 def _named(record: Any) -> list[Path]:
-    """Every path in a record of a recording, but for its folder."""
     if isinstance(record, Path):
         return [record]
     if isinstance(record, tuple):

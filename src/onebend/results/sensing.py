@@ -165,7 +165,6 @@ def write_forces(path: Path, found: Sensed) -> None:
 
 
 def _forces(force: Array, covariance: Array) -> list[Array]:
-    """Both components, their sds and their covariance."""
     return [*force.T, *np.sqrt(np.einsum("tcc->tc", covariance)).T, covariance[:, 0, 1]]
 
 
@@ -188,8 +187,6 @@ def sense_writer(
     return write
 
 
-# Forces on a beam as a ROS 2 bag: one .mcap file that carries its own definitions, for any ROS 2 and without one.
-
 FORCE_TOPIC, COVARIANCE_TOPIC = "/beam/force", "/beam/force_covariance"
 WRENCH, NUMBERS = "geometry_msgs/msg/WrenchStamped", "std_msgs/msg/Float64MultiArray"
 FRAME = "beam_base"  # of the headers, as of the forces of a path: x along the beam at rest, from its clamp
@@ -198,15 +195,10 @@ _LATEST = 2**31  # s, the first that a stamp cannot hold
 
 
 def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
-    """The content of a .mcap file with `force` (T, 2) [N] at `time` (T,) [s] and its `covariance` (T, 2, 2) [N^2].
-
-    On `/beam/force` geometry_msgs/WrenchStamped, z and torque zero; on `/beam/force_covariance`
-    std_msgs/Float64MultiArray, row by row, with the same time of receipt. Frames without a force are left out. A stamp
-    of zero means none in ROS: it is written as 1 ns.
-
-    Raises:
-        ExportError: no frame has a force, or times that a stamp cannot hold.
-    """
+    """A .mcap file with `force` (T, 2) [N] at `time` (T,) [s] and its `covariance` (T, 2, 2) [N^2]. `/beam/force` has
+    geometry_msgs/WrenchStamped, `/beam/force_covariance` std_msgs/Float64MultiArray with the same stamps. Frames
+    without a force are left out. A stamp of zero means none in ROS and becomes 1 ns. Raises `ExportError` if no frame
+    has a force or a stamp cannot hold a time."""
     require(("rosbags",), "ros")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore

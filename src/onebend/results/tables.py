@@ -1,7 +1,4 @@
-"""The tables a run leaves: comma-separated, one header line, the unit at the end of every column's name.
-
-A number that is not known is written `nan`, which NumPy, pandas, R and MATLAB all read.
-"""
+"""Tables of a run: comma-separated, one header line, units at the end of the names; an unknown number is `nan`."""
 
 from __future__ import annotations
 
@@ -28,14 +25,8 @@ PLACES = 201  # rows of stiffness.csv: s = 0, 0.005, ..., 1
 def write_stiffness(
     path: Path, beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
 ) -> None:
-    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`: k(s), its 95 % band, and `yes` or `no`.
-
-    Where the section was measured also `E_Pa,E_lo_Pa,E_hi_Pa`: Young's modulus and its band.
-
-    A regression (`uncertain` None) gives neither a band nor a word on where the data are blind: `k_lo_N_m` and
-    `k_hi_N_m` are `nan` and `identified` is `unknown` in every row. (Not "no": that would be a finding.) Where the fit
-    is not to be trusted it is `no` in every row.
-    """
+    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`, with a section also `E_Pa,E_lo_Pa,E_hi_Pa`. A regression (`uncertain`
+    None) has no band, and `identified` is `unknown`. If the fit is not to be trusted, it is `no` in every row."""
     s = np.linspace(0.0, 1.0, PLACES)
     low = high = np.full(PLACES, np.nan)
     said = ["unknown"] * PLACES
@@ -131,8 +122,7 @@ def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
 
 
 def _number(value: float) -> str:
-    """Nine significant digits: a nanometre in a metre, without the noise of binary fractions. (Not for times: a log
-    may count seconds from 1970.)"""
+    """Nine significant digits: a nanometre in a metre. Not for times: a log may count seconds from 1970."""
     return f"{float(value):.9g}"
 
 

@@ -32,8 +32,9 @@ from onebend.learning.criticism import (
 from onebend.learning.linear import prior, split_off_force
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
-from onebend.learning.verdict import cause_words, fit_remarks, supposed_words
+from onebend.learning.verdict import cause, fit_notices, what_is_tested
 from onebend.records import Array, Observations
+from onebend.report.sentences import remedy, worded, words
 from onebend.text_files import plain
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 
@@ -157,7 +158,7 @@ def test_a_clean_recording_is_trusted() -> None:
         critic = fitted(seed).criticism
         assert critic.trusted
         assert critic.widening == 1.0
-        assert fit_remarks(fitted(seed)) == ()
+        assert worded(fit_notices(fitted(seed))) == ()
 
 
 def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
@@ -166,7 +167,7 @@ def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
     assert not critic.trusted
     assert critic.causes[0].score.suspect == Suspect("prior", "along", 1 + 1)
     assert critic.causes[0].score.value[0] == pytest.approx(4e-3, abs=2e-3)
-    warned = [remark.text for remark in fit_remarks(one) if MORE in remark.text]
+    warned = [remark.text for remark in worded(fit_notices(one)) if MORE in remark.text]
     assert len(warned) == 1
     assert "tag 2 sits" in warned[0]
     kept = json.loads(json.dumps(plain(critic.as_dict()), allow_nan=False))
@@ -178,7 +179,9 @@ def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
 def test_a_turned_tag_is_noted_but_does_no_harm() -> None:
     one = fit([moved(fitted().recordings[0].observations, 0, (0.0, 0.0, np.deg2rad(9.0)))], 0.02, settings=SMALL)
     assert one.criticism.trusted
-    assert any(remark.level == "note" and "tag 1 is turned by 8.9" in remark.text for remark in fit_remarks(one))
+    assert any(
+        remark.level == "note" and "tag 1 is turned by 8.9" in remark.text for remark in worded(fit_notices(one))
+    )
 
 
 def test_a_beam_that_stretches_is_told_with_its_stiffness() -> None:
@@ -204,16 +207,18 @@ def suspects() -> list[Suspect]:
 def test_every_suspect_has_words(suspect: Suspect, value: float) -> None:
     score = Score(suspect, np.full(3, value), np.ones(3), 50.0, -9.0, 1e-3, np.zeros(8))
     finding = Finding(score, 0.1, 2.0)
-    what, do = cause_words(finding, fitted())
-    assert what
-    assert do
-    assert supposed_words(finding, fitted())
+    found = cause(finding, fitted())
+    assert words(found)
+    assert remedy(found)
+    assert words(what_is_tested(finding, fitted()))
     one = replace(fitted(), criticism=Criticism((finding,)))
-    texts = [remark.text for remark in fit_remarks(one)]
+    texts = [remark.text for remark in worded(fit_notices(one))]
     assert any(MORE in text for text in texts)
     small = replace(fitted(), criticism=Criticism((replace(finding, sds=0.4),)))
     assert small.criticism.trusted
-    assert any(remark.level == "note" and "too little to matter" in remark.text for remark in fit_remarks(small))
+    assert any(
+        remark.level == "note" and "too little to matter" in remark.text for remark in worded(fit_notices(small))
+    )
 
 
 def test_markers_without_any_noise_are_fitted_to_the_end() -> None:

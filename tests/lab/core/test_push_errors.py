@@ -15,8 +15,9 @@ from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.parameters import Layout, Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.verdict import fit_notices
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations
+from onebend.report.sentences import worded
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_stated
 
@@ -111,7 +112,7 @@ def test_what_the_push_is_off_by_widens_the_band() -> None:
     assert np.all(width[1] > 0.95 * width[0])  # sizes of log k's prior are sampled: a few per cent
     assert np.mean(width[1]) > np.mean(width[0])
     assert width[1][-1] > 1.02 * width[0][-1]
-    assert fit_remarks(free) == ()
+    assert worded(fit_notices(free)) == ()
 
 
 def test_axes_that_are_off_are_found_within_their_tolerance() -> None:
@@ -135,4 +136,4 @@ def test_a_gross_mistake_is_told(name: str, wrong: dict[str, Any]) -> None:
 
 
 def test_a_weak_push_is_no_miss() -> None:
-    assert not [r.text for r in fit_remarks(learned(bend=0.03)) if "misses" in r.text]
+    assert not [r.text for r in worded(fit_notices(learned(bend=0.03))) if "misses" in r.text]

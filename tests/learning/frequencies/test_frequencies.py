@@ -12,8 +12,7 @@ from benchmarks.frequencies import CASES, EVEN, MASS, MIDDLE, THREE, Case, frequ
 from onebend.errors import LearningError
 from onebend.learning.frequencies import (
     frequency_data,
-    frequency_remarks,
-    posture_words,
+    frequency_notices,
     postures_of,
     predicted_frequencies,
     validated_frequencies,
@@ -24,6 +23,7 @@ from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.start import start_of, with_mass
 from onebend.records import MassAlong, MeasuredFrequency, Observations, PointMass
+from onebend.report.sentences import posture_words, worded
 from tests import made_up
 from tests.made_up import with_stated
 
@@ -112,14 +112,14 @@ def test_three_postures_and_a_weighed_mass_give_k(hung: Posterior) -> None:
     half = 0.5 * np.log(band.high / band.low) / 1.96
     np.testing.assert_allclose(half, np.hypot(0.02, 2.0 * 2e-3 / np.sqrt(3.0)), rtol=0.15)
     assert not hung.doubts
-    notes = frequency_remarks(hung.frequencies)
+    notes = worded(frequency_notices(hung.frequencies))
     assert [remark.level for remark in notes] == ["note"]
     assert all(f"mode 1 ({posture})" in notes[0].text for posture in ("hangs", "stands", "lies"))
 
 
 def test_a_beam_learned_elsewhere_is_compared_in_its_frequencies() -> None:
     o = replace(made_up.observations(), length=ruler().length, frequencies=(replace(FREQUENCIES[0], frequency=9.243),))
-    (note,) = validated_frequencies(ruler(), o)
+    (note,) = worded(validated_frequencies(ruler(), o))
     assert "mode 1 (hangs) 9.243 Hz, the beam 9.243 Hz" in note.text
 
 
@@ -129,7 +129,7 @@ def test_a_frequency_of_another_mode_is_a_doubt(tmp_path: Path) -> None:
     recording(tmp_path / "one", case, [*exact[:2], 1.1 * exact[2]], np.random.default_rng(0))
     posterior = learned(tmp_path / "one")
     assert "the frequencies contradict the fit" in posterior.doubts
-    assert any(remark.level == "warning" for remark in frequency_remarks(posterior.frequencies))
+    assert any(remark.level == "warning" for remark in worded(frequency_notices(posterior.frequencies)))
 
 
 def test_the_mass_is_learned_beside_k_from_poses_and_frequencies(tmp_path: Path) -> None:

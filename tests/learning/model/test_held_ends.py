@@ -20,7 +20,7 @@ from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
-from onebend.learning.static_poses import HELD_RESOLUTION, stated_remarks
+from onebend.learning.static_poses import HELD_RESOLUTION, stated_notices
 from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
@@ -99,7 +99,7 @@ def test_weight_sets_the_scale_of_k_between_held_ends(tmp_path: Path) -> None:
     ends = [n for n in posterior.nuisances() if "held end" in n.name]
     assert len(ends) == 3 * len(ENDS)
     assert all(n.sd < 0.05 * n.prior_sd for n in ends)
-    assert stated_remarks([o], posterior.stiffness) == ()
+    assert stated_notices([o], posterior.stiffness) == ()
     save_observations(tmp_path / "o.parquet", o)
     back = load_observations(tmp_path / "o.parquet")
     assert back.held is not None

@@ -12,11 +12,12 @@ import pytest
 from onebend.learning.fit_data import at_rest
 from onebend.learning.parameters import Block, Priors, Spline, clamp_sd, make_layout
 from onebend.learning.posterior import Nuisance, Posterior, fit
-from onebend.learning.verdict import fit_remarks
+from onebend.learning.verdict import fit_notices
 from onebend.live.model import session_layout
 from onebend.live.replayed import replay, settings_for
 from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.records import CLAMP_SD, CURVATURE_SD, SCALE_SD, ClockOffset, Observations, View
+from onebend.report.sentences import worded
 from onebend.results.observations_file import load_observations, save_observations
 from tests.learning.bench import IDEAL, MARKERS, SOFT, forces, observed
 from tests.made_up import with_source, with_stated
@@ -123,8 +124,8 @@ def test_of_two_recordings_of_a_beam_the_one_that_may_be_curved_counts() -> None
 
 
 def test_a_stated_clamp_wider_than_usual_is_warned_of() -> None:
-    assert [one for one in fit_remarks(learned("clamp", 0.0)) if "left free" in one.text] == []
-    (told,) = [one for one in fit_remarks(learned("clamp", 0.4)) if "left free" in one.text]
+    assert [one for one in worded(fit_notices(learned("clamp", 0.0))) if "left free" in one.text] == []
+    (told,) = [one for one in worded(fit_notices(learned("clamp", 0.4))) if "left free" in one.text]
     assert told.level == "warning"
     assert "usual: 2 deg" in told.text
 

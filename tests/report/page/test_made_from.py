@@ -14,6 +14,7 @@ from onebend import cli
 from onebend.cli import learning as learning_commands
 from onebend.files.publish import sha256_of
 from onebend.learning.optimizer import FitSettings
+from onebend.learning.outcome import Run
 from onebend.report.page import page, shown_made_from, size_words
 from onebend.report.pictures import Pictures
 from onebend.results.provenance import inputs_of, provenance
@@ -85,7 +86,7 @@ def test_sizes_are_words(count: int, words: str) -> None:
 
 
 def test_the_report_and_the_summary_say_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def found(*_: Any, **__: Any) -> made_up.MadeUp:
+    def found(*_: Any, **__: Any) -> Run:
         return made_up.findings(0)
 
     monkeypatch.setattr(learning_commands, "learn_from", found)

@@ -11,21 +11,19 @@ import numpy as np
 import pytest
 
 from onebend.learning.fit_data import FitData
+from onebend.learning.outcome import another_beam, poor_fit
 from onebend.learning.verdict import fitted_rms
 from onebend.records import ClockOffset, Remark
 from onebend.report.confidence import alarm_words, allowance_rows, stiffness_range, tradeoff_words, unidentified_words
 from onebend.report.figures import draw_all, fit
 from onebend.report.page import cards, code_in, page
+from onebend.report.sentences import all_remarks, pair_remarks, worded
 from onebend.report.wording import (
-    all_remarks,
-    another_beam,
     assumptions,
     clock_words,
     inputs,
     millimetres,
-    pair_remarks,
     percent,
-    poor_fit,
     significant,
     worst_tag,
 )
@@ -164,27 +162,27 @@ def test_remarks_come_once_and_warnings_first() -> None:
 
 def test_a_poor_fit_is_a_warning() -> None:
     good = made_up.comparison()
-    assert poor_fit(good) == []
+    assert poor_fit(good) == ()
     far = made_up.comparison(error_m=0.02)
-    assert [remark.level for remark in poor_fit(far)] == ["warning"]
-    assert "misses tag 1 by" in poor_fit(far)[0].text  # which moves least
-    assert "the beam that was learned" not in poor_fit(far)[0].text
+    assert [remark.level for remark in worded(poor_fit(far))] == ["warning"]
+    assert "misses tag 1 by" in worded(poor_fit(far))[0].text  # which moves least
+    assert "the beam that was learned" not in worded(poor_fit(far))[0].text
     assert "the beam that was learned" in pair_remarks(far, made_up.observations())[-1].text
     unseen = replace(good, measured=np.full_like(good.measured, np.nan), rms=np.full(3, np.nan))
-    assert poor_fit(unseen) == []
-    assert another_beam(unseen) == []
+    assert poor_fit(unseen) == ()
+    assert another_beam(unseen) == ()
 
 
 def test_a_validation_far_beyond_the_noise_is_a_warning() -> None:
     unknown = np.full(3, np.nan)
     noisy = made_up.comparison(error_m=0.0006)
     noisy = replace(noisy, sensor_rms=np.array([0.0003, 0.004, np.nan]), likely_rms=unknown)
-    assert another_beam(noisy) == []
+    assert another_beam(noisy) == ()
     quiet = replace(noisy, sensor_rms=np.array([0.00005, 0.004, np.nan]))
-    (said,) = another_beam(quiet)
+    (said,) = worded(another_beam(quiet))
     assert said.level == "warning"
     assert "tag 1 is missed by 10 times the force noise" in said.text
-    assert another_beam(made_up.comparison(error_m=1e-6)) == []  # next to nothing, whatever explains it
+    assert another_beam(made_up.comparison(error_m=1e-6)) == ()  # next to nothing, whatever explains it
     other = replace(made_up.findings(1), validations=(quiet,))
     assert any("another beam" in remark.text for _, remark in all_remarks(other))
     alone = replace(made_up.findings(0), trainings=(quiet,))

@@ -20,58 +20,16 @@ from markupsafe import Markup, escape
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.outcome import Comparison, Learned, Run, Trial
 from onebend.learning.posterior import Posterior
-from onebend.learning.verdict import fitted_rms, possible, unseen_words
+from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
-from onebend.report.confidence import (
-    alarm_words,
-    allowance_rows,
-    identified_ranges,
-    identified_words,
-    load_error_words,
-    measured_beam,
-    model_test_rows,
-    modulus_range,
-    modulus_rows,
-    modulus_words,
-    mounting_words,
-    nuisance_rows,
-    one_modulus_words,
-    scale_words,
-    stiffness_range,
-    stop_words,
-    tradeoff_words,
-    typical_half_width,
-    unidentified_words,
-)
+from onebend.report import confidence, wording
 from onebend.report.pictures import FilmStrip
+from onebend.report.sentences import all_remarks, posture_words, words
 from onebend.report.verdict import Verdict, verdict_of
-from onebend.report.wording import (
-    LEVELS,
-    UNKNOWN,
-    Findings,
-    all_remarks,
-    assumptions,
-    bic_words,
-    files_described,
-    highest_shown,
-    inputs,
-    learned_from,
-    millimetres,
-    name_of,
-    only_frequencies,
-    only_static,
-    percent,
-    significant,
-    span,
-    stage_rows,
-    words_of,
-    worst_tag,
-)
+from onebend.report.wording import millimetres, significant
 from onebend.text_files import one_line, to_json
-
-# Self-contained pages: a template, the common frame and style, and figures as data.
 
 COMMON = "onebend.report.page"
 
@@ -80,13 +38,7 @@ def render(
     package: str, name: str, figures: Mapping[str, bytes], content: Mapping[str, Any], *, scripts: Sequence[str] = ()
 ) -> str:
     """The template `name` of `package` as HTML; it sees `look` (CSS), `figures` (base64 PNGs by name) and `content`.
-
-    It may extend base.html and take macros from parts.html, which stand in this folder.
-
-    Args:
-        scripts: of this folder, run one after the other with `content["data"]` (JSON) beside them. The page allows
-            these and no other, and nothing from anywhere else.
-    """
+    The page allows `scripts` of this folder alone; they read `content["data"]` (JSON)."""
 
     look = Markup(page_file(COMMON, "look.css"))
     encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
@@ -115,7 +67,6 @@ def code_in(text: str) -> Markup:
 
 
 def _policy(script: str) -> str:
-    """The page's Content-Security-Policy: its own style, pictures inside it, and the script with this very text."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     allowed = f"'sha256-{digest}'" if script else "'none'"
     return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
@@ -126,10 +77,7 @@ def page_file(package: str, file: str) -> str:
     return files(package).joinpath(file).read_text(encoding="utf-8")
 
 
-# The headline figures of a report.
-
-
-def cards(findings: Findings) -> list[dict[str, str]]:
+def cards(findings: Run) -> list[dict[str, str]]:
     """What it is, its value, and a note, one a card."""
     recording = findings.recordings[0]
     rows = [_stiffness_card(findings), *_modulus_card(findings)]
@@ -142,7 +90,7 @@ def cards(findings: Findings) -> list[dict[str, str]]:
         others = len(seen)
         which = f"worst of {others} other recordings ({worst.name})" if others > 1 else f"on {worst.name}"
         note = f"RMS, {which}{_noise_of(worst)}"
-        rows.append({"what": "validation, worst tag", "value": worst_tag(worst), "note": note})
+        rows.append({"what": "validation, worst tag", "value": wording.worst_tag(worst), "note": note})
     if recording.source.clean_force is not None:
         size = np.linalg.norm(recording.force[recording.loaded], axis=1)
         noise = 1000.0 * float(np.max(recording.source.clean_force.noise_sd))
@@ -152,7 +100,6 @@ def cards(findings: Findings) -> list[dict[str, str]]:
 
 
 def _noise_of(validation: Comparison) -> str:
-    """What the force noise alone does to the worst tag; a fit is closer, for it takes that noise out of the log."""
     noise = validation.sensor_rms[int(np.argmax(np.nan_to_num(validation.rms)))]
     return f"; force noise {millimetres(float(noise))} mm" if np.isfinite(noise) and noise > 0.0 else ""
 
@@ -162,9 +109,9 @@ def verdict_card(verdict: Verdict) -> dict[str, str]:
     return {"what": "verdict", "value": verdict.grade, "note": verdict.rests_on}
 
 
-def _training_card(findings: Findings) -> dict[str, str]:
+def _training_card(findings: Run) -> dict[str, str]:
     """The residual at the tags that the beam was learned from: of the fit, where there is one."""
-    if findings.posterior is not None and only_frequencies(findings.recordings):
+    if findings.posterior is not None and wording.only_frequencies(findings.recordings):
         swings = findings.posterior.frequencies
         note = f"of {len(compared_frequencies(swings))} measured, from those of the fit"
         return {"what": "worst frequency", "value": f"{significant(worst_off(swings), 2)} sd", "note": note}
@@ -173,24 +120,24 @@ def _training_card(findings: Findings) -> dict[str, str]:
     which = int(np.argmax([float(np.max(np.nan_to_num(values))) for values in rms]))
     logged = findings.trainings[which]
     of = "RMS under the force as logged" if findings.posterior is None else "RMS of the fit"
-    note = f"{of}, over {len(logged.frame)} {words_of(findings.recordings[which]).frames}"
-    return {"what": what, "value": worst_tag(replace(logged, rms=rms[which])), "note": note}
+    note = f"{of}, over {len(logged.frame)} {wording.words_of(findings.recordings[which]).frames}"
+    return {"what": what, "value": wording.worst_tag(replace(logged, rms=rms[which])), "note": note}
 
 
-def _stiffness_card(findings: Findings) -> dict[str, str]:
-    low, high = stiffness_range(findings)
+def _stiffness_card(findings: Run) -> dict[str, str]:
+    low, high = confidence.stiffness_range(findings)
     area = 1e6 * findings.beam.length
     return {
         "what": "bending stiffness k(s)",
-        "value": f"{span(low, high, ' … ')}\u00a0N\u00a0m",
-        "note": f"EI {span(area * low, area * high, ' … ')} N mm²",
+        "value": f"{wording.span(low, high, ' … ')}\u00a0N\u00a0m",
+        "note": f"EI {wording.span(area * low, area * high, ' … ')} N mm²",
     }
 
 
-def _modulus_card(findings: Findings) -> list[dict[str, str]]:
+def _modulus_card(findings: Run) -> list[dict[str, str]]:
     """Young's modulus, where the section was measured."""
-    measured = measured_beam(findings)
-    found, one = modulus_range(measured), one_modulus_words(measured)
+    measured = confidence.measured_beam(findings)
+    found, one = confidence.modulus_range(measured), confidence.one_modulus_words(measured)
     if one:
         note = f"95 %; mean along the beam, k(s) stated to go with the section; {found} at its places"
         return [{"what": "Young's modulus E", "value": one, "note": note}]
@@ -203,32 +150,31 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
     what = "k(s) is known to"
     if uncertain.doubts:
         return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
-    ranges = identified_ranges(uncertain)
+    ranges = confidence.identified_ranges(uncertain)
     if not ranges:
         return {"what": what, "value": "not identified", "note": "at no place to a factor of 1.5"}
-    wide = typical_half_width(uncertain)
+    wide = confidence.typical_half_width(uncertain)
     return {
         "what": what,
         "value": half_width_words(wide),
-        "note": f"95 %, median over the identified s = {identified_words(ranges)}",
+        "note": f"95 %, median over the identified s = {confidence.identified_words(ranges)}",
     }
 
 
-# What the page's own script draws: k(s) with its bands to touch, and the learned beam to bend. Numbers alone.
+# Data of the page's script.
 
 SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # in this order, one script
 PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
-_DIGITS = 6
 
 
-def script_data(findings: Findings, film: FilmStrip | None = None) -> Markup:
+def script_data(findings: Run, film: FilmStrip | None = None) -> Markup:
     """JSON for a script element, with nothing in it that could end the element."""
     data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
     text = to_json(data, ascii_only=True, readable=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _curve(findings: Findings) -> dict[str, Any]:
+def _curve(findings: Run) -> dict[str, Any]:
     """k(s) with its bands, in N m."""
     s = np.linspace(0.0, 1.0, PLACES)
     beam, posterior, learned = findings.beam, findings.posterior, findings.learned
@@ -245,7 +191,7 @@ def _curve(findings: Findings) -> dict[str, Any]:
     if posterior is None:
         return found
     uncertain = posterior.stiffness
-    found |= {"known": uncertain.band(s).identified.tolist(), "top_N_m": highest_shown(uncertain)}
+    found |= {"known": uncertain.band(s).identified.tolist(), "top_N_m": wording.highest_shown(uncertain)}
     found |= {"bands": _bands(uncertain, s), "unknown": "not to be trusted" if uncertain.doubts else "not identified"}
     if learned is not None:
         found["regression_N_m"] = _short(np.asarray(learned.beam.stiffness(s)))
@@ -253,14 +199,14 @@ def _curve(findings: Findings) -> dict[str, Any]:
 
 
 def _bands(uncertain: UncertainStiffness, s: Array) -> list[dict[str, Any]]:
-    bands = [(level, strength, uncertain.band(s, level)) for level, strength in LEVELS]
+    bands = [(level, strength, uncertain.band(s, level)) for level, strength in wording.LEVELS]
     return [
         {"level": level, "strength": strength, "low_N_m": _short(band.low), "high_N_m": _short(band.high)}
         for level, strength, band in bands
     ]
 
 
-def _bend(findings: Findings) -> dict[str, Any] | None:
+def _bend(findings: Run) -> dict[str, Any] | None:
     """The beam and how hard it was loaded; None where there is no beam to bend, or nothing is known of the load."""
     beam, s = findings.beam, np.linspace(0.0, 1.0, PLACES)
     k, first = np.asarray(beam.stiffness(s)), findings.recordings[0]
@@ -290,7 +236,6 @@ def _bend(findings: Findings) -> dict[str, Any] | None:
 
 
 def _film(film: FilmStrip) -> dict[str, Any]:
-    """The frames as data URIs, and what is drawn over them, in their pixels."""
     frames = [
         {
             "picture": "data:image/jpeg;base64," + base64.b64encode(one.jpeg).decode("ascii"),
@@ -314,10 +259,8 @@ def _gravity(observations: Observations) -> Array:
 
 def _short(values: Array) -> list[float]:
     """To six digits: the page need not carry the rest."""
-    return [float(f"{value:.{_DIGITS}g}") for value in values]
+    return [float(f"{value:.6g}") for value in values]
 
-
-# Where a report comes from, for people: when, by which command, from which files, with which settings and versions.
 
 _MOST_NAMED = 4  # files in a sentence
 _UNITS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
@@ -368,7 +311,7 @@ def shown_made_from(provenance: Mapping[str, Any]) -> MadeFrom | None:
 
 def _file(one: Mapping[str, Any]) -> ReadFile:
     path = one_line(one["file"])
-    return ReadFile(path, PurePath(path).name, size_words(one["bytes"]), one["sha256"] or UNKNOWN)
+    return ReadFile(path, PurePath(path).name, size_words(one["bytes"]), one["sha256"] or wording.UNKNOWN)
 
 
 def size_words(count: int) -> str:
@@ -389,14 +332,12 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, st
             yield one_line(before + name), one_line(words)
 
 
-# `report.html`: one self-contained page, figures and style inside, nothing fetched from anywhere.
-
 FAMILIES = {"gaussians": "Gaussians", "powers": "powers of s"}
 METHODS = {"regression": "regression", "paper": "the paper's literal regression"}
 
 
 def page(
-    findings: Findings,
+    findings: Run,
     figures: Mapping[str, bytes],
     *,
     version: str,
@@ -409,17 +350,17 @@ def page(
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)
 
 
-def _content(findings: Findings) -> dict[str, Any]:
+def _content(findings: Run) -> dict[str, Any]:
     learned, first = findings.learned, findings.recordings[0]
     remarks = [{"recording": whose, **remark.as_dict(), "docs": remark.docs} for whose, remark in all_remarks(findings)]
     return {
-        "name": name_of(findings),
+        "name": wording.name_of(findings),
         "several": len(findings.recordings) > 1,
         "length": f"{1000 * first.length:.4g} mm",
-        "frames": " and ".join(learned_from(recording) for recording in findings.recordings),
-        "words": words_of(first),
+        "frames": " and ".join(wording.learned_from(recording) for recording in findings.recordings),
+        "words": wording.words_of(first),
         "heavy": bool(np.any(first.gravity)),
-        "static": findings.posterior is not None and only_static(findings.recordings),
+        "static": findings.posterior is not None and wording.only_static(findings.recordings),
         "method": "" if learned is None else METHODS.get(learned.method, learned.method),
         "family": "" if learned is None else FAMILIES.get(learned.family, learned.family),
         "chosen": None if learned is None else learned.trials[learned.chosen],
@@ -429,56 +370,61 @@ def _content(findings: Findings) -> dict[str, Any]:
         "remarks": remarks,
         "fit": None if findings.posterior is None else _fit(findings.posterior, findings.recordings),
         "k_rows": _stiffness_rows(findings),
-        "modulus": modulus_rows(measured_beam(findings), np.linspace(0.0, 1.0, 11)),
-        "modulus_words": modulus_words(measured_beam(findings)),
-        "one_modulus": bool(one_modulus_words(measured_beam(findings))),
+        "modulus": confidence.modulus_rows(confidence.measured_beam(findings), np.linspace(0.0, 1.0, 11)),
+        "modulus_words": confidence.modulus_words(confidence.measured_beam(findings)),
+        "one_modulus": bool(confidence.one_modulus_words(confidence.measured_beam(findings))),
         "tags": [f"tag {tag}" for tag in first.tag_id],
         "swings": _frequency_rows(findings.posterior),
-        "only_swings": only_frequencies(findings.recordings),
+        "only_swings": wording.only_frequencies(findings.recordings),
         "trainings": [_comparison_row(comparison) for comparison in findings.trainings],
         "learned_figures": _learned_captions(findings),
         "trials": [] if learned is None else _trials(learned),
         "validations": [_comparison_row(comparison) for comparison in findings.validations],
         "validation_figures": _validation_captions(findings.validations),
-        "inputs": [(recording.source.name, inputs(recording)) for recording in findings.recordings],
-        "assumptions": assumptions(findings),
-        "files": files_described(findings),
+        "inputs": [(recording.source.name, wording.inputs(recording)) for recording in findings.recordings],
+        "assumptions": wording.assumptions(findings),
+        "files": wording.files_described(findings),
         "stages": _stage_rows(findings),
         "video": f"{significant(findings.video_seconds)} s" if findings.video_seconds > 0.0 else "",
     }
 
 
 def _fit(posterior: Posterior, recordings: Sequence[Observations]) -> dict[str, Any]:
-    """What the page says of the fit."""
     rms = zip(recordings, fitted_rms(posterior), strict=True)
+    unseen = unseen_place(possible(posterior))
     return {
         "doubts": "; ".join(posterior.doubts),
         "holds": posterior.criticism.trusted,
-        "allowances": allowance_rows(posterior),
-        "tests": model_test_rows(posterior),
+        "allowances": confidence.allowance_rows(posterior),
+        "tests": confidence.model_test_rows(posterior),
         "testable": bool(possible(posterior).criticism.able),
-        "alarm": alarm_words(posterior),
-        "unseen": unseen_words(possible(posterior)),
-        "blind": unidentified_words(posterior.stiffness, len(recordings)),
+        "alarm": confidence.alarm_words(posterior),
+        "unseen": "" if unseen is None else words(unseen),
+        "blind": confidence.unidentified_words(posterior.stiffness, len(recordings)),
         "gain": " ".join(
             [
-                scale_words(posterior.gain_sd, recordings),
-                *load_error_words(posterior.load_error),
-                mounting_words(posterior),
+                confidence.scale_words(posterior.gain_sd, recordings),
+                *confidence.load_error_words(posterior.load_error),
+                confidence.mounting_words(posterior),
             ]
         ),
-        "stopped": stop_words(posterior),
-        "nuisances": nuisance_rows(posterior.nuisances()),
-        "tradeoffs": tradeoff_words(posterior),
+        "stopped": confidence.stop_words(posterior),
+        "nuisances": confidence.nuisance_rows(posterior.nuisances()),
+        "tradeoffs": confidence.tradeoff_words(posterior),
         "fitted": [{"name": one.source.name, "rms": [millimetres(value) for value in values]} for one, values in rms],
     }
 
 
-def _stiffness_rows(findings: Findings) -> list[dict[str, Any]]:
+def _stiffness_rows(findings: Run) -> list[dict[str, Any]]:
     beam, posterior = findings.beam, findings.posterior
     s = np.linspace(0.0, 1.0, 11)
     rows: list[dict[str, Any]] = [
-        {"s": f"{place:.1f}", "k": significant(k), "ei": significant(1e6 * k * beam.length), "known": True}
+        {
+            "s": f"{place:.1f}",
+            "k": significant(k),
+            "ei": significant(1e6 * k * beam.length),
+            "known": True,
+        }
         for place, k in zip(s, beam.stiffness(s), strict=True)
     ]
     if posterior is not None:
@@ -500,7 +446,7 @@ def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
         {
             "name": row.recording,
             "mode": str(row.mode),
-            "posture": row.posture,
+            "posture": posture_words(row.posture),
             "measured": f"{row.measured:.5g}",
             "sd": f"{row.sd:.2g}",
             "fitted": f"{row.fitted:.5g}",
@@ -520,7 +466,7 @@ def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
         "n": trial.n,
         "m": trial.m,
         "rms": [millimetres(value) for value in trial.rms],
-        "bic": bic_words(trial.bic),
+        "bic": wording.bic_words(trial.bic),
         "lowest": significant(trial.lowest_k),
         "condition": significant(trial.condition, 2),
         "why_out": trial.why_out,
@@ -543,19 +489,18 @@ def _validation_captions(comparisons: Sequence[Comparison]) -> list[tuple[str, s
     return captions
 
 
-def _learned_captions(findings: Findings) -> list[tuple[str, str]]:
-    """Figures of the recordings after the first, whose own stand in the text."""
+def _learned_captions(findings: Run) -> list[tuple[str, str]]:
     captions = []
     for i, comparison in enumerate(findings.trainings[1:], start=2):
-        words = words_of(findings.recordings[i - 1])
+        words = wording.words_of(findings.recordings[i - 1])
         captions.append((f"learned-{i}-shapes", f"{comparison.name}: the beam and measured tags."))
         captions.append((f"learned-{i}-fitted", f"{comparison.name}: what the fit leaves of the tags."))
         captions.append((f"learned-{i}-residuals", f"{comparison.name}: measured to simulated {words.under}."))
     return captions
 
 
-def _stage_rows(findings: Findings) -> list[dict[str, str]]:
+def _stage_rows(findings: Run) -> list[dict[str, str]]:
     return [
-        {"name": name, "seconds": f"{seconds:.2f}", "share": percent(seconds, findings.video_seconds)}
-        for name, seconds in stage_rows(findings.stage_seconds)
+        {"name": name, "seconds": f"{seconds:.2f}", "share": wording.percent(seconds, findings.video_seconds)}
+        for name, seconds in wording.stage_rows(findings.stage_seconds)
     ]
