@@ -13,7 +13,7 @@ from onebend.beam.problem import Problem, make_problem, riding_beyond
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import Allowance, AllowanceName, allowances_of, inertial_force, unknown_mass
+from onebend.learning.allowances import Allowance, AllowanceName, Entry, allowances_of, inertial_force, unknown_mass
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Priors, Spline, curvature_sd
@@ -234,6 +234,10 @@ class FitData:
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
     allowances: tuple[Allowance, ...] = ()
+
+    def entering(self, enters: Entry) -> list[Allowance]:
+        """The allowances that enter the model here."""
+        return [a for a in self.allowances if a.enters == enters]
 
 
 def fit_data(

@@ -428,27 +428,12 @@ class ResidualRows:
         return np.asarray(np.einsum("frd,fr->fd", self.a, r))
 
 
-def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
-    """Rows of one recording, tags weighted by Student's t on the residuals that their frame's force cannot explain."""
-    return _weighted(unweighted_rows(now), noise)
+def residual_rows(now: Prediction, noise: RecordingNoise, slopes: Slopes | None = None) -> ResidualRows:
+    """Rows of one recording, weighted by Student's t on the residuals less the effect of their frame's force.
 
-
-def rows_by_force(now: Prediction, noise: RecordingNoise) -> ResidualRows:
-    """`residual_rows` whose derivatives with the parameters are left out."""
-    return _weighted(_unweighted(now, now.whitened_by_force), noise)
-
-
-def unweighted_rows(now: Prediction) -> ResidualRows:
-    """Rows of one recording, whitened alone."""
-    return _unweighted(now, now.whitened_slopes)
-
-
-def _unweighted(now: Prediction, slopes: Slopes) -> ResidualRows:
-    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
-    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
-
-
-def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
+    `slopes`: derivatives to use instead of `whitened_slopes`.
+    """
+    plain = unweighted_rows(now, slopes)
     known, frames = plain.known, len(plain.r)
     unexplained, _ = split_off_force(plain, plain.r, noise)
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
@@ -457,9 +442,16 @@ def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
     return ResidualRows(root * plain.r, plain.whitened, known, root)
 
 
+def unweighted_rows(now: Prediction, slopes: Slopes | None = None) -> ResidualRows:
+    """Rows of one recording, only whitened."""
+    slopes = now.whitened_slopes if slopes is None else slopes
+    known = np.any(now.data.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
+
+
 def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
-    data = now.recording
+    data = now.data
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
     return whitened(data.whiten, difference[..., None])[..., 0]
 

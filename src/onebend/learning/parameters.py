@@ -579,18 +579,6 @@ def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
     return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
 
 
-def rest_curvature(layout: Layout, x: Array, recording: int) -> Array:
-    """(3,) rad, Legendre states of q0 in one recording."""
-    return np.asarray(layout.get(x, "curvature") + layout.get(x, "rest change", recording))
-
-
-def log_axes(layout: Layout, x: Array, recording: int) -> Array:
-    """(2, 2) by which the logged force is turned."""
-    turn = float(layout.get(x, "direction", recording)[0])
-    cos, sin = np.cos(turn), np.sin(turn)
-    return np.array([[cos, -sin], [sin, cos]])
-
-
 def scale_sd(one: Observations, priors: Priors) -> float:
     """Of lengths in the picture before the data; a calibration gives them exactly, unless the recording says other."""
     if one.source.view is None:

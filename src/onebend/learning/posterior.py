@@ -358,7 +358,7 @@ class Posterior:
     def secant_shares(self) -> tuple[float, ...]:
         """Of each recording: k(s), the secant stiffness of its push, over the instantaneous stiffness; 1 where the
         material does not relax."""
-        return tuple(secant_of(p.recording, p.layout, p.x, p.solved) for p in self.optimum.predictions)
+        return tuple(secant_of(p) for p in self.optimum.predictions)
 
     @property
     def stiffness(self) -> UncertainStiffness:
