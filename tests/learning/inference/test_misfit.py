@@ -42,7 +42,7 @@ def missed(exact: Prediction, by: float, motion: float | None = None) -> Miss | 
         measured[:, 1, :2] = data.measured[0, 1, :2]
         measured[0, 1, 0] += motion
         data = replace(data, measured=measured)
-    now = replace(exact, recording=data, pose=data.measured + off)
+    now = replace(exact, data=data, pose=data.measured + off)
     found = misses([data], [now])
     return found[0] if found else None
 
