@@ -45,7 +45,7 @@ from onebend.learning.optimizer import (
     whole_problem,
     with_mass_found,
 )
-from onebend.learning.parameters import KNOWN, TOLD, Block, Layout, LearnedMass, with_shared_shape
+from onebend.learning.parameters import KNOWN, LEARNED, Block, Layout, LearnedMass, with_shared_shape
 from onebend.learning.prediction import Prediction, predict, secant_of
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
 from onebend.learning.start import start_of
@@ -225,7 +225,7 @@ def _largest_sd(written: float, block: Block) -> float:
     """One sd over the mass itself, below which the mass counts as learned."""
     if np.isnan(written):
         return KNOWN
-    return TOLD * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
+    return LEARNED * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
 
 
 # The parameters beside k(s) as they are reported: each by itself, and of a force log's slow error mean and drift.
