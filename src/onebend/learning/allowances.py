@@ -107,8 +107,8 @@ def turn_at_push(marker_s: Array, turn: Array, push_s: Array) -> Array:
     return np.array([float(np.interp(s, places, turn)) for s, turn in zip(push_s, turns, strict=False)])
 
 
-# Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function that
-# is smooth in the bending and in time. The evidence chooses its size.
+# Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function
+# that is smooth in the bending and in time. The evidence chooses its size.
 
 PLACE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
 XY, ANGLE = (0, 1), (2,)  # coordinates of a pose
@@ -271,7 +271,8 @@ def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
-    """`grid.nodes.shape + (3,)`: means of `patch_functions` over each node's part of the beam, as patches are narrow."""
+    """`grid.nodes.shape + (3,)`: means of `patch_functions` over each node's part of the beam, as patches are
+    narrow."""
     fine = np.linspace(0.0, 1.0, _FINE)
     values = patch_functions(marker_s, length, tag_size, fine)
     steps = 0.5 * (values[1:] + values[:-1]) / (_FINE - 1)
@@ -288,9 +289,9 @@ def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) 
     return Allowance("patches", "log k", "1", labels, PATCH_SD * np.sqrt(SHARES), basis, shared=True, sized=True)
 
 
-# Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's foot, by
-# `z / D` times its distance from there, D being the camera's height. Errors of the plane, focal length and lens move all
-# tags of all frames together.
+# Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
+# foot, by `z / D` times its distance from there, D being the camera's height. Errors of the plane, focal length and
+# lens move all tags of all frames together.
 
 HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
@@ -395,8 +396,8 @@ def on_each_axis(terms: Array) -> Array:
 
 
 # The material relaxes (generalised Maxwell solid): `M = k_i (q - sum a_j v_j)` with `tau_j v_j' = q - v_j`, fixed times
-# tau_j and shares a_j. A static model learned from a push finds the secant modulus `k = k_i (1 - c)`; c is the mean part
-# of the curvature that `v = sum a_j v_j` has reached, weighted by its square. The fit's k(s) is the secant one.
+# tau_j and shares a_j. A static model learned from a push finds the secant modulus `k = k_i (1 - c)`; c is the mean
+# part of the curvature that `v = sum a_j v_j` has reached, weighted by its square. The fit's k(s) is the secant one.
 
 TIMES = np.array([1.0, 3.0, 9.0])  # s, tau_j
 SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
@@ -502,8 +503,8 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
     return away / (1.0 - all_reached), by_shares
 
 
-# Stretch and shear: 1/EA and 1/kGA follow from k(s) and the section's thickness squared. That square is the parameter, so
-# its effect on the tags is linear.
+# Stretch and shear: 1/EA and 1/kGA follow from k(s) and the section's thickness squared. That square is the parameter,
+# so its effect on the tags is linear.
 
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one

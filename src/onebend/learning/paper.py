@@ -30,8 +30,8 @@ from onebend.learning.validation import marker_misfit, validate
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, Observations, Remark, covariance_with_camera
 
-# Inverse kinematics (22) by Levenberg-Marquardt on all frames at once. Where a frame has fewer data than states, the shape
-# of least curvature is taken.
+# Inverse kinematics (22) by Levenberg-Marquardt on all frames at once. Where a frame has fewer data than states, the
+# shape of least curvature is taken.
 
 _LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data (a prior sd of about 30 rad)
 
@@ -64,9 +64,8 @@ def solve_states(
     rest = at_rest(observations) if rest is None else rest
     xy, tangent = beam_points(observations, rest)
     measured = np.concatenate([xy, tangent[..., None]], axis=-1)  # (T, m, 3)
-    whiten = whitening(
-        measured * np.array([1.0, 1.0, 1.0 if with_angles else np.nan]), covariance_with_camera(observations)
-    )
+    used = measured * np.array([1.0, 1.0, 1.0 if with_angles else np.nan])
+    whiten = whitening(used, covariance_with_camera(observations))
     data = np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))  # (T, m)
     target = np.where(np.isfinite(measured), measured, 0.0)
     at = places(observations.length, Modes(n), observations.marker_s)
@@ -164,9 +163,10 @@ def _energy(n: int) -> Array:
     return np.asarray(_LEAST_CURVATURE / (2.0 * np.arange(n) + 1.0))
 
 
-# The paper's regression (12)-(18): `X gamma = Y`, linear in the coefficients gamma of k(s). For frame t and test function
-# phi_j: sum_w gamma_w int Pi_w (q - q0) phi_j ds = (J(s_a)^T F)_j (+ the weight's share). Solved by an orthogonal
-# decomposition. The paper's test functions are powers of s, unweighted; "regression" weights the rows by their noise.
+# The paper's regression (12)-(18): `X gamma = Y`, linear in the coefficients gamma of k(s). For frame t and test
+# function phi_j: sum_w gamma_w int Pi_w (q - q0) phi_j ds = (J(s_a)^T F)_j (+ the weight's share). Solved by an
+# orthogonal decomposition. The paper's test functions are powers of s, unweighted; "regression" weights the rows by
+# their noise.
 
 Family = Literal["gaussians", "powers"]
 _GRID = make_grid(order=32)

@@ -28,9 +28,9 @@ from onebend.records import (
     StiffnessAlong,
 )
 
-# Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even" k), l
-# one level, e the effect of errors of the section's sizes, v a slow variation of the modulus: a Gaussian process of the
-# stated sd with correlation exp(-d^2 / (2 C^2)) at a distance d.
+# Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even"
+# k), l one level, e the effect of errors of the section's sizes, v a slow variation of the modulus: a Gaussian process
+# of the stated sd with correlation exp(-d^2 / (2 C^2)) at a distance d.
 
 CORRELATION = 0.5  # C, of the length
 _LEAST = 1e-8  # of the largest: smaller parts of the slow variation are left out
@@ -110,9 +110,9 @@ def known_shape(recordings: Sequence[Observations]) -> KnownShape | None:
     return KnownShape(section if said[0].stiffness_along == "section" else None, said[0].modulus_varies)
 
 
-# log k(s) as a cubic B-spline. Its prior is a sum of level and slope, a smooth part whose second derivative is white noise
-# of size `tau`, steps between coefficients, and bumps of three or four coefficients. Steps of one size `rho` are a random
-# walk, without bumps; steps of individual sizes: see `normal.py`.
+# log k(s) as a cubic B-spline. Its prior is a sum of level and slope, a smooth part whose second derivative is white
+# noise of size `tau`, steps between coefficients, and bumps of three or four coefficients. Steps of one size `rho` are
+# a random walk, without bumps; steps of individual sizes: see `normal.py`.
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
@@ -201,8 +201,8 @@ class Spline:
 
     @cached_property
     def unseen(self) -> Array:
-        """(count - 1, f, f) covariance, in the f finer splines, of the error of the spline for a step of size 1 anywhere
-        between two coefficients."""
+        """(count - 1, f, f) covariance, in the f finer splines, of the error of the spline for a step of size 1
+        anywhere between two coefficients."""
         at = self.finer._places
         whole = self.basis(at)
         out = []
@@ -270,9 +270,8 @@ def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
         return (Remark("warning", f"{text}. {spread.capitalize()}" if spread else text, about="mass unknown"),)
     found = f"the data make it {size}" if mass.identified else "the data say no more of it: beside it, only k/mu"
     if spread:
-        text = (
-            f"{spread}; {written}, {found}" if known else f"{spread}; not written down, and learned with k(s): {size}"
-        )
+        end = f"{written}, {found}" if known else f"not written down, and learned with k(s): {size}"
+        text = f"{spread}; {end}"
     elif known:
         text = f"mass {written}; {found}; {even}" if mass.identified else f"mass {written}; {found}"
     else:
@@ -307,9 +306,8 @@ def mass_is_open(recordings: Sequence[Observations]) -> bool:
 def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
     """Raises `LearningError` where an unknown weight is all that bends the beam, or it only swings, with nothing of
     known mass on it."""
-    if not mass_is_open(recordings) or any(
-        forced(o) or any(one.tip_mass > 0.0 for one in o.frequencies) for o in recordings
-    ):
+    carries = any(one.tip_mass > 0.0 for o in recordings for one in o.frequencies)
+    if carries or not mass_is_open(recordings) or any(forced(o) for o in recordings):
         return
     names = ", ".join(o.source.name for o in recordings)
     if not any(weighs(o) for o in recordings):
@@ -525,8 +523,8 @@ def make_layout(
 def clamp_sd(one: Observations, priors: Priors) -> float:
     """rad, prior sd of the clamp's direction in the recording's frame; 0 freezes it.
 
-    The frame's x axis is the line through the tags at rest, so twice the spread of their places is added. Where the beam
-    is curved at rest, or rest was not seen, the mounting of a base tag is added instead. Poses have the stated sd.
+    The frame's x axis is the line through the tags at rest, so twice the spread of their places is added. Where the
+    beam is curved at rest, or rest was not seen, the mounting of a base tag is added instead. Poses have the stated sd.
     """
     stated = one.stated.clamp_sd if priors.clamp is None else priors.clamp
     if stated == 0.0 or (one.static and np.isfinite(stated)):

@@ -38,22 +38,15 @@ from onebend.learning.allowances import (
     with_rest,
 )
 from onebend.learning.fit_data import FitData
-from onebend.learning.frames import push_places, ruler_places, steepness, whitened, zeroed_coordinates
+from onebend.learning.frames import evenly_spread, push_places, ruler_places, steepness, whitened, zeroed_coordinates
 from onebend.learning.normal import in_own_pages
 from onebend.learning.parameters import Layout
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
 from onebend.records import Array, BoolArray, IntArray, Observations
 
-# Derivatives of the tags' poses with the parameters: one order of columns, used by all who need them.
-#
-# The way from a parameter to a tag has three parts, and each stands here once.
-#
-# 1. Parameters that bend the beam come in groups. `balance_changes` says how each group enters the balance of
-# moments; the order of its entries is the order of the columns (`ResponseColumns`). A further group is one more entry
-# there. 2. A tag rides on the beam: `TagRide` takes the motion of the beam's places to the tags in the picture, and
-# `TagMotion` says how tags move with their own places, the origin and the camera's scale while the shape stays as it
-# is. 3. `put_blocks` and `put_tags` write all of it to the columns that a layout gives to each block of parameters. A
-# group and a block of the layout that have one name belong together.
+# Derivatives of the tags' poses: `balance_changes` gives each group of parameters that bends the beam, in the order of
+# the columns; `TagRide` maps the motion of the beam to the tags; `put_blocks` and `put_tags` write the columns of a
+# layout.
 
 
 @dataclass(frozen=True)
@@ -80,10 +73,10 @@ def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """Those of the loads, the clamp and the beam at rest.
+    """Groups of the loads, the clamp and the beam at rest.
 
     "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame; "place" (1) m, of the push along the
-    beam; "mass" (4), its parts over all of it, where something weighs; "relaxation", the shares that relax.
+    beam; "mass" (4), relative, where weight acts; "relaxation", the relaxing shares.
     """
     problem = beam.solved.problem
     changes = {
@@ -100,10 +93,10 @@ def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """Those of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
+    """Groups of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
 
-    "stiffness" (p) coefficients of log k; what else enters log k, by name; "length" (1) its log; "section" (1) its
-    thickness, where the beam stretches and shears.
+    "stiffness" (p) coefficients of log k; further functions of log k, by name; "length" (1) its log; "section" (1) its
+    thickness.
     """
     problem = beam.solved.problem
     changes = {
@@ -119,8 +112,8 @@ def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[Array, Array]:
-    """(Q, P) each: the functions of k [N m] and of the logs of 1/EA and 1/kGA of `material_changes` that frames share,
-    one group after the other; zero where a group has none."""
+    """(Q, P) each: the functions of k [N m] and of the logs of 1/EA and 1/kGA of `material_changes`, all groups; zero
+    where a group has none."""
     elastic, compliant = (
         np.concatenate([np.zeros((nodes, len(c.clamp))) if f is None else f[1] for c, f in pairs], axis=1)
         for pairs in ([(c, c.elastic) for c in changes.values()], [(c, c.compliance) for c in changes.values()])
@@ -129,11 +122,8 @@ def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[A
 
 
 def _of_length(solved: Equilibrium) -> Perturbation:
-    """One parameter: the log of the length, k [N m] and the loads staying as they are; without point moments.
-
-    The levers of all forces grow with the length. In equilibrium they balance k (q - q0), so that the balance changes
-    as if k were smaller by as much; 1/EA and 1/kGA go with 1 / (k L).
-    """
+    """The log of the length at fixed k [N m] and loads, without point moments: it acts as a smaller k, as all levers
+    grow; 1/EA and 1/kGA go with 1 / (k L)."""
     problem = solved.problem
     elastic = solved.q - problem.q0, -problem.k[..., None]
     compliance = None
@@ -183,8 +173,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 
 
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
-    """(F, 2, 1) N per unit of the push, with the "direction" of the force log's axes [rad] and its "clock" [s]; see
-    `push_blocks`."""
+    """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
     turned = paired(-push[:, 1], push[:, 0])
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
@@ -200,8 +189,8 @@ def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> di
 
 
 def pushed_by(beyond: Array, force: Array) -> Perturbation:
-    """n parameters that add to the push, of which the share `beyond` (F, Q) acts beyond each node: `force` (F, 2, n) N
-    per unit in each frame."""
+    """n parameters that add `force` (F, 2, n) N per unit to the push; its share `beyond` (F, Q) acts beyond each
+    node."""
     added = beyond[..., None, None] * force[:, None]
     return Perturbation(added, None, None, np.zeros(force.shape[-1]))
 
@@ -254,9 +243,8 @@ class TagRide:
         return np.sin(self.angle) / steepness(self.angle)
 
     def motion(self, xy: Array, bend: Array, onward: Array | None = None) -> TagMotion:
-        """Of tags at `xy` (F, m, 2) m in the beam's frame, where the beam's curvature is `bend` (F, m) 1/m; zero beyond
-        the tip. `onward` (F, m, 2): m per m along the beam of its places; None: along the tangent, as it does not
-        stretch."""
+        """Of tags at `xy` (F, m, 2) m in the beam's frame; `bend` (F, m) 1/m is the beam's curvature, zero beyond the
+        tip. `onward` (F, m, 2): m per m along the beam; None: the tangent, without stretch."""
         if self.ruler:
             return self._ruler_motion(xy)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
@@ -266,8 +254,7 @@ class TagRide:
         return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
 
     def _ruler_motion(self, xy: Array) -> TagMotion:
-        """Of rulers: one that stands a metre farther out reads what passes there, and a beam that is moved along passes
-        under it with another part."""
+        """Of rulers, which read y at a fixed x."""
         nothing, one = np.zeros_like(self.slope), np.ones_like(self.slope)
         origin = np.stack([paired(nothing, nothing), paired(-self.slope, one)], axis=2)
         return TagMotion(paired(nothing, self.slope), nothing, paired(nothing, one), xy, origin)
@@ -288,8 +275,8 @@ def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Ar
 
 
 def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion) -> None:
-    """Write derivatives with the tags' own places and turns, the origin and the camera's scale to `out` (F, m, 3, C),
-    in which columns of blocks that are not written stay as they are: zero."""
+    """Write derivatives with the tags' own places and turns, the origin and the camera's scale to `out` (F, m, 3,
+    C)."""
     tags = np.arange(out.shape[1])
     own = {name: columns[name].start + tags for name in ("along", "across", "turn") if name in columns}
     for c in range(2):
@@ -453,10 +440,9 @@ def secant_of(prediction: Prediction) -> float:
 
 @dataclass(frozen=True)
 class Remembered:
-    """The part of derivatives of poses at S places, in F frames, that comes from the material's memory.
+    """Derivatives of poses at S places, in F frames, that come from the material's memory.
 
-    A part of the push that is `weights @ values` in each frame, as the force log's error is, adds `by_push` with its
-    value in the frame itself and `by_pushes` with its values in the key frames.
+    A slow part of the push adds `by_push` times its value in the frame and `by_pushes` times those in the key frames.
     """
 
     by_parameters: Array  # (F, S, 3, P) m, m, rad per unit
@@ -501,10 +487,10 @@ def _remembered_poses(now: Prediction, columns: ResponseColumns, by_node: Array)
 
 @dataclass(frozen=True)
 class Slopes:
-    """Derivatives of R numbers a frame with the parameters of a film (`at.known_to`) and with each frame's force.
+    """Derivatives of R numbers a frame with a film's parameters (`Layout.known_to`) and each frame's force.
 
-    The slow error of the force log comes last of the parameters. It enters by its value in the frame and, where the
-    material remembers, by those in n key frames before it, so its K knots are not written out.
+    The slow error of the force log comes last. It enters by its value in the frame and, with memory, by those in n
+    earlier key frames, so its K knots are not written out.
     """
 
     j: Array  # (F, ..., C - 2 K + 2 n) with all parameters but that error, and with the push in the key frames
@@ -748,19 +734,16 @@ _FRAMES = 100  # that are looked at
 
 def few_frames(frames: BoolArray) -> BoolArray:
     """(T,) of these frames at most as many as are looked at, evenly chosen."""
-    used = np.flatnonzero(frames)
-    chosen = np.zeros_like(frames)
-    chosen[used[np.linspace(0, len(used) - 1, min(len(used), _FRAMES)).astype(int)]] = True
-    return chosen
+    return evenly_spread(np.flatnonzero(frames).astype(np.int64), _FRAMES, len(frames))
 
 
 def variances(
     solved: Equilibrium, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness
 ) -> dict[str, Array]:
-    """(m,) m^2 each, mean over the frames of the squared distance by which the tags are likely to be off:
-    by the band of log k(s), by the place of the push and by the direction of its force.
+    """(m,) m^2 each, variance of the tags' predicted places, mean over the frames: by the band of log k(s), the place
+    of the push and the direction of its force.
 
-    `solved`: the beam in these `frames` (T,). Loads that hang on marks act where and as they are said to.
+    `solved`: the beam in these `frames` (T,). Loads that hang on marks are exact.
     """
     s, problem, stands = observations.marker_s, solved.problem, solved.converged[:, None]
     functions = problem.k[..., None] * stiffness.basis(problem.grid.nodes)
