@@ -262,8 +262,7 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: 1 under the tags, 0 between them, one function a width; `length` and `tag_size` in m, the
-    latter NaN where not known."""
+    """`s.shape + (3,)`: 1 under the tags, 0 between them, for each width; `tag_size` m, NaN if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
@@ -271,8 +270,7 @@ def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
-    """`grid.nodes.shape + (3,)`: means of `patch_functions` over each node's part of the beam, as patches are
-    narrow."""
+    """`grid.nodes.shape + (3,)`: means of `patch_functions` over each node's part of the beam."""
     fine = np.linspace(0.0, 1.0, _FINE)
     values = patch_functions(marker_s, length, tag_size, fine)
     steps = 0.5 * (values[1:] + values[:-1]) / (_FINE - 1)
@@ -411,8 +409,7 @@ def relaxation(run: PushCourse) -> Allowance:
 
 
 def lags(time: Array) -> Array:
-    """(n, T, T): each maps values, linear in `time` (T,) [s] between frames, to those that lag with one of the times;
-    cached, and read only."""
+    """(n, T, T) maps of values, linear in `time` (T,) [s], to their lagged ones, one a time; cached, read only."""
     return _lags(np.asarray(time, dtype=float).tobytes())
 
 

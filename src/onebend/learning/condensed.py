@@ -32,8 +32,7 @@ _COARSER = 1.1  # times the steps, until there are few enough windows
 
 
 def condensed(o: Observations, most: int) -> Observations:
-    """The film with its learnable frames averaged into about `most`; frames without load are unchanged, and so are
-    recordings other than films of a push."""
+    """The film with its learnable frames averaged into about `most`; all else is unchanged."""
     if o.static or o.known_loads is not None or (o.held is not None and np.any(o.held)):
         return o
     learnable = learnable_frames(o)
@@ -57,8 +56,7 @@ def windows_of(o: Observations, learnable: BoolArray, most: int) -> list[IntArra
 
 
 def _parts(o: Observations, learnable: BoolArray, size: Array) -> list[IntArray]:
-    """Runs of learnable frames without a gap, a kink of the displacement `size` (T,), or a change of the push's place
-    or of gravity."""
+    """Runs of learnable frames, split where the load turns (`size` (T,)) or moves, or gravity changes."""
     place = push_places(o)
     cuts = np.zeros(len(o.time), dtype=bool)  # before this frame
     cuts[1:] |= (np.diff(place) != 0.0) | np.any(np.diff(o.gravity, axis=0) != 0.0, axis=1) | np.diff(o.loaded)

@@ -158,8 +158,7 @@ def own_weight(o: Observations, grid: Grid, gravity: Array, even: Array, written
 
 
 def gravity_direction(o: Observations, problem: Problem, gravity: Array, written: Profile) -> Allowance | None:
-    """Gravity (F, 2) turned by one angle [rad] in all frames, to first order; None where it is exact or nothing weighs,
-    and for static poses. `written`: kg/m."""
+    """Gravity (F, 2) turned by one angle [rad]; None if exact, for static poses, or without weight; `written` kg/m."""
     if o.static or not o.stated.gravity_sd > 0.0 or not np.any(gravity):
         return None
     nodes = problem.grid.nodes

@@ -105,8 +105,7 @@ class ForceError:
         return np.asarray(root @ root.T)
 
     def root(self, coloured: float, memory: float, walk: float, load: float) -> Array:
-        """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts, which differ in
-        size."""
+        """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         upper = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short))).T
         level = np.full((1, len(short)), np.hypot(self.level, load * self.load))
@@ -128,8 +127,7 @@ class ForceError:
 
 
 def _below(upper: Array, more: Array) -> Array:
-    """(K, K) R of the QR factors of an upper triangular matrix (K, K) above rows (m, K), which are upper triangular if
-    there are several."""
+    """(K, K) R of the QR factors of an upper triangle (K, K) above rows (m, K), upper triangular if m > 1."""
     if not len(upper):
         return upper
     rows = len(more) if len(more) > 1 else 0

@@ -278,8 +278,7 @@ def unwhitened(whiten: Array, rows: Array) -> Array:
 
 
 def ruler_places(solved: Equilibrium, x: Array) -> tuple[Array, Array]:
-    """Places under rulers at x (F, m) [m]: (F, m) s, the first from the clamp, and (F, m) m beyond the tip along the
-    tangent where a beam does not reach its ruler."""
+    """(F, m) s under rulers at x (F, m) [m], and (F, m) m beyond the tip where the beam is too short."""
     there = solved.xy(_LOOKED_AT)[..., 0]
     reached = there[:, None, :] >= x[..., None]  # (F, m, S)
     after = np.maximum(np.argmax(reached, axis=-1), 1)

@@ -287,8 +287,7 @@ FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
 
 
 def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
-    """The factor of greatest evidence for every `sized` allowance in turn, under a half-Cauchy prior of scale one
-    (automatic relevance determination)."""
+    """The factor of greatest evidence for each `sized` allowance in turn (automatic relevance determination)."""
     sizes = dict(start.sizes)
     names = {a.name for data in evidence.problem.recordings for a in data.allowances if a.sized}
     for name in sorted(names):

@@ -183,8 +183,7 @@ class JointInformation:
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Parameters y, integrated out under their prior: given the others x, the precision of z of `y = m + L z` is
-    `G G'`."""
+    """Parameters `y = m + L z`, integrated out: given the others x, the precision of z is `G G'`."""
 
     root: BlockRoot  # L
     factor: Array  # (n, n) G, lower triangular
@@ -216,8 +215,7 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
 
 
 def marginal(form: InformationForm, mean: Array, root: BlockRoot, kept: IntArray) -> InformationForm:
-    """Information on the parameters `kept` (k,), all others integrated out under their prior of mean (n,) and root; its
-    noise includes their volume."""
+    """Information on the parameters `kept` (k,), the others integrated out under their prior, mean (n,) and root."""
     others = np.setdiff1d(np.arange(len(mean)), kept)
     order = np.concatenate([kept, others])
     sorted_form = replace(form, matrix=form.matrix[np.ix_(order, order)], vector=form.vector[order])
@@ -253,8 +251,7 @@ class Solved:
 
     @property
     def log_evidence_of_shared(self) -> float:
-        """Shared parameters integrated out, own ones at their maximum; without the volumes of noise and own
-        parameters."""
+        """Shared parameters integrated out, own ones at their maximum; without the log volumes."""
         mean, left = self.before.mean[self.before.parts[0]], self.left
         misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
         return float(-0.5 * misfit - np.sum(np.log(np.diag(self.factor))))

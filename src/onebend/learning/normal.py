@@ -381,8 +381,7 @@ class _Target:
 
 
 def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
-    """Solve with lower factors (B, r, r) for (B, r) or (B, r, n), by a LAPACK solver: faster than scipy at this
-    size."""
+    """Solve with lower factors (B, r, r) for (B, r) or (B, r, n), by LAPACK without overhead."""
     return np.stack([solver(root, one, lower=1)[0] for root, one in zip(roots, right, strict=True)])
 
 
@@ -451,8 +450,7 @@ def _anywhere(count: int, p: int, rng: np.random.Generator) -> Array:
 
 
 def _shape(means: Array, sds: Array, weight: Array) -> Array:
-    """(levels, S) widths between quantiles of mixtures of normals (N, S) of weights (N,), over those of one normal of
-    the same sd."""
+    """(levels, S) widths of mixtures of normals (N, S), weights (N,), over those of a normal of the same sd."""
     middle = weight @ means
     sd = np.sqrt(weight @ (sds**2 + (means - middle) ** 2))
     values = (means.T[:, None] + sds.T[:, None] * ndtri(_STRATA)[:, None]).reshape(means.shape[1], -1)

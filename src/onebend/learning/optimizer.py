@@ -277,8 +277,7 @@ def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate,
 
 
 def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Array) -> MapEstimate:
-    """A trial after a step (P,) from one with residuals r; each frame's own force is the most probable one to first
-    order."""
+    """A trial after a step (P,) from one with residuals r, each frame's own force linearised."""
     x, layout = begin.x + step, here.problem.layout
 
     def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
@@ -526,8 +525,7 @@ def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperpara
 def _at_mean_stiffness(
     problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: JointCovariance
 ) -> tuple[Array, tuple[Prediction, ...]]:
-    """Log k's coefficients at their mean (p,), and all else at its most probable value given them; the estimate itself
-    where that has no equilibrium or does not converge."""
+    """Log k at its mean (p,) and all else at its most probable value; the estimate itself if that fails."""
     p = problem.layout.spline.count
     follow = covariance.with_shared(slice(p))
     x = estimate.x + follow @ np.linalg.solve(follow[:p], log_k - estimate.x[:p])

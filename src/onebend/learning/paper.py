@@ -450,8 +450,7 @@ def choose(candidates: list[Candidate]) -> int:
 
 
 def standing(candidates: list[Candidate], observations: Observations, rest: AtRest) -> tuple[int, Comparison]:
-    """The trial of the lowest BIC that stands in all frames, and its comparison there; those that do not are put out
-    of the running in `candidates`."""
+    """The trial of lowest BIC with an equilibrium in all frames, and its comparison; others get an infinite BIC."""
     while True:
         chosen = choose(candidates)
         best = candidates[chosen]
@@ -471,8 +470,7 @@ def _try(
     m: int,
     settings: RegressionSettings,
 ) -> Candidate:
-    """Learn one (n, m) from the frames `use` (T,), simulate it in those `compared` (T,), compare; `near` as
-    that of another trial there."""
+    """Learn one (n, m) from frames `use` (T,), simulate it in `compared` (T,); `near`: another trial's shapes."""
     n = rows.states.modes.n
     pi, sigma = basis(settings.family, m, settings.width)
     trial = Trial(n, m, np.full(m, np.nan), np.full(len(observations.marker_s), np.nan), np.inf, np.nan, np.inf)

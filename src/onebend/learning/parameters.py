@@ -201,8 +201,7 @@ class Spline:
 
     @cached_property
     def unseen(self) -> Array:
-        """(count - 1, f, f) covariance, in the f finer splines, of the error of the spline for a step of size 1
-        anywhere between two coefficients."""
+        """(count - 1, f, f) covariance of the spline's error for a step between two coefficients, in finer splines."""
         at = self.finer._places
         whole = self.basis(at)
         out = []
@@ -304,8 +303,7 @@ def mass_is_open(recordings: Sequence[Observations]) -> bool:
 
 
 def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
-    """Raises `LearningError` where an unknown weight is all that bends the beam, or it only swings, with nothing of
-    known mass on it."""
+    """Raises `LearningError` where the data hold only the ratio of stiffness to mass."""
     carries = any(one.tip_mass > 0.0 for o in recordings for one in o.frequencies)
     if carries or not mass_is_open(recordings) or any(forced(o) for o in recordings):
         return
@@ -470,8 +468,7 @@ def make_layout(
     priors: Priors,
     allowances: Sequence[Sequence[Allowance]] = (),
 ) -> Layout:
-    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each, `allowances` are
-    those of each."""
+    """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
     shared = {a.name: a for own in allowances for a in own if a.shared}
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]

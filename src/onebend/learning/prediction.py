@@ -112,8 +112,7 @@ def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[Array, Array]:
-    """(Q, P) each: the functions of k [N m] and of the logs of 1/EA and 1/kGA of `material_changes`, all groups; zero
-    where a group has none."""
+    """(Q, P) each: functions of k [N m] and of the logs of 1/EA and 1/kGA, all groups of `material_changes`."""
     elastic, compliant = (
         np.concatenate([np.zeros((nodes, len(c.clamp))) if f is None else f[1] for c, f in pairs], axis=1)
         for pairs in ([(c, c.elastic) for c in changes.values()], [(c, c.compliance) for c in changes.values()])
@@ -189,8 +188,7 @@ def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> di
 
 
 def pushed_by(beyond: Array, force: Array) -> Perturbation:
-    """n parameters that add `force` (F, 2, n) N per unit to the push; its share `beyond` (F, Q) acts beyond each
-    node."""
+    """n parameters that add `force` (F, 2, n) N to the push, of which `beyond` (F, Q) acts beyond each node."""
     added = beyond[..., None, None] * force[:, None]
     return Perturbation(added, None, None, np.zeros(force.shape[-1]))
 
@@ -275,8 +273,7 @@ def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Ar
 
 
 def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion) -> None:
-    """Write derivatives with the tags' own places and turns, the origin and the camera's scale to `out` (F, m, 3,
-    C)."""
+    """Write derivatives with the tags' places and turns, the origin and the scale to `out` (F, m, 3, C)."""
     tags = np.arange(out.shape[1])
     own = {name: columns[name].start + tags for name in ("along", "across", "turn") if name in columns}
     for c in range(2):
