@@ -32,12 +32,12 @@ KINDS: dict[str, tuple[int, Callable[[Array], Array]]] = {  # how many of each w
 def made_curve(posterior: Posterior, wire: str, rng: np.random.Generator) -> tuple[float, Array]:
     """EI [N m^2] and (51, 2) m of a wire that hangs as the photographed one does, from other clamps."""
     seen = posterior.optimum.predictions[0]
-    assert seen.recording.ends is not None
+    assert seen.data.ends is not None
     ei = PUBLISHED[wire] * float(np.exp(SPREAD * rng.normal()))
     turn, clamp = TURN * rng.normal(), float(np.mean(seen.solved.problem.alpha0))
     beam = Beam(LENGTH, Uniform(ei / LENGTH), clamp_angle=clamp + turn, mass_per_length=Uniform(LINES[wire]))
     problem = make_problem(beam, weight(np.array([[0.0, -9.81]])), HELD_RESOLUTION)
-    end = seen.recording.ends.end + np.array([0.0, 0.0, TURN * rng.normal()])
+    end = seen.data.ends.end + np.array([0.0, 0.0, TURN * rng.normal()])
     solved, _ = hold_near(problem, seen.solved.q, end, fall=True)
     return (
         (ei, solved.xy(np.linspace(0.0, 1.0, NODES + 1))[0])

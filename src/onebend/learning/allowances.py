@@ -1,4 +1,4 @@
-"""What a real beam and a real bench also do: groups of parameters with priors, one module each."""
+"""Allowances: groups of parameters with priors, for effects of a real beam and bench that the ideal beam lacks."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from onebend.beam.grid import Grid, Modes, apply
 from onebend.beam.problem import Problem
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
 from onebend.records import Array, BoolArray, Observations, PointMass, View
-
-# An allowance: a few parameters for something that a real bench does and the ideal beam does not.
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
 #   "log k"       (Q, n) or (F, Q, n): added to log k at the nodes
@@ -46,9 +44,6 @@ class Allowance:
 
 
 Sizes = Mapping[str, float]  # factors on the `prior_sd` of the allowances that are `sized`, by their names
-
-
-# The course of a push as the tags show it: how far the beam is bent in each frame, on the way out or back.
 
 
 @dataclass(frozen=True)
@@ -87,8 +82,6 @@ def with_rest(values: Array, count: int) -> Array:
     return out
 
 
-# The clamp gives way: it turns in proportion to the moment that the beam puts on it.
-
 GIVE_SD = 0.01  # rad per rad that the first tag turns
 
 
@@ -97,8 +90,6 @@ def giving(run: PushCourse, count: int) -> Allowance:
     basis = with_rest(run.turn[:, :1], count)
     return Allowance("clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis)
 
-
-# The place where the tool touches the beam slides as the beam turns under it.
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
 
@@ -116,10 +107,8 @@ def turn_at_push(marker_s: Array, turn: Array, push_s: Array) -> Array:
     return np.array([float(np.interp(s, places, turn)) for s, turn in zip(push_s, turns, strict=False)])
 
 
-# What is left: every coordinate of every tag may be off by something smooth in the bending and in time.
-#
-# A discrepancy between model and world (Kennedy and O'Hagan 2001) whose size the evidence chooses: the band is as
-# wide as the world demands and as narrow as it allows.
+# Discrepancy between model and world (Kennedy and O'Hagan 2001): every coordinate of every tag may be off by a function
+# that is smooth in the bending and in time. The evidence chooses its size.
 
 PLACE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
 XY, ANGLE = (0, 1), (2,)  # coordinates of a pose
@@ -160,16 +149,12 @@ def of_axes(functions: Array, tags: int, axes: tuple[int, ...]) -> Array:
     return out.reshape(frames, tags, 3, len(axes) * tags * n)
 
 
-# The beam's own inertia in a push that is not slow: its mass times the accelerations that the tags show.
-#
-# Where the mass is stated, the force is known; where it is not, the mass is one more unknown.
-
 _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature is the acceleration
 MASS_SD = 25.0  # kg/m^3, of the length cubed: a solid rubber beam, 0.08 by 0.2 of its length thick and wide, has 18
 
 
 def unknown_mass(observations: Observations, frames: BoolArray, problem: Problem, count: int) -> Allowance | None:
-    """The mass [kg] of a beam whose mass nobody states, evenly spread; None where it is stated, or nothing tells."""
+    """The unknown mass [kg] of a moving beam, evenly spread; None where it is stated or no acceleration is known."""
     if observations.static or np.isfinite(observations.stated.mass):
         return None
     force = inertial_force(observations, frames, problem, Uniform(1.0 / observations.length), count)
@@ -187,10 +172,9 @@ def inertial_force(
     count: int,
     masses: Sequence[PointMass] = (),
 ) -> Array:
-    """(count, Q, 2) N beyond each node: `-L int_s^1 mu a ds`, and -m a of the `masses` there; zero at rest, and where
-    the motion is not known.
+    """(count, Q, 2) N beyond each node: `-L int_s^1 mu a ds`, and -m a of the `masses`; zero at rest or unknown motion.
 
-    Between clamp and tags the acceleration a is linear in s, beyond the last tag as there.
+    The acceleration a is interpolated linearly between clamp and tags, and constant beyond the last tag.
     """
     nodes = problem.grid.nodes
     still = np.zeros((count, nodes.shape[-1], 2))
@@ -242,8 +226,6 @@ def second_derivative(time: Array, values: Array) -> Array | None:
     return np.asarray(back.reshape(values.shape))
 
 
-# The beam's length as it was measured is off a little: loads have other levers, and tags sit farther out.
-
 LENGTH_SD = 0.005  # of the length
 
 
@@ -252,17 +234,12 @@ def length() -> Allowance:
     return Allowance("length", "length", "1", ("log of length",), np.array([LENGTH_SD]), np.zeros(0), shared=True)
 
 
-# A beam that is mounted anew bends a little otherwise: each recording has a k(s) of its own around that of the beam.
-#
-# What differs between two mountings (how deep and how tight the clamp holds, set and temper of the material, which
-# way up a section lies) cannot be seen in one recording. Where there are several, the evidence chooses how much it
-# is.
+# Each recording has a k(s) of its own around that of the beam, because mounting (clamp, set and temper of the material)
+# changes it. With several recordings the evidence chooses how much.
 
 BETWEEN: Literal["between recordings"] = "between recordings"
-# Of log k: level, slope and bow, before the evidence has chosen a factor on them. Five mountings of one cable gave
-# levels that scatter by 0.11; beams that stay clamped, next to nothing.
-BETWEEN_SD = np.array([0.05, 0.03, 0.03])
-_SHAPES = Modes(len(BETWEEN_SD))  # Legendre polynomials over the beam: of no correlation with each other
+BETWEEN_SD = np.array([0.05, 0.03, 0.03])  # of log k: level, slope and bow, before the evidence chooses a factor
+_SHAPES = Modes(len(BETWEEN_SD))  # Legendre polynomials over the beam
 
 
 def between_recordings(nodes: Array) -> Allowance:
@@ -271,12 +248,9 @@ def between_recordings(nodes: Array) -> Allowance:
     return Allowance(BETWEEN, "log k", "1", labels, BETWEEN_SD, _SHAPES.curvature(nodes), sized=True)
 
 
-# Tags are patches that stiffen the beam where they sit.
-#
-# How far a patch goes beyond the black square that is seen is not known, only how likely each width is: a label may
-# be cut at its rim or far outside it. So a patch is a sum of layers of rising width, with one log factor each, whose
-# variances are the shares of the widths. At a distance d from a tag's middle, log k has the variance `PATCH_SD^2`
-# times the probability that the patch reaches as far as d.
+# Tags are patches that stiffen the beam. Their width is known only by how likely each is: a patch is a sum of layers of
+# rising width, one log factor each. At a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the
+# probability that the patch reaches d.
 
 PATCH_SD = 0.4  # of the log of the factor on k under a tag, before the evidence has chosen: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
@@ -288,8 +262,7 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: 1 under the tags, 0 between them, one function a width; `length` and `tag_size` in m, the
-    latter NaN where not known."""
+    """`s.shape + (3,)`: 1 under the tags, 0 between them, for each width; `tag_size` m, NaN if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
@@ -297,11 +270,7 @@ def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
-    """`grid.nodes.shape + (3,)`: means of `patch_functions` over the part of the beam that each node's weight stands
-    for.
-
-    A patch is about as wide as nodes are apart. The values at the nodes would let its width depend on where they lie.
-    """
+    """`grid.nodes.shape + (3,)`: means of `patch_functions` over each node's part of the beam."""
     fine = np.linspace(0.0, 1.0, _FINE)
     values = patch_functions(marker_s, length, tag_size, fine)
     steps = 0.5 * (values[1:] + values[:-1]) / (_FINE - 1)
@@ -318,12 +287,9 @@ def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) 
     return Allowance("patches", "log k", "1", labels, PATCH_SD * np.sqrt(SHARES), basis, shared=True, sized=True)
 
 
-# What a camera shows of tags that are not where its model takes them to be: heights, plane and lens, rolling shutter.
-#
-# The camera's model puts every tag in one plane. A tag at height z over that plane is seen where its ray meets the
-# plane: `z / D` times its distance from the camera's foot too far out, D being the camera's own height. The plane
-# itself and, without a calibration, focal length and lens are known from the tags' own squares; what these leave open
-# moves all tags of all frames together.
+# Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
+# foot, by `z / D` times its distance from there, D being the camera's height. Errors of the plane, focal length and
+# lens move all tags of all frames together.
 
 HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
@@ -351,10 +317,9 @@ def heights(observations: Observations, measured: Array) -> Allowance:
 
 
 def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
-    """The unknowns of the camera and of the tags' plane, in sds of what the tags' own squares left open; `count`
-    frames, those at rest last.
+    """The unknowns of the camera and of the tags' plane, in sds; `count` frames, those at rest last.
 
-    The frame is fixed to the base tag and to the tags at rest: what turns these turns the frame.
+    The frame is fixed to the base tag and to the tags at rest: their turn is subtracted.
     """
     o = observations
     assert o.by_camera is not None
@@ -377,9 +342,9 @@ def _less_turn(moved: Array, xy: Array, turn: Array) -> Array:
 
 
 def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance:
-    """The time [s] from the first row of a picture to its last: a tag in another row than the middle one is seen at
-    another instant, and so is each of its corners, which turns a tag that moves: the rigid square that is nearest to
-    them by half the curl. The principal point is taken to be in the middle; `count` frames, those at rest last."""
+    """The read-out time [s] of a picture, first row to last: rows, and the corners of a tag, are seen at different
+    instants, so moving tags are shifted and turned (half the curl). The principal point is assumed in the middle;
+    `count` frames, those at rest last."""
     o = observations
     pose = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     speed = np.nan_to_num(np.gradient(pose, o.time, axis=0)) if len(o.time) > 1 else np.zeros_like(pose)
@@ -401,17 +366,10 @@ def _row(view: View) -> Callable[[Array], Array]:
     return row
 
 
-def has_rows(observations: Observations) -> bool:
-    """Whether the camera's matrix says where the rows of the picture are."""
-    return bool(_view(observations).matrix[1, 2] > 0.0)
-
-
 def _view(observations: Observations) -> View:
     assert observations.source.view is not None
     return observations.source.view
 
-
-# A robot's force estimate is off by what depends on where its arm stands: smooth in the place of the tool.
 
 POSTURE_SD = 0.01  # of the largest force, for each term and axis; the linear term is a gain: no evidence tells its size
 DEGREE = 2  # of the polynomial in the tool's displacement
@@ -435,14 +393,9 @@ def on_each_axis(terms: Array) -> Array:
     return np.asarray(np.einsum("fi,cd->fcdi", terms, np.eye(2)).reshape(len(terms), 2, 2 * DEGREE))
 
 
-# The material relaxes: a generalised Maxwell solid at every place.
-#
-# `M = k_i (q - sum a_j v_j)` with `tau_j v_j' = q - v_j`. k_i is the instantaneous stiffness; step and hold, and the
-# force falls as `1 - sum a_j (1 - exp(-t / tau_j))`. The times tau_j are fixed and each has its own share a_j: shares
-# enter almost linearly, where a time that is free bends the valley of what the data leave open, and a material whose
-# time lies between two of these is met by shares of both. A static model that is learned from a push finds the secant
-# modulus `k = k_i (1 - c)`: c is the mean part of the curvature that `v = sum a_j v_j` has reached, weighted by its
-# square. The fit's k(s) is that: it says how the beam answers a push like this one.
+# The material relaxes (generalised Maxwell solid): `M = k_i (q - sum a_j v_j)` with `tau_j v_j' = q - v_j`, fixed times
+# tau_j and shares a_j. A static model learned from a push finds the secant modulus `k = k_i (1 - c)`; c is the mean
+# part of the curvature that `v = sum a_j v_j` has reached, weighted by its square. The fit's k(s) is the secant one.
 
 TIMES = np.array([1.0, 3.0, 9.0])  # s, tau_j
 SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
@@ -456,8 +409,7 @@ def relaxation(run: PushCourse) -> Allowance:
 
 
 def lags(time: Array) -> Array:
-    """(n, T, T): each turns values that are straight in `time` (T,) [s] between frames, from rest at the first frame,
-    into those that lag behind them with one of the times; made once for each `time`, and read only."""
+    """(n, T, T) maps of values, linear in `time` (T,) [s], to their lagged ones, one a time; cached, read only."""
     return _lags(np.asarray(time, dtype=float).tobytes())
 
 
@@ -475,8 +427,7 @@ def _lags(instants: bytes) -> Array:
 
 
 def lag_weights(seconds: Array) -> tuple[Array, Array, Array]:
-    """(n, N) each, of steps of `seconds` (N,): at the end of a step v_j is made of v_j before it, of q before it, and
-    of q at its end."""
+    """(n, N) each, of steps of `seconds` (N,): weights of v_j before a step, of q before it and of q at its end."""
     step = np.maximum(seconds / TIMES[:, None], np.finfo(float).tiny)  # frames of one instant are one
     decay = np.exp(-step)
     mean = -np.expm1(-step) / step
@@ -525,7 +476,7 @@ def remembered(remembering: Array, q: Array, weights: Array, change: Array) -> A
     by_reached = (v - reached * bent) / left**2 - bent / left
     out = ((remembering - reached * np.eye(count)) / left @ moved).reshape(*bent.shape, p)
     out += by_reached[..., None] * reached_moved
-    return np.concatenate([out, np.zeros((len(q) - count, *out.shape[1:]))]) if len(q) > count else out
+    return with_rest(out, len(q))
 
 
 def shift_derivatives(shares: Array, time: Array, q: Array, weights: Array) -> Array:
@@ -549,11 +500,8 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
     return away / (1.0 - all_reached), by_shares
 
 
-# The beam stretches and shears: EA and kGA follow from k(s) and the thickness of its section.
-#
-# 1/EA and 1/kGA go with the thickness squared, and that is the parameter: what they do to the tags is linear in it,
-# and a beam that hardly stretches is one number among others, not one infinitely far away as it is on a scale of
-# logs.
+# Stretch and shear: 1/EA and 1/kGA follow from k(s) and the section's thickness squared. That square is the parameter,
+# so its effect on the tags is linear.
 
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
@@ -568,18 +516,15 @@ def section(*, known: bool) -> Allowance:
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:
-    """By which the beam stretches and shears, and half of how the log of that goes with the parameter.
+    """The section for stretch and shear, and half the derivative of the log of its compliance with the parameter.
 
-    `stated` m, NaN where nobody says it. Less than no stretch is taken too: then noise moves a beam that hardly
-    stretches to either side of nothing alike.
+    `stated` m, NaN if unknown. Negative compliances are allowed, so that noise is symmetric about zero.
     """
     usual, share = stated if np.isfinite(stated) else USUAL_THICKNESS * beam_length, 1.0 + change
     if abs(share) < _NEAR_NONE:
         share = _NEAR_NONE
     return RectangularSection(usual, share=share), 0.5 / share
 
-
-# Which allowances a recording has, and what the person who fits may switch off.
 
 AllowanceName = Literal[
     "section",
@@ -611,10 +556,9 @@ def allowances_of(
     grid: Grid,
     wanted: frozenset[AllowanceName],
 ) -> tuple[Allowance, ...]:
-    """Those of a film's chosen `frames` (T,); none of static poses, whose loads hang on marks, in no order.
+    """The wanted allowances of a film's chosen `frames` (T,); none of static poses.
 
-    `measured` (F, m, 3) poses of the tags, `push_s` (F,) and `force` (F, 2) N of these frames and of the beam at rest
-    behind them; `grid` the beam is solved on.
+    `measured` (F, m, 3), `push_s` (F,) and `force` (F, 2) N: of these frames and of the beam at rest after them.
     """
     if observations.static or not np.any(frames):
         return ()
@@ -631,7 +575,7 @@ def allowances_of(
         every += [sliding(observations.marker_s, run, push_s), posture_bias(run, force)]
     if observations.source.view is not None:
         every.append(heights(observations, measured))
-        if has_rows(observations):
+        if observations.source.view.matrix[1, 2] > 0.0:  # the picture's rows are known
             every.append(rolling_shutter(observations, frames, len(force)))
     if observations.by_camera is not None:
         every.append(camera(observations, frames, len(force)))

@@ -163,7 +163,7 @@ def _to_instantaneous(name: str, optimum: Optimum) -> float:
     """Log of the instantaneous stiffness over k(s), the secant stiffness: what relaxation itself makes of k(s)."""
     if name != "relaxation" or not optimum.predictions:
         return 0.0
-    shares = [secant_of(p.recording, p.layout, p.x, p.solved) for p in optimum.predictions]
+    shares = [secant_of(p) for p in optimum.predictions]
     return float(-np.mean(np.log(shares)))
 
 

@@ -1,16 +1,13 @@
-"""Neighbouring frames of a push, averaged into as many as tell something new.
+"""Neighbouring frames of a push, averaged in windows.
 
-What a frame adds is where the beam stands: how far it is bent, which way it is pushed, and when, for materials that
-remember. Frames that differ in none of these by more than a little show the same, and their mean shows it as well as
-they do together. So a film's frames are taken together in windows: each spans at most STEP of the largest
-displacement, TURN of the force's direction, and SECONDS. None crosses a place where the load begins, reverses or ends,
-nor one where frames are left out.
+A window spans at most STEP of the largest displacement, TURN of the force's direction, and SECONDS. No window crosses a
+gap or an instant where the load begins, reverses or ends.
 
-The mean of poses is not quite the pose under the mean force: both bend in time, by half their second derivative times
-the variance of the window's instants. Without that part both are values at the mean instant, which belong together.
+The mean of poses is not the pose under the mean force: both bend in time. Half the second derivative times the variance
+of the window's instants is subtracted, so that both are values at the mean instant.
 
-The noise of the tags is in part white and in part slow: the white part averages down, and the slow one stays. Third
-differences of a film tell the white part; motion and slow noise hardly enter them.
+The noise of the tags is partly white and partly slow: only the white part averages down. Third differences of a film
+estimate the white part.
 """
 
 from __future__ import annotations
@@ -35,32 +32,32 @@ _COARSER = 1.1  # times the steps, until there are few enough windows
 
 
 def condensed(o: Observations, most: int) -> Observations:
-    """The film with the frames that can be learned from averaged into at most `most`, where kinks allow; frames without
-    load stay as they are, and so does what is no film of a push."""
+    """The film with its learnable frames averaged into about `most`; all else is unchanged."""
     if o.static or o.known_loads is not None or (o.held is not None and np.any(o.held)):
         return o
     learnable = learnable_frames(o)
     if np.sum(learnable) <= min(_FEW, most):
         return o
     windows = windows_of(o, learnable, most)
-    bent = usable_frames(o) & ~learnable  # they tell when the load ends, and nothing of their force
+    bent = usable_frames(o) & ~learnable  # their force is distorted, but they show when the load ends
     return averaged(replace(o, force=np.where(bent[:, None], np.nan, o.force)), windows)
 
 
 def windows_of(o: Observations, learnable: BoolArray, most: int) -> list[IntArray]:
     """The frames of each window, in order; `learnable` (T,)."""
-    parts = [_Way(o, frames) for frames in _parts(o, learnable)]
+    size = displacement(o.time, o.xy, o.rest_xy)
+    parts = [(frames, _window_spans(o, frames, size)) for frames in _parts(o, learnable, size)]
     coarser = 1.0
     while True:
-        cut = [part.windows(coarser) for part in parts]
-        if sum(map(len, cut)) <= max(most, len(parts)):
-            return [window for one in cut for window in one]
+        windows = [window for frames, along in parts for window in _split(frames, along, coarser)]
+        if len(windows) <= max(most, len(parts)):
+            return windows
         coarser *= _COARSER
 
 
-def _parts(o: Observations, learnable: BoolArray) -> list[IntArray]:
-    """Runs of learnable frames without a kink, a gap, or another place of the push or direction of gravity."""
-    place, size = push_places(o), displacement(o.time, o.xy, o.rest_xy)
+def _parts(o: Observations, learnable: BoolArray, size: Array) -> list[IntArray]:
+    """Runs of learnable frames, split where the load turns (`size` (T,)) or moves, or gravity changes."""
+    place = push_places(o)
     cuts = np.zeros(len(o.time), dtype=bool)  # before this frame
     cuts[1:] |= (np.diff(place) != 0.0) | np.any(np.diff(o.gravity, axis=0) != 0.0, axis=1) | np.diff(o.loaded)
     largest = float(np.max(size[learnable], initial=0.0))
@@ -73,31 +70,24 @@ def _parts(o: Observations, learnable: BoolArray) -> list[IntArray]:
     return out
 
 
-class _Way:
-    """A run of frames without a kink, and how far each is along it in units of what a window may span."""
-
-    def __init__(self, o: Observations, frames: IntArray) -> None:
-        size, largest = _bend_and_largest(o)
-        force = np.linalg.norm(o.force, axis=1)
-        firm = force[frames] > _FIRM * float(np.nanmax(force, initial=0.0))
-        direction = np.unwrap(np.arctan2(o.force[frames, 1], o.force[frames, 0])[firm])
-        turned = np.zeros(len(frames))
-        if np.any(firm):
-            turned[firm] = np.abs(direction - direction[0])
-        terms = np.abs(size[frames] - size[frames[0]]) / (STEP * largest), turned / TURN
-        time = (o.time[frames] - o.time[frames[0]]) / SECONDS
-        self.frames, self.along = frames, time + sum(np.maximum.accumulate(term) for term in terms)
-
-    def windows(self, coarser: float) -> list[IntArray]:
-        """Of about equal span, larger by a factor."""
-        count = max(int(np.ceil(self.along[-1] / coarser)), 1)
-        number = np.minimum((count * self.along / max(self.along[-1], 1e-300)).astype(int), count - 1)
-        return np.split(self.frames, np.flatnonzero(np.diff(number)) + 1)
+def _window_spans(o: Observations, frames: IntArray, size: Array) -> Array:
+    """(n,) progress along a run of frames, in units of the largest span of a window."""
+    largest, force = max(float(np.max(size, initial=0.0)), 1e-300), np.linalg.norm(o.force, axis=1)
+    firm = force[frames] > _FIRM * float(np.nanmax(force, initial=0.0))
+    direction = np.unwrap(np.arctan2(o.force[frames, 1], o.force[frames, 0])[firm])
+    turned = np.zeros(len(frames))
+    if np.any(firm):
+        turned[firm] = np.abs(direction - direction[0])
+    terms = np.abs(size[frames] - size[frames[0]]) / (STEP * largest), turned / TURN
+    time = (o.time[frames] - o.time[frames[0]]) / SECONDS
+    return np.asarray(time + sum(np.maximum.accumulate(term) for term in terms))
 
 
-def _bend_and_largest(o: Observations) -> tuple[Array, float]:
-    size = displacement(o.time, o.xy, o.rest_xy)
-    return size, max(float(np.max(size, initial=0.0)), 1e-300)
+def _split(frames: IntArray, along: Array, coarser: float) -> list[IntArray]:
+    """Windows of about equal span of the progress `along` (n,), larger by a factor."""
+    count = max(int(np.ceil(along[-1] / coarser)), 1)
+    number = np.minimum((count * along / max(along[-1], 1e-300)).astype(int), count - 1)
+    return np.split(frames, np.flatnonzero(np.diff(number)) + 1)
 
 
 def averaged(o: Observations, windows: list[IntArray]) -> Observations:
@@ -149,13 +139,12 @@ def averaged(o: Observations, windows: list[IntArray]) -> Observations:
 
 
 def mean_variance(white: Array, frames: Array) -> Array:
-    """Of the mean of some `frames` (...), over that of one: of its noise a share `white` (...) is white."""
+    """Variance of a mean of `frames` (...) over that of one, whose share `white` (...) is white noise."""
     return np.asarray(1.0 - white + white / np.maximum(frames, 1.0))
 
 
 def white_share(o: Observations, poses: Array) -> Array:
-    """(m,) of each tag's stated variance, how much third differences of its poses (T, m, 3) say is white, at most all
-    of it."""
+    """(m,) share of each tag's stated variance that is white, at most 1, from third differences of poses (T, m, 3)."""
     third = np.diff(poses, n=3, axis=0)
     stated = np.diagonal(o.covariance, axis1=2, axis2=3)[: len(third)]
     usable = np.isfinite(third) & np.isfinite(stated) & (stated > 0.0)

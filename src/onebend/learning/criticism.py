@@ -20,7 +20,7 @@ from onebend.learning.hyperparameters import correlation_time
 from onebend.learning.normal import JointCovariance
 from onebend.learning.optimizer import Optimum
 from onebend.learning.parameters import Layout
-from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment, tag_places, tag_ride
+from onebend.learning.prediction import Prediction, along_and_across, place_responses, push_moment
 from onebend.progress import each
 from onebend.records import Array, IntArray
 
@@ -97,9 +97,9 @@ def course(data: FitData, now: Prediction) -> Course:
     return Course(bend, after, past, resting)
 
 
-def alternatives(data: FitData, layout: Layout, x: Array, now: Prediction) -> list[Alternative]:
+def alternatives(data: FitData, layout: Layout, now: Prediction) -> list[Alternative]:
     """All that are tested on one film."""
-    run, patterns = course(data, now), mechanics(data, layout, x, now)
+    run, patterns = course(data, now), mechanics(now)
     pliant = patterns["clamp"] * _clamp_moment(now.solved)[:, None, None, None]
     wanted = {name: patterns[name] for name in UNITS if name in patterns} | {"clamp gives": pliant}
     if layout.index["curvature", -1].start >= 0 or layout.index["rest change", data.number].start >= 0:
@@ -119,13 +119,11 @@ def alternatives(data: FitData, layout: Layout, x: Array, now: Prediction) -> li
     return [*stated, *stiff, *_changes(data, run, patterns), *_trends(data, run)]
 
 
-def mechanics(data: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def mechanics(now: Prediction) -> dict[str, Array]:
     """(F, m, 3, n) per unit of what `UNITS` names, and of the clamp's angle ("clamp")."""
-    carried, ride = _carried(data, layout, x, now), tag_ride(data, layout, x, now.solved)
+    carried, ride = _carried(now), now.ride(now.solved)
     patterns = {}
-    for name, part in place_responses(
-        now.solved, _entering(data, now), tag_places(data, layout, x, now.solved)[0]
-    ).items():
+    for name, part in place_responses(now.solved, _entering(now.data, now), now.places(now.solved)[0]).items():
         if name in carried:
             part[:, :, :2] += carried[name][..., None]
         patterns[name] = ride.carry(part)
@@ -165,9 +163,9 @@ def _along(s: Array) -> Array:
     return np.asarray(np.polynomial.legendre.legvander(2.0 * s - 1.0, 3)[..., 1:])
 
 
-def _carried(data: FitData, layout: Layout, x: Array, now: Prediction) -> dict[str, Array]:
+def _carried(now: Prediction) -> dict[str, Array]:
     """(F, m, 2) m per unit that the tags move by without a turn of the beam: `r' = L (1 + e) u + L g n`."""
-    solved, s = now.solved, tag_places(data, layout, x, now.solved)[0]
+    solved, s = now.solved, now.places(now.solved)[0]
     u, n = _tangents(solved)
     force, rows = solved.problem.dead_force, solved.problem.grid.integral_to(s)
     length = float(solved.problem.length)
@@ -525,7 +523,7 @@ class Criticism:
 def criticise(problem: linear.FitProblem, optimum: Optimum, stiffness: UncertainStiffness) -> Criticism:
     """Test the model of a fit that has ended."""
     fit, layout = linearised(problem, optimum), problem.layout
-    patterns = each(lambda now: alternatives(now.recording, layout, optimum.x, now), optimum.predictions)
+    patterns = each(lambda now: alternatives(now.data, layout, now), optimum.predictions)
     tests = [*scores(fit, patterns), *pulls(fit)]
     s = np.linspace(0.0, 1.0, 101)
     identified = stiffness.band(s).identified

@@ -13,7 +13,7 @@ from onebend.beam.problem import Problem, make_problem, riding_beyond
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import Allowance, AllowanceName, allowances_of, inertial_force, unknown_mass
+from onebend.learning.allowances import Allowance, AllowanceName, Entry, allowances_of, inertial_force, unknown_mass
 from onebend.learning.force_error import ForceError, force_error
 from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Priors, Spline, curvature_sd
@@ -22,14 +22,11 @@ from onebend.recording.signals import low_pass
 from onebend.recording.tracks import chord_angles
 from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
-# The beam at rest: its natural curvature, and how each tag sits on it.
-#
-# Before contact every tag should lie on the straight beam at its own s. What is seen there instead is the beam's
-# natural curvature plus the tags' mounting errors; the two are told apart by how likely each is. A mounting error is
-# rigid: it turns with the beam, so it is taken off every frame in the tag's own frame.
+# The beam at rest: natural curvature and mounting errors of the tags, separated by their priors. A mounting error turns
+# with the beam, so it is subtracted in the tag's own frame.
 
 _REST_MODES = Modes(3)
-_EXACT = 1e-6  # m, rad: what is taken for it where a tag is said to sit exactly
+_EXACT = 1e-6  # m, rad: least sd of a tag's mounting
 
 
 @dataclass(frozen=True)
@@ -51,20 +48,19 @@ class AtRest:
 
 def at_rest(observations: Observations, priors: Priors = Priors()) -> AtRest:
     """Natural curvature and mounting from the frames before contact (maximum a posteriori, Gauss-Newton)."""
-    m = len(observations.marker_s)
-    known: BoolArray = np.asarray(np.isfinite(observations.rest_xy).all(axis=1))
+    o, m = observations, len(observations.marker_s)
+    known: BoolArray = np.asarray(np.isfinite(o.rest_xy).all(axis=1))
+    theta, bent_sd = np.zeros(_REST_MODES.n), curvature_sd(o, priors)
     if not np.any(known):
-        return AtRest(np.zeros(_REST_MODES.n), np.zeros((m, 2)), np.zeros(m), seen=False)
-    theta = np.zeros(_REST_MODES.n)
-    bent_sd = curvature_sd(observations, priors)
+        return AtRest(theta, np.zeros((m, 2)), np.zeros(m), seen=False)
     if bent_sd > 0.0:
-        theta = _rest_states(observations, known, bent_sd)
-    at = places(observations.length, _REST_MODES, observations.marker_s)
+        theta = _rest_states(o, known, bent_sd)
+    at = places(o.length, _REST_MODES, o.marker_s)
     alpha = angles(at, theta[None])[0]
-    away = observations.rest_xy - positions(at, theta[None])[0]
+    away = o.rest_xy - positions(at, theta[None])[0]
     cos, sin = np.cos(alpha), np.sin(alpha)
     offset = np.stack([cos * away[:, 0] + sin * away[:, 1], -sin * away[:, 0] + cos * away[:, 1]], axis=1)
-    turn = np.nan_to_num(observations.rest_angle - alpha)  # a marker without an angle has no turn
+    turn = np.nan_to_num(o.rest_angle - alpha)  # a marker without an angle has no turn
     return AtRest(theta, np.where(known[:, None], offset, 0.0), np.where(known, turn, 0.0), seen=True)
 
 
@@ -82,32 +78,25 @@ def beam_points(observations: Observations, rest: AtRest) -> tuple[Array, Array]
     return observations.xy - shift, tangent
 
 
-def _rest_states(observations: Observations, known: BoolArray, bent_sd: float) -> Array:
+def _rest_states(o: Observations, known: BoolArray, bent_sd: float) -> Array:
     """States that balance curvature (one sd `bent_sd`, rad) against mounting, each measured by its own sd."""
-    at = places(observations.length, _REST_MODES, observations.marker_s[known])
-    of_tags = np.repeat([observations.stated.placement_sd, observations.stated.turn_sd], [2 * len(at.s), len(at.s)])
-    sd = np.maximum(of_tags, _EXACT)
-    theta = np.zeros(_REST_MODES.n)
+    n, at = _REST_MODES.n, places(o.length, _REST_MODES, o.marker_s[known])
+    sd = np.maximum(np.repeat([o.stated.placement_sd, o.stated.turn_sd], [2 * len(at.s), len(at.s)]), _EXACT)
+    theta, angle = np.zeros(n), o.rest_angle[known]
     for _ in range(5):
-        jacobian = np.concatenate([jacobians(at, theta[None])[0].reshape(-1, _REST_MODES.n), at.to_places])
-        away = np.concatenate(
-            [
-                (observations.rest_xy[known] - positions(at, theta[None])[0]).ravel(),
-                np.nan_to_num(observations.rest_angle[known] - angles(at, theta[None])[0]),
-            ]
-        )
-        jacobian[2 * len(at.s) :] *= np.isfinite(observations.rest_angle[known])[:, None]
-        rows = np.concatenate([jacobian / sd[:, None], np.eye(_REST_MODES.n) / bent_sd])
+        jacobian = np.concatenate([jacobians(at, theta[None])[0].reshape(-1, n), at.to_places])
+        xy_away = (o.rest_xy[known] - positions(at, theta[None])[0]).ravel()
+        away = np.concatenate([xy_away, np.nan_to_num(angle - angles(at, theta[None])[0])])
+        jacobian[2 * len(at.s) :] *= np.isfinite(angle)[:, None]
+        rows = np.concatenate([jacobian / sd[:, None], np.eye(n) / bent_sd])
         right = np.concatenate([away / sd, -theta / bent_sd])
         theta = theta + np.linalg.lstsq(rows, right, rcond=None)[0]
     return theta
 
 
-# What the beam's own weight does in the fit, where somebody knows how the mass is spread: then one number is learned.
-#
-# A bar of one material whose size in the plane of bending varies has `k ~ w^3` and mass per metre `mu ~ w`, so
-# `mu ~ k^(1/3)`; one whose size across the plane varies has `mu ~ k`; one whose two sizes go together (a round rod, a
-# cone) `mu ~ k^(1/2)`. k(s) then carries the mass with it: `mu = (mass / L) k^p / int k^p ds`.
+# The beam's own weight with a stated spread of the mass: then one number is learned. For one material, `k ~ w^3` and
+# mass per metre `mu ~ w` if the size in the plane of bending varies, `mu ~ k` if the other one does, `mu ~ k^(1/2)` if
+# both do.
 
 POWERS = {"even": 0.0, "width": 1.0 / 3.0, "thickness": 1.0, "both": 0.5}  # p of `mu ~ k^p`
 
@@ -119,14 +108,14 @@ class OwnWeight:
     gravity: Array  # (F, 2) m/s^2
     modes: Array  # (Q, 4) or (F, Q, 4) kg/m per unit of each part
     weights: Array  # (Q,) or (F, Q) of the nodes
-    power: float | None  # of k, where the mass follows it; None: it does not, and what is written is no part of this
+    power: float | None  # of k, where the mass follows it; None: the stated mass is not included
 
     def force(self, problem: Problem, k: Array, parts: Array) -> Array:
         """(F, Q, 2) N beyond each node."""
         return _beyond(problem, self.line(k, parts)[..., None], self.gravity)[..., 0]
 
     def line(self, k: Array, parts: Array) -> Array:
-        """(Q,) or (F, Q) kg/m at the nodes, without what is written where the mass does not follow k."""
+        """(Q,) or (F, Q) kg/m at the nodes; without the stated mass where it does not follow k."""
         if self.power is not None:
             parts = parts + np.eye(len(parts))[0]
         return np.asarray(self.line_by_mass(k) @ parts)
@@ -169,8 +158,7 @@ def own_weight(o: Observations, grid: Grid, gravity: Array, even: Array, written
 
 
 def gravity_direction(o: Observations, problem: Problem, gravity: Array, written: Profile) -> Allowance | None:
-    """Gravity (F, 2) turned by one angle [rad] in all frames, to first order; None where nothing weighs, of static
-    poses, and where the direction is exact. `written`: kg/m."""
+    """Gravity (F, 2) turned by one angle [rad]; None if exact, for static poses, or without weight; `written` kg/m."""
     if o.static or not o.stated.gravity_sd > 0.0 or not np.any(gravity):
         return None
     nodes = problem.grid.nodes
@@ -205,7 +193,7 @@ def _beyond(problem: Problem, line: Array, gravity: Array) -> Array:
 
 REST_MODES = Modes(3)
 MASS_MODES = Modes(4)
-_SLOW = 0.5  # of the cut-off, which is twice the bandwidth of the tags' motion
+_SLOW = 0.5  # of the cut-off
 
 
 @dataclass(frozen=True)
@@ -228,12 +216,16 @@ class FitData:
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `share_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
-    poses: SeenPoses | None  # what tells in which equilibrium each is; None: in that which grows from rest
+    poses: SeenPoses | None  # which equilibrium each is in; None: the one that grows from rest
     mass: OwnWeight | None  # what the mass has besides; None where nothing weighs
     on_nodes: Array  # (Q, p) or (F, Q, p): the spline's functions at the nodes
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
     allowances: tuple[Allowance, ...] = ()
+
+    def entering(self, enters: Entry) -> list[Allowance]:
+        """The allowances that enter the model here."""
+        return [a for a in self.allowances if a.enters == enters]
 
 
 def fit_data(
@@ -244,8 +236,11 @@ def fit_data(
     allowances: frozenset[AllowanceName] = frozenset(),
     known: KnownShape | None = None,
 ) -> FitData:
-    """Prepare a recording: everything that does not depend on the parameters; `allowances` by name, `known`: what is
-    stated of how k varies."""
+    """Prepare a recording; `allowances` by name, `known`: the stated shape of k.
+
+    Raises:
+        LearningError: weight acts and the mass is unknown.
+    """
     o = observations
     time = o.time[frames]
     error = force_error(o, time)
@@ -308,11 +303,9 @@ def fit_data(
 
 
 def share_farther(problem: Problem, push_s: Array) -> Array:
-    """(F, Q) 1/m: a dead force that acts d metres farther out along the tangent than `push_s` adds d times this to the
-    share of it beyond each node.
+    """(F, Q) 1/m: a force d metres beyond `push_s` along the tangent adds d times this to its share beyond each node.
 
-    It lengthens the way to the force, `L sum w u`, by d u at the last node before it. So it also holds beyond the tip,
-    where there is no beam, and the nodes stay where they are.
+    It lengthens the lever `L sum w u` by d u at the last node before it, which also holds beyond the tip.
     """
     nodes, weights = np.broadcast_arrays(problem.grid.nodes, problem.weights)
     last = np.broadcast_to(nodes < push_s[:, None], (len(push_s), nodes.shape[-1])).sum(axis=1) - 1
@@ -321,9 +314,7 @@ def share_farther(problem: Problem, push_s: Array) -> Array:
 
 
 def _rate(o: Observations) -> Array:
-    """(T, 2) N/s: slope of the force at the frames, from its slow part: the slope of the log's noise would tell the
-    clock that it is right as it is.
-    """
+    """(T, 2) N/s: slope of the low-passed force at the frames; noise in it would bias the clock offset to zero."""
     if o.source.clean_force is None:
         return np.gradient(o.force, o.time, axis=0) if len(o.time) > 1 else np.zeros_like(o.force)
     clean = o.source.clean_force

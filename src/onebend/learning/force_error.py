@@ -1,15 +1,11 @@
-"""The error that is left in a force log: slow, correlated, about zero after the tare.
+"""The error of a force log: slow, correlated, about zero after the tare.
 
-The log's noise is known in kind and about in size from the clock search: a coloured part (Ornstein-Uhlenbeck) and a
-random walk (`records.ForceNoise`), beside white noise. After the zero-phase low-pass these keep what their spectra hold
-below the cut-off. The error is written as a cubic spline in time whose knots follow the cut-off; the prior of its
-coefficients is that process, its sizes and correlation time times factors that the data choose, and a level that a
-tare may have missed. A robot's own estimate is also wrong in a way that comes with the load: by nearly as much while
-that grows or falls, and anew where it begins or reverses (`recording/force.py`). That part is a process of
-one sd whose covariance is `exp(-|change of its own time|)`; that time runs on where the load changes and stands still
-else. Where the zero ran straight between two rests, what it took off is put back into what is expected: such an error
-often stays when the load has gone, and then the zero is wrong in between. What is faster than the knots counts as
-noise of each frame. In the rests the true force is zero, so there the log shows its error itself.
+It is a cubic spline in time; the knots follow the cut-off of the low-pass. The prior of its coefficients is a sum of a
+coloured part (Ornstein-Uhlenbeck), a random walk, white noise, a level that the tare may have missed, and an error that
+comes with the load. Their sizes come from the clock search (`records.ForceNoise`), times factors that the data choose.
+The load's error has the covariance `exp(-|change of its own time|)`; that time advances where the load changes. Where
+the zero is interpolated between two rests, the prior mean undoes that. Faster errors are noise of each frame. In the
+rests the true force is zero, so the log shows its error.
 """
 
 from __future__ import annotations
@@ -33,9 +29,7 @@ _PANEL = 8  # columns that LAPACK takes together where it adds rows to a QR fact
 _FINE = 4  # steps between knots, where the load's error is filtered
 LOAD = 0.03  # of the largest force: expected sd of what comes with the load
 ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
-# Of the largest force: no log is taken as more exact. The information of the rests grows with the inverse square of the
-# noise, and below a hundredth of this its rounding exceeds the prior's.
-_LEAST = 1e-7
+_LEAST = 1e-7  # of the largest force: least noise, for rounding
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
 
@@ -106,14 +100,12 @@ class ForceError:
         return 2.0 * self.noise.white**2 * self.noise.spacing
 
     def covariance(self, coloured: float, memory: float, walk: float, load: float) -> Array:
-        """(K, K) N^2 of one axis: sd of the coloured part, its correlation time, the walk and what comes with the load
-        as factors of what was expected."""
+        """(K, K) N^2 of one axis; the arguments are factors on the expected sizes and on the correlation time."""
         root = self.root(coloured, memory, walk, load)
         return np.asarray(root @ root.T)
 
     def root(self, coloured: float, memory: float, walk: float, load: float) -> Array:
-        """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts: they may differ by many
-        orders, and a factor of their sum would lose the small ones."""
+        """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         upper = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short))).T
         level = np.full((1, len(short)), np.hypot(self.level, load * self.load))
@@ -135,8 +127,7 @@ class ForceError:
 
 
 def _below(upper: Array, more: Array) -> Array:
-    """(K, K) the upper triangular R of the QR factors of one such (K, K) and of rows (m, K) below it, upper triangular
-    themselves where they are more than one; what is known to be zero costs nothing."""
+    """(K, K) R of the QR factors of an upper triangle (K, K) above rows (m, K), upper triangular if m > 1."""
     if not len(upper):
         return upper
     rows = len(more) if len(more) > 1 else 0
@@ -159,11 +150,9 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     clean = observations.source.clean_force
     largest = float(np.nanmax(np.linalg.norm(observations.force, axis=1))) if len(time) else 0.0
     if largest == 0.0 or observations.static:  # only the weight acts, or loads that were weighed
-        nothing = ForceNoise(0.0, 0.0, 1.0, 0.0)
-        empty = np.zeros(0)
-        rest = np.zeros((0, 0)), np.zeros((0, 2))
-        no, alike = filtered(empty, np.inf), np.zeros((0, 0))
-        return ForceError(empty, np.zeros((len(time), 0)), *rest, nothing, no, 0.0, 0.0, alike, np.zeros((0, 2)))
+        empty, square, pairs = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 2))
+        none, no_filter = ForceNoise(0.0, 0.0, 1.0, 0.0), filtered(empty, np.inf)
+        return ForceError(empty, np.zeros((len(time), 0)), square, pairs, none, no_filter, 0.0, 0.0, square, pairs)
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     if clean is not None and np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
         cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff

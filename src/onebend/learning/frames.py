@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,35 +13,30 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Polyline, Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, FrameMeans, IntArray, KnownLoads, Observations
+from onebend.records import Array, BoolArray, IntArray, Observations
 
-_BENT = 5.0  # times what the low-pass typically takes off a second time: more is no noise
-_SLIGHT = 0.01  # of the largest force: less than this taken off does not matter
-_MEMORY = 0.5  # of a period of the cut-off: so far a change reaches through the filter
-_STILL = 4.0  # times a tag's noise from its place: farther than this, or than the next, it moves
-_NO_PUSH = 3e-3  # of the length
-_LEAST_LEFT = 0.5  # of the usable frames: where fewer would be left, all are used
+_BENT = 5.0  # times the median change by a second low-pass: a larger change is not noise
+_SLIGHT = 0.01  # of the largest force: a smaller change is neglected
+_MEMORY = 0.5  # of a period of the cut-off: reach of a change through the filter
+_STILL = 4.0  # times a tag's noise: a larger displacement is motion
+_NO_PUSH = 3e-3  # of the length, likewise
+_LEAST_LEFT = 0.5  # of the usable frames: if fewer remain, all are used
 _FEWEST = 5  # frames of a recording
 
 
-def usable_frames(observations: Observations) -> BoolArray:
+def usable_frames(o: Observations) -> BoolArray:
     """(T,) frames under load whose force is known and that show at least one tag."""
-    seen = np.any(np.isfinite(observations.xy), axis=(1, 2))
-    forced = np.all(np.isfinite(observations.force), axis=1) & np.isfinite(push_places(observations))
-    weighed = np.any(observations.gravity != 0.0, axis=1)
-    return np.asarray(seen & forced & (observations.loaded | weighed))
+    seen = np.any(np.isfinite(o.xy), axis=(1, 2))
+    forced = np.all(np.isfinite(o.force), axis=1) & np.isfinite(push_places(o))
+    weighed = np.any(o.gravity != 0.0, axis=1)
+    return np.asarray(seen & forced & (o.loaded | weighed))
 
 
-def nothing_moves(observations: Observations) -> str:
-    """What is wrong with a film of a beam at rest; empty where a tag leaves its place by more than noise.
-
-    The place is that at rest, or, where no rest was seen, that on a straight beam.
-    """
-    o = observations
+def nothing_moves(o: Observations) -> str:
+    """An error message for a film in which no tag leaves its rest position by more than noise; empty otherwise."""
     if o.static or o.held is not None or np.any(o.gravity != 0.0):
         return ""
-    straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
-    away = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight))
+    away = _from_rest(o)
     seen = np.any(np.isfinite(away), axis=0)
     if not seen.any():
         return ""
@@ -52,10 +48,9 @@ def nothing_moves(observations: Observations) -> str:
 
 
 def learnable_frames(observations: Observations) -> BoolArray:
-    """(T,) usable frames whose force the low-pass has not bent: a sudden release is smeared over what it remembers.
+    """(T,) usable frames without the neighbours of force changes faster than the low-pass filter.
 
-    The tags are not filtered. Frames beside a change that is faster than the filter would make every force look too
-    large or too small there. What the filter takes off a second time tells where that is.
+    The tags are not filtered. The change by a second pass of the filter shows where the first one distorted the force.
     """
     usable, clean = usable_frames(observations), observations.source.clean_force
     if clean is None or not np.isfinite(clean.cutoff) or not usable.any():
@@ -122,51 +117,30 @@ def with_seen_tags(recordings: Sequence[Observations]) -> list[Observations]:
 
 def _of_tags(one: Observations, kept: BoolArray) -> Observations:
     """The observations of the tags `kept` (m,) alone."""
-    return replace(
-        one,
-        tag_id=one.tag_id[kept],
-        marker_s=one.marker_s[kept],
-        xy=one.xy[:, kept],
-        angle=one.angle[:, kept],
-        covariance=one.covariance[:, kept],
-        rest_xy=one.rest_xy[kept],
-        rest_angle=one.rest_angle[kept],
-        rest_covariance=one.rest_covariance[kept],
-        by_camera=None if one.by_camera is None else one.by_camera[:, kept],
-        means=None if one.means is None else _kept(one.means, tags=kept),
-    )
-
-
-def _kept(
-    means: FrameMeans, *, frames: BoolArray | slice = slice(None), tags: BoolArray | slice = slice(None)
-) -> FrameMeans:
-    """Of these frames and tags alone."""
-    motion = means.acceleration
-    return FrameMeans(means.count[frames], None if motion is None else motion[frames][:, tags])
+    every = slice(None), kept
+    changes = _taken(one, ("tag_id", "marker_s", "rest_xy", "rest_angle", "rest_covariance"), kept)
+    changes |= _taken(one, ("xy", "angle", "covariance", "by_camera"), every)
+    if one.means is not None:
+        changes["means"] = replace(one.means, **_taken(one.means, ("acceleration",), every))
+    return replace(one, **changes)
 
 
 def at_frames(one: Observations, kept: BoolArray) -> Observations:
-    """The observations of a film in the frames `kept` (T,) alone; what was seen at rest stays."""
+    """The observations of a film in the frames `kept` (T,) alone; the rest is unchanged."""
     assert not one.static, "the readings of static poses name one of them by its number"
-    known = one.known_loads
-    if known is not None:
-        known = KnownLoads(known.force[kept], known.force_s[kept], known.moment[kept], known.moment_s[kept])
-    return replace(
-        one,
-        time=one.time[kept],
-        frame=one.frame[kept],
-        xy=one.xy[kept],
-        angle=one.angle[kept],
-        covariance=one.covariance[kept],
-        force=one.force[kept],
-        push_s=one.push_s[kept],
-        loaded=one.loaded[kept],
-        gravity=one.gravity[kept],
-        held=None if one.held is None else one.held[kept],
-        known_loads=known,
-        by_camera=None if one.by_camera is None else one.by_camera[kept],
-        means=None if one.means is None else _kept(one.means, frames=kept),
-    )
+    changes = _taken(one, ("time", "frame", "xy", "angle", "covariance", "force", "push_s", "loaded", "gravity"), kept)
+    changes |= _taken(one, ("held", "by_camera"), kept)
+    if one.known_loads is not None:
+        names = ("force", "force_s", "moment", "moment_s")
+        changes["known_loads"] = replace(one.known_loads, **_taken(one.known_loads, names, kept))
+    if one.means is not None:
+        changes["means"] = replace(one.means, **_taken(one.means, ("count", "acceleration"), kept))
+    return replace(one, **changes)
+
+
+def _taken(one: Any, names: tuple[str, ...], index: Any) -> dict[str, Any]:
+    """The fields of these names at an index, those that are not None."""
+    return {name: value[index] for name in names if (value := getattr(one, name)) is not None}
 
 
 def push_places(observations: Observations) -> Array:
@@ -205,10 +179,18 @@ def whitening(measured: Array, covariance: Array) -> Array:
 
     A pose may lack its angle, or one coordinate: the rest of it counts by its own part of the covariance.
     """
-    whole = np.all(np.isfinite(covariance), axis=(-1, -2))
-    there = np.isfinite(measured) & whole[..., None]
-    both = there[..., :, None] & there[..., None, :]
-    factors = np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(3))))
+    return _inverse_root(covariance, _known(measured, covariance))
+
+
+def _known(measured: Array, covariance: Array) -> BoolArray:
+    """(..., 3) which numbers of poses (..., 3) are measured, with a covariance (..., 3, 3)."""
+    return np.asarray(np.isfinite(measured) & np.all(np.isfinite(covariance), axis=(-1, -2))[..., None])
+
+
+def _inverse_root(covariance: Array, known: BoolArray) -> Array:
+    """(..., n, n) inverse Cholesky factors of the known (..., n) parts of covariances (..., n, n); zero elsewhere."""
+    both = known[..., :, None] & known[..., None, :]
+    factors = np.linalg.inv(np.linalg.cholesky(np.where(both, covariance, np.eye(known.shape[-1]))))
     return np.asarray(np.where(both, factors, 0.0))
 
 
@@ -219,23 +201,27 @@ def distances(difference: Array) -> Array:
     return np.asarray(np.where(np.any(there, axis=-1), length, np.nan))
 
 
-def moved_by(o: Observations) -> Array:
-    """(T,) m, root mean square over the tags of how far each is from where it rests, or, where no rest was seen, from
-    its place on a straight beam; NaN where none was seen."""
+def _from_rest(o: Observations) -> Array:
+    """(T, m) m, distances of the tags from rest; from a straight beam where no rest was seen."""
     straight = o.length * o.marker_s[:, None] * np.array([1.0, 0.0])
-    squared = distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight)) ** 2
-    seen = np.isfinite(squared)
-    count, total = np.sum(seen, axis=1), np.sum(np.where(seen, squared, 0.0), axis=1)
-    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+    return distances(o.xy - np.where(np.isfinite(o.rest_xy), o.rest_xy, straight))
+
+
+def moved_by(o: Observations) -> Array:
+    """(T,) m, root mean square distance of the tags from rest; NaN where no tag was seen."""
+    return np.asarray(np.sqrt(_known_mean(_from_rest(o) ** 2, axis=1)))
 
 
 def marker_rms(difference: Array) -> Array:
-    """(m,) m, root mean square length of differences (T, m, 2) over the frames in which a tag was seen; NaN where in
-    none."""
-    squared = distances(difference) ** 2
-    seen = np.isfinite(squared)
-    count, total = np.sum(seen, axis=0), np.sum(np.where(seen, squared, 0.0), axis=0)
-    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+    """(m,) m, root mean square length of differences (T, m, 2); NaN for a tag that was never seen."""
+    return np.asarray(np.sqrt(_known_mean(distances(difference) ** 2)))
+
+
+def _known_mean(values: Array, axis: int = 0) -> Array:
+    """Mean of the finite values over an axis; NaN where there is none."""
+    known = np.isfinite(values)
+    count, total = np.sum(known, axis=axis), np.sum(np.where(known, values, 0.0), axis=axis)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
 
 
 def typical(values: Array) -> Array:
@@ -244,12 +230,8 @@ def typical(values: Array) -> Array:
     return np.where(known, np.nanmedian(np.where(known, values, 0.0), axis=0), np.nan)
 
 
-# How poses were read: errors that neighbouring points have in common, rulers that stand still, zeroed gauges.
-#
-# As a rule a point is read by itself, from the clamp, and goes with its mark on the beam. Static poses know three
-# other ways. What a hand traces is off by much the same over some way along the curve. A ruler or a dial gauge stands
-# at a fixed x, and the beam slides along beneath it. And gauges are zeroed in one pose, from which their readings
-# count.
+# Readings of static poses: a hand-traced curve has correlated errors, a ruler or dial gauge stands at a fixed x while
+# the beam slides beneath it, and gauges are zeroed in one pose.
 
 STEEPEST = 0.05  # cosine of the beam's angle under a ruler, at least
 _LOOKED_AT = np.linspace(0.0, 1.0, 201)
@@ -258,12 +240,11 @@ _SETTLE = 4  # steps of Newton's method from there
 
 
 def pose_whitening(o: Observations, measured: Array, covariance: Array) -> Array:
-    """What makes the errors of poses (F, m, 3) with covariances (F, m, 3, 3) independent, of sd one: (F, m, 3, 3), each
-    point by itself; (F, 3 m, 3 m) where errors are alike over some way along the beam. Zero where a number is missing.
+    """Whitening matrices of poses (F, m, 3) with covariances (F, m, 3, 3), zero where a number is missing.
 
-    There the errors of x and y are a process along the beam of once differentiable functions (Matern 3/2): a traced
-    line has a direction everywhere. `error_length` l is the way over which their correlation falls to a half:
-    `(1 + a) exp(-a)` at a distance d, with `a = 1.68 d / l`. Errors of angles are each its own.
+    (F, m, 3, 3) for independent points; (F, 3 m, 3 m) where errors are correlated along the beam. Then errors of x and
+    y are a Matern 3/2 process with correlation `(1 + a) exp(-a)` at a distance d, `a = 1.68 d / error_length`.
+    Errors of angles are independent.
     """
     if o.readings.error_length == 0.0:
         return whitening(measured, covariance)
@@ -272,15 +253,12 @@ def pose_whitening(o: Observations, measured: Array, covariance: Array) -> Array
     share = _HALF * apart / o.readings.error_length
     alike = np.ones((m, m, 3)) * ((1.0 + share) * np.exp(-share))[..., None]
     alike[..., 2] = np.eye(m)
-    there = np.isfinite(measured) & np.all(np.isfinite(covariance), axis=(-1, -2))[..., None]
-    both = there[..., :, None] & there[..., None, :]
+    known = _known(measured, covariance)
+    both = known[..., :, None] & known[..., None, :]
     values, vectors = np.linalg.eigh(np.where(both, covariance, np.eye(3)))
     root = (vectors * np.sqrt(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     whole = np.einsum("fiab,ijb,fjcb->fiajc", root, alike, root).reshape(frames, 3 * m, 3 * m)
-    known = there.reshape(frames, 3 * m)
-    pairs = known[:, :, None] & known[:, None, :]
-    factors = np.linalg.inv(np.linalg.cholesky(np.where(pairs, whole, np.eye(3 * m))))
-    return np.asarray(np.where(pairs, factors, 0.0))
+    return _inverse_root(whole, known.reshape(frames, 3 * m))
 
 
 def whitened(whiten: Array, poses: Array) -> Array:
@@ -300,8 +278,7 @@ def unwhitened(whiten: Array, rows: Array) -> Array:
 
 
 def ruler_places(solved: Equilibrium, x: Array) -> tuple[Array, Array]:
-    """Where beams pass under rulers at x (F, m) [m]: (F, m) s, the first from the clamp on, and (F, m) m farther out
-    along the tangent where a beam does not reach its ruler."""
+    """(F, m) s under rulers at x (F, m) [m], and (F, m) m beyond the tip where the beam is too short."""
     there = solved.xy(_LOOKED_AT)[..., 0]
     reached = there[:, None, :] >= x[..., None]  # (F, m, S)
     after = np.maximum(np.argmax(reached, axis=-1), 1)
@@ -319,12 +296,12 @@ def ruler_places(solved: Equilibrium, x: Array) -> tuple[Array, Array]:
 
 
 def steepness(angle: Array) -> Array:
-    """(...) cosine of the beam's angle where it passes under a ruler; none is read where the beam stands upright."""
+    """(...) cosine of the beam's angle under a ruler, bounded from below."""
     return np.maximum(np.cos(angle), STEEPEST)
 
 
 def points_of(o: Observations, frames: BoolArray, solved: Equilibrium) -> Array:
-    """(F, m, 2) m of what is read of shapes `solved` in these frames (T,): their marks, or what passes the rulers."""
+    """(F, m, 2) m predicted readings of shapes `solved` in these frames (T,): marks, or rulers."""
     if o.readings.at == "mark":
         return solved.xy(o.marker_s)
     x = o.xy[frames][..., 0]
@@ -335,23 +312,14 @@ def points_of(o: Observations, frames: BoolArray, solved: Equilibrium) -> Array:
 
 
 def from_the_clamp(o: Observations, frames: BoolArray, predicted: Array) -> Array:
-    """(F, m, 2) m, readings of these frames (T,), counted from the clamp: those of zeroed gauges are put where the
-    `predicted` (F, m, 2) pose of their zero was, or, where that is not among the frames, the shapes on the whole are.
-    """
+    """(F, m, 2) m, readings of these frames (T,) from the clamp: zeroed gauges are shifted to the `predicted` (F, m, 2)
+    pose of their zero, or to the mean of all shapes if that pose is not among the frames."""
     read, zeroed = o.xy[frames], o.readings.bare
     if zeroed < 0:
         return read
     away = np.where(np.isfinite(read), predicted - read, np.nan)
-    shift = away[int(np.sum(frames[:zeroed]))] if frames[zeroed] else _mean(away)
+    shift = away[int(np.sum(frames[:zeroed]))] if frames[zeroed] else _known_mean(away)
     return read + (shift if o.readings.at == "mark" else shift * np.array([0.0, 1.0]))
-
-
-def _mean(values: Array) -> Array:
-    """Over the first axis, of what is known there."""
-    known = np.isfinite(values)
-    count = np.sum(known, axis=0)
-    total = np.sum(np.where(known, values, 0.0), axis=0)
-    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
 
 
 def zeroed_coordinates(o: Observations) -> tuple[tuple[int, int], ...]:

@@ -1,9 +1,8 @@
-"""The sizes that the data choose: noise of the tags, noise of the force, and those in the prior of log k.
+"""Hyperparameters: noise of tags and force, and the sizes in the prior of log k.
 
-A recording's noise comes from its residuals by expectation-maximisation. The sizes of the force error are chosen by the
-evidence of the linearised model under broad log-normal priors; the covariance of the parameters is averaged over the
-values that stay probable (a cubature of degree three around the maximum). The sizes in the prior of log k are drawn
-from their posterior (`stiffness_prior.py`).
+The noise of a recording comes from its residuals by expectation-maximisation. The sizes of the force error maximise the
+evidence of the linearised model under log-normal priors; the covariance of the parameters is averaged over them by a
+cubature of degree three. The sizes in the prior of log k are drawn from their posterior (`normal.py`).
 """
 
 from __future__ import annotations
@@ -52,11 +51,10 @@ from onebend.progress import each
 from onebend.records import Array, IntArray
 
 CHOSEN = ("coloured", "memory", "walk", "load")  # the sizes of the force error
-# One sd of their logs. The coloured noise behind the filter is known to a factor of two in size and two and a half in
-# correlation time (the clock search takes part of the force for it); the walk, of which one push is one draw, to a
-# factor of three; what comes with the load to a factor of three.
+# One sd of their logs: factors of two in size and two and a half in correlation time of the coloured noise, and of
+# three in the walk and in the load's error.
 SPREAD = np.array([0.7, 0.9, 1.1, 1.2])
-_TELL_SIZES = 10  # recordings, evenly chosen: so many tell the sizes of the force error about as well as all
+_TELL_SIZES = 10  # recordings, evenly chosen, that the sizes of the force error are estimated from
 _NOTHING: IntArray = np.zeros(0, dtype=np.int64)
 _FARTHEST = 4.0  # sd of their logs from what is expected
 _GUESS_COUNTS = 3.0  # numbers that the guessed noise of readings counts for
@@ -66,9 +64,7 @@ _LONGEST_LAG = 8  # a correlation time takes lags up to this part (1 / 8) of the
 _UNCORRELATED = 0.05  # correlation from which on a correlation time is cut off
 _ON_THE_WAY = Draws(chains=12, burn=15, kept=25)
 _AT_THE_END = Draws(chains=4, burn=20, kept=60)  # for each of the nodes of the cubature
-# Of what the tags' covariances say: no noise is taken as smaller. Markers that fit better are made by a simulator, and
-# below this the solver's own error (1e-8 L) would have to be fitted.
-_LEAST_NOISE = 0.02
+_LEAST_NOISE = 0.02  # of the tags' stated sd: below it the solver's error (1e-8 L) would be fitted
 
 
 @dataclass(frozen=True)
@@ -94,9 +90,8 @@ class Evidence:
         return replace(start, **dict(zip(CHOSEN, np.exp(logs).tolist(), strict=True)))
 
     def cost(self, start: Hyperparameters) -> Callable[[Array], float]:
-        """Minus log posterior of z. What is not the force's error is integrated out once, but for what the recordings
-        share; of many recordings some tell the sizes, and the others are taken at `start`.
-        """
+        """Minus log posterior of z. All but the force's error and the shared parameters is integrated out once; of many
+        recordings only some are used, the others are taken at `start`."""
         before, problem = prior(self.problem, start), self.problem
         asked = set(np.linspace(0, len(problem.recordings) - 1, _TELL_SIZES).astype(int).tolist())
         own = [self._force_error(number) if number in asked else _NOTHING for number in range(len(problem.recordings))]
@@ -107,10 +102,10 @@ class Evidence:
             sizes = self.hyperparameters_at(start, z)
             roots = each(partial(_error_root, sizes=sizes), errors)
             try:
-                told = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
+                log_evidence = solved(data, replace(some, roots=(some.roots[0], *roots))).log_evidence
             except np.linalg.LinAlgError:
                 return 1e12
-            return 0.5 * float(z @ z) - told
+            return 0.5 * float(z @ z) - log_evidence
 
         return of
 
@@ -162,8 +157,7 @@ def with_stiffness_prior(evidence: Evidence, hyperparameters: Hyperparameters) -
 def averaged_posterior(
     evidence: Evidence, hyperparameters: Hyperparameters, sizes: Sequence[Sizes]
 ) -> tuple[StiffnessMixture, JointCovariance]:
-    """log k and the covariance of all parameters, averaged over the hyperparameters that the data leave open; `sizes`
-    of the allowances are equally probable."""
+    """log k and the covariance of all parameters, averaged over the hyperparameters; `sizes` are equally probable."""
     nodes, weights = _cubature(evidence, hyperparameters)
     layout, best = evidence.problem.layout, evidence.posterior(hyperparameters).mean
     known = [layout.known_to(number) for number in range(len(evidence.problem.recordings))]
@@ -190,7 +184,7 @@ def averaged_posterior(
 
 
 def _with_stiffness(covariance: Array, of_log_k: Array) -> Array:
-    """A covariance (n, n) with another one of log k's coefficients (p, p), which come first; all else follows them."""
+    """A covariance (n, n) with another one of log k's coefficients (p, p), which come first; the rest by regression."""
     p = len(of_log_k)
     regression = np.linalg.solve(covariance[:p, :p], covariance[:p]).T  # of all parameters on those of log k
     out = covariance + regression @ (of_log_k - covariance[:p, :p]) @ regression.T
@@ -227,37 +221,37 @@ def _hessian(cost: Callable[[Array], float], middle: Array, there: float, h: flo
     return out
 
 
-def expected_recording_noise(recording: FitData) -> RecordingNoise:
+def expected_recording_noise(data: FitData) -> RecordingNoise:
     """The noise before any residual is known."""
-    if recording.observations.static:
-        return RecordingNoise(1.0, _load_sd(recording))
-    return RecordingNoise(1.5, 0.5 * recording.error.size)
+    if data.observations.static:
+        return RecordingNoise(1.0, _load_sd(data))
+    return RecordingNoise(1.5, 0.5 * data.error.size)
 
 
-def new_noise(recording: FitData, rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
+def new_noise(data: FitData, rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
     """The noise from the residuals.
 
-    Static poses have no order in time, and the sd of their loads is as stated. Few points tell little of the noise, so
-    a guessed sd counts for a few numbers, and the noise is never taken as smaller than a stated sd.
+    Static poses have stated sds of their loads. A guessed sd of their points counts as a few numbers; a stated one is a
+    lower bound.
     """
-    if not recording.observations.static:
+    if not data.observations.static:
         return updated_noise(rows, before, spent)
     unexplained, _ = split_off_force(rows, rows.r, before)
     numbers = float(np.sum(rows.known))
     free = max(numbers - spent, 0.3 * numbers)
     marker = float(np.sqrt((np.sum(rows.r * unexplained) + _GUESS_COUNTS) / (free + _GUESS_COUNTS)))
-    return RecordingNoise(max(marker, 1.0) if recording.observations.sd_known else marker, _load_sd(recording))
+    return RecordingNoise(max(marker, 1.0) if data.observations.sd_known else marker, _load_sd(data))
 
 
-def _load_sd(recording: FitData) -> float:
+def _load_sd(data: FitData) -> float:
     """N, of a weighed load; next to nothing where it is known exactly."""
-    return max(float(np.max(recording.observations.force_sd)), 1e-9)
+    return max(float(np.max(data.observations.force_sd)), 1e-9)
 
 
 def updated_noise(rows: ResidualRows, before: RecordingNoise, spent: float) -> RecordingNoise:
     """Noise of a recording from its residuals, by expectation-maximisation over the frames' own force errors.
 
-    `spent`: how many parameters the recording's tags settled (trace of their information times the covariance).
+    `spent`: effective number of parameters (trace of the tags' information times the covariance).
     """
     numbers = float(np.sum(rows.known))
     share = max(1.0 - spent / max(numbers, 1.0), 0.3)
@@ -289,16 +283,13 @@ def correlation_time(r: Array) -> float:
     return total
 
 
-# How large an allowance is whose size nobody knows: the evidence chooses it (automatic relevance determination).
-
 FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
 
 
 def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
-    """The factor of greatest evidence for every allowance that is `sized`, one after the other, under a half-Cauchy
-    prior of scale one."""
+    """The factor of greatest evidence for each `sized` allowance in turn (automatic relevance determination)."""
     sizes = dict(start.sizes)
-    names = {a.name for recording in evidence.problem.recordings for a in recording.allowances if a.sized}
+    names = {a.name for data in evidence.problem.recordings for a in data.allowances if a.sized}
     for name in sorted(names):
         log_density = size_density(evidence, replace(start, sizes=sizes), name)
         sizes[name] = float(FACTORS[int(np.argmax(log_density))])
@@ -306,14 +297,13 @@ def choose_sizes(evidence: Evidence, start: Hyperparameters) -> Sizes:
 
 
 def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array:
-    """(FACTORS,) log of the posterior density of the log of one allowance's factor, but for a constant, all else at
-    `start`."""
+    """(FACTORS,) log posterior density of the log of one allowance's factor, up to a constant, all else at `start`."""
     layout, before = evidence.problem.layout, prior(evidence.problem, start)
     where = [_stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)]
     sd = [before.roots[i].sd[index] / start.sizes.get(name, 1.0) for i, index in enumerate(where)]
     if len(where[0]):
-        told = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
-        return log_density_of([_scaled(told, 0, sd[0])], 0)
+        form = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
+        return log_density_of([_scaled(form, 0, sd[0])], 0)
     data, some = coupled(evidence.data, before, where[1:])
     couple, root = some.parts[0].stop, some.roots[0]
     forms = []
@@ -332,13 +322,9 @@ def likely_sizes(evidence: Evidence, start: Hyperparameters, name: str, count: i
 
 
 def _stands(blocks: Sequence[Block], name: str, start: int) -> IntArray:
-    """(n,) where blocks of a name stand in a part of the parameters that begins at `start`."""
-    return np.concatenate(
-        [
-            np.zeros(0, dtype=np.int64),
-            *(np.arange(b.where.start, b.where.stop) - start for b in blocks if b.name == name),
-        ]
-    )
+    """(n,) indices of the blocks of a name in a part of the parameters that begins at `start`."""
+    indices = [i - start for b in blocks if b.name == name for i in range(b.where.start, b.where.stop)]
+    return np.array(indices, dtype=np.int64)
 
 
 def _scaled(form: InformationForm, kept: int, sd: Array) -> InformationForm:
@@ -348,10 +334,10 @@ def _scaled(form: InformationForm, kept: int, sd: Array) -> InformationForm:
 
 
 def log_density_of(forms: Sequence[InformationForm], couple: int) -> Array:
-    """(FACTORS,) log of the posterior density of the log of a factor f, for coefficients b of prior covariance `f^2 I`.
+    """(FACTORS,) log posterior density of the log of a factor f, for coefficients b of prior covariance `f^2 I`.
 
-    Each form is over `couple` shared parameters of covariance one, and over coefficients of its own. With all
-    integrated out, `2 log p = sum (f^2 b' (I + f^2 H)^-1 b - log det(I + f^2 H)) + c' (I + S)^-1 c - log det(I + S)`,
+    Each form is over `couple` shared parameters of covariance one, and own coefficients. With all integrated out,
+    `2 log p = sum (f^2 b' (I + f^2 H)^-1 b - log det(I + f^2 H)) + c' (I + S)^-1 c - log det(I + S)`,
     H and b of each form's own coefficients, S and c what is left of the shared ones.
     """
     variance = FACTORS[:, None] ** 2

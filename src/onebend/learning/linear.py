@@ -1,14 +1,13 @@
-"""The linearised model of the marker-space fit: what tags and force logs say about the parameters.
+"""The linearised model of the marker-space fit: information of tags and force logs on the parameters.
 
-At a point x every recording gives whitened residuals r, derivatives J with the parameters and A with each frame's
-force. The covariance S of a frame is that of its tags plus the effect of the fast part of its force error:
-`s^2 (I + (f/s)^2 A A^T)`. The log likelihood is then quadratic, with information `H = J^T S^-1 J` and
-`b = J^T S^-1 (r + J x)`. Priors are Gaussian, so at fixed hyperparameters the maximum and the evidence (marginal
-likelihood) of the linearised model have closed forms (`hyperparameters.py`).
+At a point x every recording has whitened residuals r, derivatives J with the parameters and A with each frame's force.
+The covariance S of a frame is that of its tags plus the effect of the fast part of its force error:
+`s^2 (I + (f/s)^2 A A^T)`. The log likelihood is quadratic, with information `H = J^T S^-1 J` and `b = J^T S^-1 (r + J
+x)`. Priors are Gaussian, so the maximum and the evidence of the linearised model have closed forms
+(`hyperparameters.py`).
 
 All derivatives are taken at the force less each frame's own fast error f, and `r` is the residual there plus `A f`. At
-the force as logged they would be correlated with its noise, and noise in a regressor biases the stiffness upwards
-(errors in variables, attenuation).
+the force as logged they would be correlated with its noise, which biases the stiffness upwards (errors in variables).
 """
 
 from __future__ import annotations
@@ -40,8 +39,6 @@ from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
 from onebend.progress import each
 from onebend.records import Array, IntArray
-
-# What is fitted: the recordings' data, where each parameter stands, and what is expected before the data.
 
 
 @dataclass(frozen=True)
@@ -88,11 +85,10 @@ class FitProblem:
 
 @dataclass(frozen=True)
 class Prior:
-    """The parameters before the data: `x = mean + L z` with z of covariance one.
+    """The prior of the parameters: `x = mean + L z` with z of covariance one.
 
-    The fit is computed in z. There the posterior's precision is the identity plus what the data add, so that every
-    factor of it exists, however exactly a parameter is known beforehand; the prior covariance is never inverted. What
-    the recordings share, and what each has of its own, are independent.
+    The fit is computed in z, so the prior covariance is never inverted and may be singular. Shared parameters and those
+    of each recording are independent.
     """
 
     mean: Array  # (P,)
@@ -138,8 +134,7 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
 
 
 def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
-    """Indices (n,) of the parameters that log k, less what is known of it, is made of, and (f, n) how the finer
-    spline's coefficients follow from them."""
+    """Indices (n,) of the parameters of log k, and (f, n) their map to the finer spline's coefficients."""
     layout = problem.layout
     where, fine = layout.index["stiffness", -1].where, layout.spline.finer
     index: list[IntArray] = [np.arange(where.start, where.stop)]
@@ -151,17 +146,13 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
     return np.concatenate(index), np.concatenate(onto, axis=1)
 
 
-# Several recordings of one beam in one linear model: what they share, and what each has of its own.
-#
-# The posterior's precision is bordered block diagonal: the own parameters of two recordings have no common data. Each
-# recording's own parameters are integrated out by themselves (Schur complement), the shared ones are solved for, and
-# the own ones follow. So work and memory go with the number of recordings. See Golub and Van Loan, Matrix
-# Computations, 4.5.
+# Several recordings: the posterior's precision is bordered block diagonal. Own parameters of each recording are
+# integrated out (Schur complement), the shared ones are solved for. See Golub and Van Loan, Matrix Computations, 4.5.
 
 
 @dataclass(frozen=True)
 class JointInformation:
-    """What tags and force logs of every recording say, to second order."""
+    """Log likelihood of every recording, to second order."""
 
     forms: tuple[InformationForm, ...]  # of each recording, over the shared parameters and its own
     parts: tuple[slice, ...]  # where the shared parameters stand, and those of each recording
@@ -192,8 +183,7 @@ class JointInformation:
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Parameters y, integrated out under their prior: given the others x, the precision of z of `y = m + L z` is
-    `G G'`."""
+    """Parameters `y = m + L z`, integrated out: given the others x, the precision of z is `G G'`."""
 
     root: BlockRoot  # L
     factor: Array  # (n, n) G, lower triangular
@@ -225,8 +215,7 @@ def eliminated(form: InformationForm, mean: Array, root: BlockRoot, kept: int, d
 
 
 def marginal(form: InformationForm, mean: Array, root: BlockRoot, kept: IntArray) -> InformationForm:
-    """What is said of the parameters `kept` (k,), all others integrated out under their prior of mean (n,) and root;
-    its noise includes their volume."""
+    """Information on the parameters `kept` (k,), the others integrated out under their prior, mean (n,) and root."""
     others = np.setdiff1d(np.arange(len(mean)), kept)
     order = np.concatenate([kept, others])
     sorted_form = replace(form, matrix=form.matrix[np.ix_(order, order)], vector=form.vector[order])
@@ -262,8 +251,7 @@ class Solved:
 
     @property
     def log_evidence_of_shared(self) -> float:
-        """The same with the shared parameters integrated out and each recording's own ones at their most probable: less
-        the volumes of noise and own parameters."""
+        """Shared parameters integrated out, own ones at their maximum; without the log volumes."""
         mean, left = self.before.mean[self.before.parts[0]], self.left
         misfit = left.constant - 2.0 * left.vector @ mean + mean @ left.matrix @ mean - self.white @ self.white
         return float(-0.5 * misfit - np.sum(np.log(np.diag(self.factor))))
@@ -272,8 +260,8 @@ class Solved:
         """(P, ...) `A^-1 v`, A being the precision of z."""
         parts, root = self.before.parts, self.before.roots[0]
         white = [_lower(one.factor, v[part]) for one, part in zip(self.own, parts[1:], strict=True)]
-        told = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
-        shared = _upper(self.factor, _lower(self.factor, v[parts[0]] - root.transposed_times(told)))
+        known = sum((one.across.T @ w for one, w in zip(self.own, white, strict=True)), np.zeros_like(v[parts[0]]))
+        shared = _upper(self.factor, _lower(self.factor, v[parts[0]] - root.transposed_times(known)))
         x = root.times(shared)
         return np.concatenate([shared, *(one.given(x, w) for one, w in zip(self.own, white, strict=True))])
 
@@ -302,8 +290,7 @@ class Solved:
 
 
 class _Pairs(Sequence[Array]):
-    """`Solved.pair` of each recording, worked out where asked for: all of them take much memory. The last one is
-    remembered."""
+    """`Solved.pair` of each recording, computed on demand to save memory; the last one is cached."""
 
     def __init__(self, posterior: Solved) -> None:
         self._posterior = posterior
@@ -341,8 +328,7 @@ def solved(data: JointInformation, before: Prior, damping: float = 0.0) -> Solve
 
 
 def own_in_z(form: InformationForm, before: Prior, number: int) -> InformationForm:
-    """What one recording says, with z for its own parameters: what does not change with the damping is then worked out
-    once."""
+    """The information of one recording, with z for its own parameters: independent of the damping."""
     part, shared = before.parts[1 + number], before.parts[0].stop
     mean = np.concatenate([np.zeros(shared), before.mean[part]])
     own = in_z(form, mean, beside(unit_root(shared), before.roots[1 + number]))
@@ -357,19 +343,20 @@ def prior_in_own_z(before: Prior) -> Prior:
 
 
 def coupled(data: JointInformation, before: Prior, own: Sequence[IntArray]) -> tuple[JointInformation, Prior]:
-    """Data and prior of some of each recording's own parameters, and of the shared ones that couple them; all else is
-    integrated out. `own` (m,) of each recording: where they stand in its part. One recording alone has no coupling.
+    """Data and prior of some own parameters of each recording and of the shared ones; all else is integrated out.
+
+    `own` (m,): indices in the part of each recording. The shared ones are integrated out, too, for one recording.
     """
     shared = before.parts[0]
     count = shared.stop if len(own) > 1 else 0
 
-    def told(form: InformationForm, part: slice, root: BlockRoot, mine: IntArray) -> InformationForm:
+    def of(form: InformationForm, part: slice, root: BlockRoot, mine: IntArray) -> InformationForm:
         mean = np.concatenate([before.mean[shared], before.mean[part]])
         return marginal(
             form, mean, beside(before.roots[0], root), np.concatenate([np.arange(count), shared.stop + mine])
         )
 
-    forms = each(told, data.forms, before.parts[1:], before.roots[1:], own)
+    forms = each(of, data.forms, before.parts[1:], before.roots[1:], own)
     means = [before.mean[part][mine] for part, mine in zip(before.parts[1:], own, strict=True)]
     roots = [root.take(mine) for root, mine in zip(before.roots[1:], own, strict=True)]
     ends = np.cumsum([count, *(len(mine) for mine in own)]).tolist()
@@ -428,27 +415,12 @@ class ResidualRows:
         return np.asarray(np.einsum("frd,fr->fd", self.a, r))
 
 
-def residual_rows(now: Prediction, noise: RecordingNoise) -> ResidualRows:
-    """Rows of one recording, tags weighted by Student's t on the residuals that their frame's force cannot explain."""
-    return _weighted(unweighted_rows(now), noise)
+def residual_rows(now: Prediction, noise: RecordingNoise, slopes: Slopes | None = None) -> ResidualRows:
+    """Rows of one recording, weighted by Student's t on the residuals less the effect of their frame's force.
 
-
-def rows_by_force(now: Prediction, noise: RecordingNoise) -> ResidualRows:
-    """`residual_rows` whose derivatives with the parameters are left out."""
-    return _weighted(_unweighted(now, now.whitened_by_force), noise)
-
-
-def unweighted_rows(now: Prediction) -> ResidualRows:
-    """Rows of one recording, whitened alone."""
-    return _unweighted(now, now.whitened_slopes)
-
-
-def _unweighted(now: Prediction, slopes: Slopes) -> ResidualRows:
-    known = np.any(now.recording.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
-    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
-
-
-def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
+    `slopes`: derivatives to use instead of `whitened_slopes`.
+    """
+    plain = unweighted_rows(now, slopes)
     known, frames = plain.known, len(plain.r)
     unexplained, _ = split_off_force(plain, plain.r, noise)
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
@@ -457,9 +429,16 @@ def _weighted(plain: ResidualRows, noise: RecordingNoise) -> ResidualRows:
     return ResidualRows(root * plain.r, plain.whitened, known, root)
 
 
+def unweighted_rows(now: Prediction, slopes: Slopes | None = None) -> ResidualRows:
+    """Rows of one recording, only whitened."""
+    slopes = now.whitened_slopes if slopes is None else slopes
+    known = np.any(now.data.whiten != 0.0, axis=-1).astype(float).reshape(len(now.pose), -1)
+    return ResidualRows(residuals(now) + explained_by(slopes.a, now.own), slopes, known, known)
+
+
 def residuals(now: Prediction) -> Array:
     """(F, 3 m) whitened measured minus predicted poses; zero where a tag was not seen."""
-    data = now.recording
+    data = now.data
     difference = np.where(np.isfinite(data.measured), data.measured - now.pose, 0.0)
     return whitened(data.whiten, difference[..., None])[..., 0]
 
@@ -484,11 +463,10 @@ def misfit(rows: ResidualRows, r: Array, noise: RecordingNoise) -> float:
 def tag_information(
     rows: ResidualRows, layout: Layout, number: int, x: Array, noise: RecordingNoise
 ) -> InformationForm:
-    """Log likelihood of one recording's tags at given noise, all but the frames' own forces as parameters.
+    """Log likelihood of one recording's tags at given noise, the frames' own forces integrated out.
 
-    The slow error of the log moves a frame's tags as the frame's own force does, so the information on its knots
-    follows from that on the force: `A' S^-1 = ((s/f)^2 + A' A)^-1 A' / f^2`. Where the material remembers, a force that
-    lasts does somewhat more in its frame, and goes on in those after it.
+    The information on the knots of the slow force error follows from that on the force:
+    `A' S^-1 = ((s/f)^2 + A' A)^-1 A' / f^2`. Memory of the material adds to the effect of a lasting force.
     """
     mine, slopes, variance = layout.known_to(number), rows.slopes, noise.marker**2
     y = rows.r + rows.moved_by(x[mine])
@@ -513,8 +491,7 @@ def tag_information(
 
 
 def _with_knots(slopes: Slopes, dense: Array, by_push: Array, of_push: Array) -> Array:
-    """(C, C) information on the parameters, from that on the columns of `slopes.j` (D, D), on these with each frame's
-    lasting push (F, 2, D), and on that push (F, 2, 2)."""
+    """(C, C) information on the parameters from that on the columns of `slopes.j` (D, D) and each frame's push."""
     count, k, keys = slopes.others, slopes.weights.shape[1], slopes.keys
     own = slopes.onto_knots(by_push)  # (2 K, D)
     across = own + slopes.onto_knots(dense[count:].reshape(len(keys), 2, len(dense)), keys)
@@ -531,7 +508,7 @@ def _with_knots(slopes: Slopes, dense: Array, by_push: Array, of_push: Array) ->
 
 
 def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
-    """(C,) `J' S^-1 r` of weighted residuals r (F, R) of one recording, over the parameters that it knows."""
+    """(C,) `J' S^-1 r` of weighted residuals r (F, R) of one recording."""
     slopes = rows.whitened
     unexplained, force = split_off_force(rows, r, noise)
     weighted = rows.root_weight * unexplained / noise.marker**2
@@ -542,8 +519,7 @@ def tag_score(rows: ResidualRows, r: Array, noise: RecordingNoise) -> Array:
 
 
 def rest_information(problem: FitProblem, number: int) -> InformationForm:
-    """Log likelihood of one force log in the rests, where the true force is zero and the log is its own error; over the
-    parameters that its recording knows."""
+    """Log likelihood of one force log in the rests, where the true force is zero, over its recording's parameters."""
     layout, error = problem.layout, problem.recordings[number].error
     count = len(layout.known_to(number))
     information, b = np.zeros((count, count)), np.zeros(count)
@@ -557,19 +533,19 @@ def rest_information(problem: FitProblem, number: int) -> InformationForm:
     return InformationForm(information, b, float(np.sum(values**2)) / sd**2, values.size * float(np.log(sd)))
 
 
-def rest_residuals(recording: FitData, layout: Layout, x: Array) -> Array:
+def rest_residuals(data: FitData, layout: Layout, x: Array) -> Array:
     """(R, 2) of the force log in the rests at parameters x (P,), over its sd there."""
-    error = recording.error
-    expected = error.rest_weights @ layout.get(x, "force", recording.number).reshape(-1, 2)
+    error = data.error
+    expected = error.rest_weights @ layout.get(x, "force", data.number).reshape(-1, 2)
     return np.asarray((error.rest_values - expected) / _rest_sd(error))
 
 
-def rest_score(recording: FitData, layout: Layout, x: Array) -> Array:
-    """(C,) minus half the gradient of the square of `rest_residuals`, over the parameters that the recording knows."""
-    out, where = np.zeros(len(layout.known_to(recording.number))), layout.columns("force", recording.number)
+def rest_score(data: FitData, layout: Layout, x: Array) -> Array:
+    """(C,) minus half the gradient of the square of `rest_residuals`."""
+    out, where = np.zeros(len(layout.known_to(data.number))), layout.columns("force", data.number)
     if where is not None:
-        residuals = rest_residuals(recording, layout, x)
-        out[where] = (recording.error.rest_weights.T @ residuals).ravel() / _rest_sd(recording.error)
+        residuals = rest_residuals(data, layout, x)
+        out[where] = (data.error.rest_weights.T @ residuals).ravel() / _rest_sd(data.error)
     return out
 
 
@@ -579,8 +555,7 @@ def _rest_sd(error: ForceError) -> float:
 
 
 def own_information(problem: FitProblem, number: int, x: Array) -> list[InformationForm]:
-    """Log likelihood of what one recording says besides its tags, at parameters x (P,): its rests, and its natural
-    frequencies, which depend on the beam alone."""
+    """Log likelihoods of one recording besides its tags, at parameters x (P,): rests and natural frequencies."""
     known, out = problem.layout.known_to(number), [rest_information(problem, number)]
     for predicted in problem.predicted_frequencies(x, number):
         j = predicted.slopes[:, known] / predicted.data.sd[:, None]

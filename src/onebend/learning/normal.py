@@ -1,7 +1,4 @@
-"""A normal density, or a likelihood to second order, by its information matrix and vector.
-
-Those of independent data add up, and what is known of some parameters with all others integrated out has this form too.
-"""
+"""Normal densities by their information matrix and vector, joint covariances, and the posterior of log k by MCMC."""
 
 from __future__ import annotations
 
@@ -24,10 +21,9 @@ _WORTH_PAGES = 1 << 19  # bytes: a smaller array stays where it is
 
 
 def in_own_pages(array: Array) -> Array:
-    """An array that stays for long, copied to memory pages of its own where it is large: they go back with it.
+    """A large array copied to memory pages of its own, which are returned when it is freed.
 
-    The heap grows by what is made and freed around an array that stays, and cannot shrink past it. Of a hundred
-    recordings learned together that was a third of the memory.
+    Long-lived arrays on the heap keep it from shrinking: with a hundred recordings by a third of the memory.
     """
     if array.nbytes < _WORTH_PAGES:
         return array
@@ -42,9 +38,6 @@ def _pages(count: int) -> mmap.mmap:
     if hasattr(mmap, "MAP_PRIVATE"):
         return mmap.mmap(-1, count, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     return mmap.mmap(-1, count)
-
-
-# Roots of prior covariances: a diagonal, with triangular blocks where parameters depend on each other beforehand.
 
 
 @dataclass(frozen=True)
@@ -150,12 +143,7 @@ def in_z(form: InformationForm, mean: Array, root: BlockRoot) -> InformationForm
     return replace(form, matrix=root.around(form.matrix), vector=root.transposed_times(gap), constant=constant)
 
 
-# Covariance of all parameters of several recordings of one beam, without that of every pair of recordings.
-#
-# Exact among the shared parameters and the own ones of one recording. Given the shared ones, the own parameters of
-# two recordings are independent, which is exact at fixed hyperparameters: their covariance follows from that.
-
-_MOST_TOLD = 1e-9  # of the largest eigenvalue of correlations: directions below are fixed
+_LEAST_EIGENVALUE = 1e-9  # of the largest eigenvalue of correlations: directions below are fixed
 
 
 @dataclass(frozen=True)
@@ -169,7 +157,10 @@ class Conditioning:
 
 @dataclass(frozen=True)
 class JointCovariance:
-    """(P, P), by recording."""
+    """(P, P) covariance of all parameters, by recording.
+
+    Given the shared parameters, the own ones of two recordings are independent: exact at fixed hyperparameters.
+    """
 
     shared: int  # parameters that all recordings share; they come first
     pairs: Sequence[Array]  # (n, n) of each recording: of the shared parameters and its own
@@ -226,8 +217,7 @@ class JointCovariance:
     def conditioned(self, weights: Array, index: Sequence[IntArray], away: Sequence[Array]) -> Conditioning:
         """Numbers k, linear in the shared parameters by `weights` (S, n), if parameters b were known.
 
-        b stand at `index` of the parts: of the shared ones, and of each recording's own. Over several recordings
-        Woodbury's identity brings the inverse of the covariance of b to the size of the shared parameters.
+        `index` of b in each part. With several recordings the inverse covariance of b is by Woodbury's identity.
         """
         n = self.shared
         if len(self.pairs) == 1:
@@ -237,14 +227,14 @@ class JointCovariance:
             regression = across @ inverse
             explained = np.einsum("si,si->s", regression, across)
             return Conditioning(explained, regression @ whole, float(whole @ inverse @ whole))
-        told, right, square, precision = np.zeros((n, n)), np.zeros(n), 0.0, _inverse(self.of_shared)
+        information, right, square, precision = np.zeros((n, n)), np.zeros(n), 0.0, _inverse(self.of_shared)
         for pair, i, by in zip(self.pairs, index[1:], away[1:], strict=True):
             onto = pair[n + i, :n] @ precision
             inverse = _inverse(pair[np.ix_(n + i, n + i)] - onto @ pair[:n, n + i])
-            told += onto.T @ inverse @ onto
+            information += onto.T @ inverse @ onto
             right += onto.T @ inverse @ by
             square += float(by @ inverse @ by)
-        kept = self.of_shared @ np.linalg.inv(np.eye(n) + told @ self.of_shared)  # (C^-1 + M)^-1
+        kept = self.of_shared @ np.linalg.inv(np.eye(n) + information @ self.of_shared)  # (C^-1 + M)^-1
         moved, square = kept @ right, square - float(right @ kept @ right)
         inverse, left = _inverse(kept[np.ix_(index[0], index[0])]), away[0] - moved[index[0]]
         moved = moved + kept[:, index[0]] @ inverse @ left
@@ -269,24 +259,20 @@ def _inverse(covariance: Array) -> Array:
         return covariance
     sd = np.sqrt(np.diag(covariance))
     return np.asarray(
-        np.linalg.pinv(covariance / np.outer(sd, sd), rcond=_MOST_TOLD, hermitian=True) / np.outer(sd, sd)
+        np.linalg.pinv(covariance / np.outer(sd, sd), rcond=_LEAST_EIGENVALUE, hermitian=True) / np.outer(sd, sd)
     )
 
 
-# What data say of log k where the sizes in its prior are not known: their posterior, sampled.
-#
-# Given the sizes of the smooth part (`tau`), of the steps and bumps (`rho`) and of every single one beside the
-# others, log k is normal. The sizes are not: a beam may be even but for one glued joint, and several answers may fit.
-# So they are drawn: `tau` and `rho` by Metropolis steps with log k integrated out, the own size of every step and
-# bump given itself (Student's t with one degree of freedom: most are small, a few are large; its scale goes with the
-# distance that it stands for, so that finer splines add up to the same process). Mean, covariance and quantiles of
-# log k are those of the mixture of normals given the sizes, so that few draws are enough. Chains run side by side,
-# and every run is the same.
+# Posterior of log k with unknown sizes in its prior. Given the size of the smooth part (`tau`), of steps and bumps
+# (`rho`) and of each single one, log k is normal. `tau` and `rho` are drawn by Metropolis steps with log k integrated
+# out, the own size of every step and bump by Gibbs steps (Student's t with one degree of freedom; its scale goes with
+# the distance). Mean, covariance and quantiles are those of the mixture of normals. Chains run side by side; the seed
+# is fixed.
 
 TAU, RHO = 2.0, 0.2  # expected roughness of log k; steps and bumps of it per unit of s
 SPREAD = np.array([1.6, 2.0])  # one sd of their logs: even beams have next to no steps, pieced ones large ones
 JUMP = 1.0  # of log k: a single step or bump is hardly ever larger than two of these
-_LEAST_INFORMATION = 1e-4  # information of a direction of log k below which nothing is told of it
+_LEAST_INFORMATION = 1e-4  # information of a direction of log k below which the data are uninformative
 STEP_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])  # a step of tau, of rho, of both
 WIDE_SHARE = 0.3  # share of wide proposals
 _STRATA = (np.arange(15) + 0.5) / 15.0  # of a normal that a mixture is made of
@@ -387,8 +373,7 @@ class _Target:
         return self.at(logs, drawn_sizes(self.spline, logs, drawn, rng))
 
     def _drawn(self, variance: Array, root: Array, rng: np.random.Generator) -> Array:
-        """(B, 2 p - 1) steps and bumps from their posterior at these sizes: a draw from the prior, corrected by what it
-        misses."""
+        """(B, 2 p - 1) steps and bumps from their posterior at these sizes (Matheron's rule)."""
         drawn = np.sqrt(variance) * rng.standard_normal(variance.shape)
         missed = self.seen - (self.on_parts @ drawn[..., None])[..., 0] - rng.standard_normal(self.seen.shape)
         local = np.einsum("brn,br->bn", self.on_local, _each(dpotrs, root, missed))
@@ -396,14 +381,13 @@ class _Target:
 
 
 def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
-    """Lower factors (B, r, r) into (B, r) or (B, r, n), by a solver of LAPACK: for sizes like these its call is most of
-    the work."""
+    """Solve with lower factors (B, r, r) for (B, r) or (B, r, n), by LAPACK without overhead."""
     return np.stack([solver(root, one, lower=1)[0] for root, one in zip(roots, right, strict=True)])
 
 
 @dataclass(frozen=True)
 class Draws:
-    """How many draws: `chains` for each of what is told, `kept` of each after `burn` that are left out."""
+    """How many draws: `chains` for each form, `kept` of each after `burn`."""
 
     chains: int
     burn: int
@@ -434,9 +418,9 @@ def stiffness_mixture(
         of_parts = now.variance * np.einsum("brn,br->bn", target.on_parts, _each(dpotrs, now.root, target.seen))
         means = of_parts @ target.weights.T
         away = _each(dtrtrs, now.root, (target.on_parts * now.variance[:, None]) @ target.weights.T)  # (B, r, p)
-        told_away = np.sqrt(target.share)[:, None, None] * away
+        weighted = np.sqrt(target.share)[:, None, None] * away
         second += (target.weights * (target.share @ now.variance)) @ target.weights.T
-        second += (means.T * target.share) @ means - np.tensordot(told_away, told_away, ((0, 1), (0, 1)))
+        second += (means.T * target.share) @ means - np.tensordot(weighted, weighted, ((0, 1), (0, 1)))
         mean += target.share @ means
         parts += target.share @ of_parts
         left = now.variance @ squares - np.sum((away @ basis.T) ** 2, axis=1)
@@ -466,8 +450,7 @@ def _anywhere(count: int, p: int, rng: np.random.Generator) -> Array:
 
 
 def _shape(means: Array, sds: Array, weight: Array) -> Array:
-    """(levels, S) half the distance between quantiles of mixtures of normals (N, S) of weights (N,), over that between
-    those of one normal of the same sd."""
+    """(levels, S) widths of mixtures of normals (N, S), weights (N,), over those of a normal of the same sd."""
     middle = weight @ means
     sd = np.sqrt(weight @ (sds**2 + (means - middle) ** 2))
     values = (means.T[:, None] + sds.T[:, None] * ndtri(_STRATA)[:, None]).reshape(means.shape[1], -1)

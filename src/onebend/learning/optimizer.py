@@ -32,6 +32,7 @@ from onebend.learning.linear import (
     ResidualRows,
     Solved,
     data_information,
+    explained_by,
     own_in_z,
     own_information,
     prior,
@@ -41,7 +42,6 @@ from onebend.learning.linear import (
     residuals,
     rest_residuals,
     rest_score,
-    rows_by_force,
     solved,
     split_off_force,
     tag_score,
@@ -53,24 +53,20 @@ from onebend.learning.static_poses import pose_rms, unexplained
 from onebend.progress import Progress, Silent, each
 from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
-# The way down to the most probable parameters at fixed hyperparameters: Levenberg-Marquardt along curved valleys.
-#
-# Exact data leave narrow valleys in the space of the parameters, and these bend: a straight step along one leaves it
-# sideways, by little for the parameters and by many sd for the data. Damping alone would make the steps short. So a
-# trial is brought back to the valley first, by Newton's method with the derivatives of the step's beginning (chord
-# method); one such correction costs equilibria, but no derivatives. See Transtrum and Sethna (2012) on the geometry.
+# Levenberg-Marquardt along curved valleys: trial steps are corrected by chord Newton steps, which need no new
+# derivatives. See Transtrum and Sethna (2012) on the geometry.
 
 _FIRST_DAMPING, _LARGEST_DAMPING = 1.0, 1e9
-_HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a trial that failed, and after one that did not
+_HARDER, _EASIER = 8.0, 16.0  # factors on the damping after a rejected trial, and after an accepted one
 _LONGEST = 1.5  # of log k, in one step
 _CORRECTIONS = 4  # of one trial, at most
-_AS_PROMISED = 0.7  # of the promised gain: a trial that reaches it needs no correction
-_WORTH_GOING_ON = 0.5  # of what is missing: a correction that leaves more of it was the last
-_OWN_PASSES = 2  # in which each frame's own force is settled: the second leaves the square of what the first left
-_ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller promised gain is of the derivatives' errors
-_LITTLE = 0.03  # of the cost, in sd squared, that a step lowers it by
-_TOGETHER = 10.0  # recordings: of more, nearly all that a step gains is in the parameters of single ones
-_AS_SAID = 0.1  # of what a step moves the tags by: where they went no farther off, its derivatives do for the next one
+_ENOUGH_GAIN = 0.7  # of the predicted gain: a trial that reaches it needs no correction
+_SLOW_CORRECTION = 0.5  # of the missing gain: a correction that leaves more of it is the last
+_OWN_PASSES = 2  # Newton passes for each frame's own force
+_ROUNDING = 1.0  # sd squared: where steps hardly lower the cost, a smaller predicted gain is error of the derivatives
+_LITTLE = 0.03  # sd squared, smallest decrease of the cost that counts
+_TOGETHER = 10.0  # recordings: with more, nearly all gain of a step is in the parameters of single ones
+_NEARLY_LINEAR = 0.1  # of a step's effect on the tags: derivatives are kept where the error of linearity is smaller
 
 
 @dataclass(frozen=True)
@@ -101,14 +97,13 @@ class _Linearised:
 
     @cached_property
     def in_own_z(self) -> tuple[JointInformation, Prior]:
-        """What tags, rests and frequencies say, and the prior; the z of each recording's own parameters stand for
-        them."""
-        problem, x, noise = self.problem, self.estimate.x, self.estimate.hyperparameters.noise
+        """Information of all data and the prior, with each recording's own parameters in z."""
+        problem, estimate = self.problem, self.estimate
 
         def of(number: int, rows: ResidualRows, noise: RecordingNoise) -> InformationForm:
-            return own_in_z(recording_information(problem, number, rows, x, noise), self.before, number)
+            return own_in_z(recording_information(problem, number, rows, estimate.x, noise), self.before, number)
 
-        forms = each(of, range(len(self.rows)), self.rows, noise)
+        forms = each(of, range(len(self.rows)), self.rows, estimate.hyperparameters.noise)
         return JointInformation(forms, problem.layout.parts), prior_in_own_z(self.before)
 
     def solved(self, damping: float = 0.0) -> Solved:
@@ -133,34 +128,31 @@ class _Linearised:
 
     def slope_at(self, x: Array, r: Sequence[Array]) -> Array:
         """(P,) as `slope`, at parameters x with residuals r, (F, R) of each recording, by the derivatives from here."""
-        told, layout = np.zeros(len(x)), self.problem.layout
+        gradient, layout = np.zeros(len(x)), self.problem.layout
         every = zip(self.problem.recordings, self.rows, r, self.estimate.hyperparameters.noise, strict=True)
-        for recording, rows, residual, noise in every:
-            told[layout.known_to(recording.number)] += tag_score(rows, residual, noise) + rest_score(
-                recording, layout, x
-            )
+        for data, rows, residual, noise in every:
+            gradient[layout.known_to(data.number)] += tag_score(rows, residual, noise) + rest_score(data, layout, x)
         if self.problem.frequencies:
             for slopes, there in zip(self.frequency_slopes, self.problem.predicted_frequencies(x), strict=True):
-                told += slopes.T @ there.residuals
-        return np.asarray(self.before.transposed_times(told) - self.before.whiten(x))
+                gradient += slopes.T @ there.residuals
+        return np.asarray(self.before.transposed_times(gradient) - self.before.whiten(x))
 
     def residuals_at(self, tried: MapEstimate) -> list[Array]:
         """(F, R) of each recording, the effect of each frame's own force included, weighted as here."""
         pairs = zip(self.rows, tried.predictions, strict=True)
-        return [rows.root_weight * residuals(p) + np.einsum("frd,fd->fr", rows.a, p.own) for rows, p in pairs]
+        return [rows.root_weight * residuals(p) + explained_by(rows.a, p.own) for rows, p in pairs]
 
     def cost(self, estimate: MapEstimate) -> float:
         """Minus twice the log posterior at the weights from here, but for a constant; infinite without equilibrium."""
         if not all_converged(estimate.predictions):
             return np.inf
-        x = estimate.x
+        x, layout = estimate.x, self.problem.layout
         swings = sum(float(np.sum(one.residuals**2)) for one in self.problem.predicted_frequencies(x))
         if not np.isfinite(swings):
             return np.inf
         every = zip(self.rows, estimate.predictions, estimate.hyperparameters.noise, strict=True)
         tags = sum(_misfit(rows.root_weight * residuals(p), p.own, noise) for rows, p, noise in every)
         z = self.before.whiten(x)
-        layout = self.problem.layout
         rests = sum(float(np.sum(rest_residuals(one, layout, x) ** 2)) for one in self.problem.recordings)
         return float(tags + swings + z @ z + rests)
 
@@ -170,24 +162,29 @@ def all_converged(predictions: Sequence[Prediction]) -> bool:
     return all(np.all(p.solved.converged) for p in predictions)
 
 
-def release(estimate: MapEstimate) -> None:
-    """Forget the derivatives at an estimate that another has taken the place of."""
+def clear_slopes(estimate: MapEstimate) -> None:
+    """Free the derivatives of a replaced estimate, which callers may still hold."""
     for prediction in estimate.predictions:
-        prediction.release()
+        prediction.clear_slopes()
+
+
+def _with_exact_slopes(estimate: MapEstimate) -> MapEstimate:
+    """The estimate without derivatives of nearby shapes."""
+    exact = (p if p.nearby is None else replace(p, nearby=None) for p in estimate.predictions)
+    return replace(estimate, predictions=tuple(exact))
 
 
 def rows_of(estimate: MapEstimate) -> list[ResidualRows]:
-    """Of every recording, its tags weighted by their noise at the estimate."""
+    """Rows of every recording, weighted by the noise of the estimate."""
     return list(each(residual_rows, estimate.predictions, estimate.hyperparameters.noise))
 
 
 def with_own_forces(estimate: MapEstimate) -> MapEstimate:
-    """The estimate with each frame's own force where it is most probable, all else as it is; unchanged where a beam
-    under these forces would not stand."""
+    """The estimate with each frame's own force at its most probable value; unchanged without equilibrium there."""
 
     def settled(p: Prediction, noise: RecordingNoise) -> Prediction:
-        rows = rows_by_force(p, noise)
-        return predict(p.recording, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
+        rows = residual_rows(p, noise, p.whitened_by_force)
+        return predict(p.data, p.layout, p.x, p.solved.q, split_off_force(rows, rows.r, noise)[1])
 
     for _ in range(_OWN_PASSES):
         moved = each(settled, estimate.predictions, estimate.hyperparameters.noise)
@@ -200,15 +197,12 @@ def with_own_forces(estimate: MapEstimate) -> MapEstimate:
 def descend(
     problem: FitProblem, estimate: MapEstimate, before: Prior, most_steps: int, tolerance: float
 ) -> MapEstimate:
-    """The maximum a posteriori at the estimate's hyperparameters; weights and frames' covariances are renewed at every
-    step.
+    """The maximum a posteriori at the estimate's hyperparameters; robust weights are updated at every step.
 
-    Damped in z, in which the prior has covariance one: what the data hardly tell is held back, and what they fix well
-    is not. Damped in the parameters' own units, a step along a valley that the data leave open would be a small part
-    of its length. It ends where an undamped step would gain next to nothing. Of many recordings each keeps its
-    derivatives for as long as its tags go where these say; those of the end are always its own.
+    Damped in z, in which the prior has covariance one. Ends where the gain of an undamped step is negligible. With many
+    recordings, each keeps its derivatives while the motion of its tags is nearly linear; the last ones are exact.
     """
-    many = max(1.0, len(problem.recordings) / _TOGETHER)  # the more there are, the nearer it begins, too
+    many = max(1.0, len(problem.recordings) / _TOGETHER)
     damping, enough, little = _FIRST_DAMPING / many**2, many * tolerance**2, many * max(_LITTLE, tolerance**2)
     for _ in range(most_steps):
         here = _Linearised(problem, estimate, before, rows_of(estimate))
@@ -218,31 +212,22 @@ def descend(
             return replace(estimate, converged=here.gain < max(enough, _ROUNDING))
         if found is None:
             del here
-            _release_kept(estimate)
+            estimate = _with_exact_slopes(estimate)
             continue
         tried, gained, damping = found
         settled = here.gain < _ROUNDING and gained < little
         if many > 1.0 and not settled:
             tried = _with_slopes_kept(here, tried)
-        del here, found  # with the derivatives of where it began
-        release(estimate)
+        del here, found  # they hold derivatives
+        clear_slopes(estimate)
         estimate, damping = replace(tried, steps=estimate.steps + 1), max(damping / _EASIER, 1e-12)
         if settled and not kept:
             return replace(estimate, converged=True)
-    _release_kept(estimate)
-    return replace(estimate, converged=False)
-
-
-def _release_kept(estimate: MapEstimate) -> None:
-    """Forget the derivatives of shapes near by, so that those of the recordings' own are worked out."""
-    for prediction in estimate.predictions:
-        if prediction.nearby is not None:
-            prediction.release()
+    return replace(_with_exact_slopes(estimate), converged=False)
 
 
 def _lowered(here: _Linearised, damping: float) -> tuple[MapEstimate, float, float] | None:
-    """A trial of lower cost, by how much it is lower, and the damping that it took; None where no step lowers the cost
-    any more."""
+    """A trial of lower cost, the decrease, and its damping; None where no step lowers the cost."""
     cost = here.cost(here.estimate)
     while damping <= _LARGEST_DAMPING:
         tried, reached = _trial(here, damping, cost)
@@ -253,67 +238,64 @@ def _lowered(here: _Linearised, damping: float) -> tuple[MapEstimate, float, flo
 
 
 def _with_slopes_kept(here: _Linearised, tried: MapEstimate) -> MapEstimate:
-    """The trial with the derivatives of its beginning in those recordings whose tags went where these had said."""
+    """The trial; recordings whose tags moved nearly linearly keep the derivatives of its beginning."""
     step, layout = tried.x - here.estimate.x, here.problem.layout
 
     def kept(rows: ResidualRows, now: Prediction, r: Array) -> Prediction:
-        moved = rows.moved_by(step[layout.known_to(now.recording.number)])
-        near = float(np.sum((r - rows.r + moved) ** 2)) <= _AS_SAID**2 * float(np.sum(moved**2))
+        moved = rows.moved_by(step[layout.known_to(now.data.number)])
+        near = float(np.sum((r - rows.r + moved) ** 2)) <= _NEARLY_LINEAR**2 * float(np.sum(moved**2))
         return replace(now, nearby=rows.whitened) if near else now
 
     return replace(tried, predictions=each(kept, here.rows, tried.predictions, here.residuals_at(tried)))
 
 
 def _trial(here: _Linearised, damping: float, cost: float) -> tuple[MapEstimate, float]:
-    """A damped step from an estimate of this cost, corrected while that helps, and the cost that it reaches."""
+    """A damped step from an estimate of this cost, corrected while that helps, and its cost."""
     before, damped = here.before, here.solved(damping)
     z = damped.solve(here.slope)
     of_k = before.times(z)[: here.problem.layout.spline.count]
     share = min(1.0, _LONGEST / max(float(np.max(np.abs(of_k))), 1e-300))
     aim, z = share * here.slope, share * z
-    promised = cost - float(2.0 * z @ here.slope - here.bent(z))
+    predicted = cost - float(2.0 * z @ here.slope - here.bent(z))
     best = _moved(here, here.estimate, [rows.r for rows in here.rows], before.times(z))
     lowest = here.cost(best)
     tried, reached, offset = best, lowest, z
     for _ in range(_CORRECTIONS):
-        missing = reached - promised
-        if not np.isfinite(reached) or missing <= (1.0 - _AS_PROMISED) * (cost - promised):
+        missing = reached - predicted
+        if not np.isfinite(reached) or missing <= (1.0 - _ENOUGH_GAIN) * (cost - predicted):
             break
         r = here.residuals_at(tried)
-        # of the damped cost, whose slope at the beginning is `aim`, where a step was cut short too
+        # Newton step of the damped cost; `aim` is its slope at the beginning, also for a shortened step
         correction = damped.solve(here.slope_at(tried.x, r) - (here.slope - aim) - damping * offset)
         tried, offset = _moved(here, tried, r, before.times(correction)), offset + correction
         reached = here.cost(tried)
         if reached < lowest:
             best, lowest = tried, reached
-        if reached - promised > _WORTH_GOING_ON * missing:
+        if reached - predicted > _SLOW_CORRECTION * missing:
             break
     return best, lowest
 
 
 def _moved(here: _Linearised, begin: MapEstimate, r: Sequence[Array], step: Array) -> MapEstimate:
-    """A trial a step (P,) on, from one whose residuals are r; each frame's own force is then, to first order, the most
-    probable one."""
+    """A trial after a step (P,) from one with residuals r, each frame's own force linearised."""
     x, layout = begin.x + step, here.problem.layout
 
     def moved(rows: ResidualRows, residual: Array, now: Prediction, noise: RecordingNoise) -> Prediction:
-        left = residual - rows.moved_by(step[layout.known_to(now.recording.number)])
+        left = residual - rows.moved_by(step[layout.known_to(now.data.number)])
         own = split_off_force(rows, left, noise)[1]
-        return predict(now.recording, layout, x, now.solved.q, own)
+        return predict(now.data, layout, x, now.solved.q, own)
 
     predictions = each(moved, here.rows, r, begin.predictions, begin.hyperparameters.noise)
     return replace(begin, x=x, predictions=predictions)
 
 
 def _misfit(residual: Array, own: Array, noise: RecordingNoise) -> float:
-    """Minus twice the log probability of the tags' residuals (F, R), and of the frames' own forces (F, 2)."""
+    """Minus twice the log probability of residuals (F, R) and of the frames' own forces (F, 2)."""
     return float(np.sum(residual**2)) / noise.marker**2 + float(np.sum(own**2)) / noise.force**2
 
 
-# How far a marker-space fit stays from the tags, and whether that is too far to explain the recording.
-
-MISS = 0.05  # of a tag's own motion: a fit that is farther off does not explain the recording
-HOPELESS = 0.2  # of the motion of all tags together: nothing that was fitted means anything
+MISS = 0.05  # of a tag's own motion: a fit with larger residuals does not explain the recording
+HOPELESS = 0.2  # of the motion of all tags together: the fit has no meaning
 DOUBTS = {  # by what a remark on the recording is about
     "tool place": "the film shows the tool elsewhere",
     "drift": "the force's zero drifted by more than half of the push",
@@ -346,20 +328,19 @@ class Miss:
         )
 
 
-def recording_rms(recording: FitData, fitted: Prediction) -> Array:
+def recording_rms(data: FitData, fitted: Prediction) -> Array:
     """(m,) m: distance of the tags from the fit; NaN for a tag that was never seen."""
-    return marker_rms((recording.measured - fitted.pose)[..., :2])
+    return marker_rms((data.measured - fitted.pose)[..., :2])
 
 
 def misses(recordings: Sequence[FitData], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:
-    """The recordings that the fit cannot explain, its nuisances applied in `fitted`; empty as a rule."""
-    pairs = zip(recordings, fitted, strict=True)
-    every = [_miss(recording, recording_rms(recording, prediction)) for recording, prediction in pairs]
+    """The recordings that the fit cannot explain, with all nuisances included in `fitted`."""
+    every = [_miss(data, recording_rms(data, p)) for data, p in zip(recordings, fitted, strict=True)]
     return tuple(miss for miss in every if miss is not None)
 
 
-def _miss(recording: FitData, rms: Array) -> Miss | None:
-    o, xy = recording.observations, recording.measured[..., :2]
+def _miss(data: FitData, rms: Array) -> Miss | None:
+    o, xy = data.observations, data.measured[..., :2]
     motion = distances(np.fmax.reduce(xy) - np.fmin.reduce(xy))
     if o.static:  # points near the clamp hardly move, and a ruler reads them no better
         zeroed = o.readings.bare >= 0
@@ -376,23 +357,22 @@ def _miss(recording: FitData, rms: Array) -> Miss | None:
 
 
 def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
-    """Where every log's error, as fitted, changes by more than the force that it leaves, nothing tells the force: the
-    fit can take all of the log for error, and k(s) for zero. A zero that is off does not count.
+    """Check that the fitted error of some force log varies less than the corrected force.
 
     Raises:
-        LearningError: it is so; it says how large both are.
+        LearningError: every log varies by its error; k(s) and the force may both go to zero.
     """
     lost = []
-    for recording in problem.recordings:
-        loaded = np.any(recording.force != 0.0, axis=1)
-        if not len(recording.error.knots) or not np.any(loaded):
+    for data in problem.recordings:
+        loaded = np.any(data.force != 0.0, axis=1)
+        if not len(data.error.knots) or not np.any(loaded):
             return
-        values = problem.layout.get(estimate.x, "force", recording.number).reshape(-1, 2)
-        error = (recording.error_weights @ values)[loaded]
-        of_error, of_force = _rms_change(error), _rms_change(recording.force[loaded] - error)
+        values = problem.layout.get(estimate.x, "force", data.number).reshape(-1, 2)
+        error = (data.error_weights @ values)[loaded]
+        of_error, of_force = _rms_change(error), _rms_change(data.force[loaded] - error)
         if of_error <= of_force:
             return
-        name = recording.observations.source.name
+        name = data.observations.source.name
         lost.append(f"{name}: the error of the force log changes by {of_error:.2g} N, the force by {of_force:.2g} N")
     if lost:
         raise LearningError(
@@ -408,14 +388,14 @@ def _rms_change(force: Array) -> float:
 
 
 def doubts_of(observations: Observations) -> tuple[str, ...]:
-    """What the recording itself says against what is learned from it; empty as a rule."""
+    """Doubts about a recording, from its own remarks."""
     said = (DOUBTS.get(one.about, CONTRADICTED) for one in observations.source.remarks if one.doubt)
     return tuple(dict.fromkeys(said))
 
 
-_HELD_SD = 1e-5  # of log k where it is held in its place
-_STEADY_NOISE = 0.1  # change of the log of a recording's noise from round to round, below which it has settled
-_FEW, _LIKELY = 10, 5  # recordings; values of what they leave open of the differences between them
+_HELD_SD = 1e-5  # of log k where it is held fixed
+_STEADY_NOISE = 0.1  # change of the log of a recording's noise between rounds, below which it has converged
+_FEW, _LIKELY = 10, 5  # recordings; values of the size of differences between them
 _STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
 
 
@@ -460,7 +440,7 @@ def estimate_at(problem: FitProblem, x: Array, shapes: Sequence[Array | None] | 
             "with the mass as written, the beam would buckle under its weight in a posture in which it was seen to "
             "swing. Check mass_kg, length_m and the base_angle_deg of each [[frequencies]]"
         )
-    predictions = each(lambda recording, q: predict(recording, problem.layout, x, q), problem.recordings, warm)
+    predictions = each(lambda data, q: predict(data, problem.layout, x, q), problem.recordings, warm)
     if not all_converged(predictions):
         raise LearningError(
             "the start stiffness lets the beam snap through under the measured forces; start from a stiffer beam"
@@ -492,7 +472,8 @@ def find_maximum(
             if round_number >= settings.coarse_rounds - 1:
                 before, after = estimate.hyperparameters, _new_hyperparameters(problem, estimate)
                 estimate = replace(estimate, hyperparameters=after)
-                steady = round_number >= settings.coarse_rounds and _noise_is_steady(before, after)
+                changes = [np.log(b.marker / a.marker) for b, a in zip(before.noise, after.noise, strict=True)]
+                steady = round_number >= settings.coarse_rounds and bool(np.max(np.abs(changes)) < _STEADY_NOISE)
     except np.linalg.LinAlgError:
         refuse_lost_force(problem, estimate)
         raise
@@ -504,10 +485,10 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
     """The posterior around the maximum, averaged over the hyperparameters that the data leave open."""
     hyperparameters = estimate.hyperparameters
     evidence = Evidence(problem, data_information(problem, rows_of(estimate), estimate.x, hyperparameters))
-    release(estimate)
+    clear_slopes(estimate)
     sizes, log_evidence = _likely(evidence, hyperparameters), evidence.posterior(hyperparameters).log_evidence
     stiffness, covariance = averaged_posterior(evidence, hyperparameters, sizes)
-    del evidence  # with the information of every recording
+    del evidence  # it holds the information of every recording
     x, predictions = _at_mean_stiffness(problem, estimate, stiffness.mean, covariance)
     return Optimum(
         x=x,
@@ -527,8 +508,7 @@ def laplace_posterior(problem: FitProblem, estimate: MapEstimate, settings: Opti
 
 
 def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes, ...]:
-    """Sizes of the allowances that are equally probable: two recordings hardly tell by how much mountings differ, many
-    do."""
+    """Equally probable sizes of the allowances: few recordings leave the differences between mountings open."""
     sizes, few = hyperparameters.sizes, len(evidence.problem.recordings) <= _FEW
     if BETWEEN not in sizes or not few:
         return (dict(sizes),)
@@ -536,8 +516,7 @@ def _likely(evidence: Evidence, hyperparameters: Hyperparameters) -> tuple[Sizes
 
 
 def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperparameters:
-    """What is expected, the tags' noise as large as their residuals: far from the maximum the tags' small differences
-    mislead."""
+    """The expected hyperparameters, with the tags' noise as large as their residuals: robust far from the maximum."""
     sizes = [float(np.sqrt(np.mean(residuals(p) ** 2))) for p in predictions]
     pairs = zip(problem.expected.noise, sizes, strict=True)
     return replace(problem.expected, noise=tuple(replace(noise, marker=max(size, 1.5)) for noise, size in pairs))
@@ -546,24 +525,17 @@ def _coarse(problem: FitProblem, predictions: Sequence[Prediction]) -> Hyperpara
 def _at_mean_stiffness(
     problem: FitProblem, estimate: MapEstimate, log_k: Array, covariance: JointCovariance
 ) -> tuple[Array, tuple[Prediction, ...]]:
-    """Log k's coefficients at their mean (p,), and all else where it is most probable with them; the estimate itself
-    where that beam would not stand, or where all else does not settle."""
+    """Log k at its mean (p,) and all else at its most probable value; the estimate itself if that fails."""
     p = problem.layout.spline.count
     follow = covariance.with_shared(slice(p))
     x = estimate.x + follow @ np.linalg.solve(follow[:p], log_k - estimate.x[:p])
-    moved = each(lambda now: predict(now.recording, problem.layout, x, now.solved.q, now.own), estimate.predictions)
+    moved = each(lambda now: predict(now.data, problem.layout, x, now.solved.q, now.own), estimate.predictions)
     if not (all_converged(moved) and problem.swings(x)):
         return estimate.x, estimate.predictions
     variances = np.full_like(estimate.hyperparameters.part_variances, _HELD_SD**2)
     held = replace(estimate.hyperparameters, part_variances=variances)
     settled = descend(problem, MapEstimate(x, held, moved), prior(problem, held, log_k), 10, 0.1)
     return (settled.x, settled.predictions) if settled.converged else (estimate.x, estimate.predictions)
-
-
-def _noise_is_steady(before: Hyperparameters, after: Hyperparameters) -> bool:
-    """Whether the tags' noise has settled: what the beam does not follow yet counts as noise."""
-    pairs = zip(before.noise, after.noise, strict=True)
-    return all(abs(np.log(b.marker / a.marker)) < _STEADY_NOISE for b, a in pairs)
 
 
 def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperparameters:
@@ -577,7 +549,7 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
 
 
 def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRows]) -> tuple[float, ...]:
-    """How many parameters each recording's tags settled: the trace of their information times the covariance."""
+    """Effective number of parameters of each recording: trace of its tags' information times the covariance."""
     x, hyperparameters = estimate.x, estimate.hyperparameters
     data = data_information(problem, rows, x, hyperparameters)
     posterior = solved(data, prior(problem, hyperparameters))
@@ -588,8 +560,6 @@ def _spent(problem: FitProblem, estimate: MapEstimate, rows: Sequence[ResidualRo
 
     return each(of, range(len(rows)), data.forms)
 
-
-# The fit's two stages: a few frames of some recordings, for the way to near the optimum, and then all.
 
 _FEWEST_FRAMES = 20  # of each of very many recordings
 
@@ -625,10 +595,9 @@ def first_recordings(recordings: Sequence[Observations], settings: FitSettings) 
 def first_problem(
     recordings: Sequence[Observations], start: Profile | float, settings: FitSettings
 ) -> tuple[FitProblem, Array]:
-    """The problem with a few frames of some recordings, and the parameters (P,) to begin with."""
-    spline = Spline(settings.functions)
-    data = _data(recordings, min(settings.first_frames, settings.most_frames), spline, settings.allowances)
-    layout = _layout(recordings, data, spline, settings)
+    """The problem with a few frames of some recordings, and the initial parameters (P,)."""
+    spline, most = Spline(settings.functions), min(settings.first_frames, settings.most_frames)
+    data, layout = _prepared(recordings, [chosen_frames(o, most) for o in recordings], spline, settings)
     noise = tuple(expected_recording_noise(d) for d in data)
     x, level = starting(layout, start)
     expected = Hyperparameters(layout.first_variances, 1.0, 1.0, 1.0, 1.0, noise)
@@ -637,50 +606,34 @@ def first_problem(
 
 def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
     """The problem with all frames of all recordings."""
-    spline = problem.layout.spline
-    data = _data(recordings, settings.most_frames, spline, settings.allowances)
-    noise = tuple(expected_recording_noise(d) for d in data)
-    layout, expected = _layout(recordings, data, spline, settings), replace(problem.expected, noise=noise)
+    spline, frames = problem.layout.spline, each(lambda o: chosen_frames(o, settings.most_frames), recordings)
+    data, layout = _prepared(recordings, frames, spline, settings)
+    expected = replace(problem.expected, noise=tuple(expected_recording_noise(d) for d in data))
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))
 
 
 def rewritten_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
-    """The problem with the same frames of the same recordings, of which something else is written."""
+    """The problem with the same frames of the same recordings, described otherwise."""
     frames = [one.frames for one in problem.recordings]
-    data = _data_of(recordings, frames, problem.layout.spline, settings.allowances)
-    layout = _layout(recordings, data, problem.layout.spline, settings)
+    data, layout = _prepared(recordings, frames, problem.layout.spline, settings)
     return replace(problem, recordings=data, layout=layout)
 
 
-def _layout(
-    recordings: Sequence[Observations], data: Sequence[FitData], spline: Spline, settings: FitSettings
-) -> Layout:
-    knots, allowances = [len(d.error.knots) for d in data], [d.allowances for d in data]
-    return make_layout(spline, list(recordings), knots, settings.priors, allowances)
+def _prepared(
+    recordings: Sequence[Observations], frames: Sequence[BoolArray], spline: Spline, settings: FitSettings
+) -> tuple[tuple[FitData, ...], Layout]:
+    """Data of the recordings in these frames (T,) of each, and their parameters."""
+    known, allowances = known_shape(recordings), settings.allowances
 
-
-def _data(
-    recordings: Sequence[Observations], most: int, spline: Spline, allowances: frozenset[AllowanceName]
-) -> tuple[FitData, ...]:
-    frames = each(lambda one: chosen_frames(one, most), recordings)
-    return _data_of(recordings, frames, spline, allowances)
-
-
-def _data_of(
-    recordings: Sequence[Observations],
-    frames: Sequence[BoolArray],
-    spline: Spline,
-    allowances: frozenset[AllowanceName],
-) -> tuple[FitData, ...]:
-    known = known_shape(recordings)
-
-    def of(number: int, one: Observations, mask: BoolArray) -> FitData:
-        return fit_data(one, number, mask, spline, allowances, known)
+    def of(number: int, o: Observations, mask: BoolArray) -> FitData:
+        data = fit_data(o, number, mask, spline, allowances, known)
+        if len(recordings) == 1 or BETWEEN not in allowances:
+            return data
+        return replace(data, allowances=(*data.allowances, between_recordings(data.problem.grid.nodes)))
 
     data = each(of, range(len(recordings)), recordings, frames)
-    if len(data) == 1 or BETWEEN not in allowances:
-        return data
-    return tuple(replace(one, allowances=(*one.allowances, between_recordings(one.problem.grid.nodes))) for one in data)
+    knots = [len(d.error.knots) for d in data]
+    return data, make_layout(spline, list(recordings), knots, settings.priors, [d.allowances for d in data])
 
 
 def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
@@ -690,7 +643,6 @@ def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
     if not np.all(k > 0.0):
         raise LearningError("the start stiffness must be positive everywhere")
     x, level = np.zeros(layout.size), float(np.mean(np.log(k)))
-    # Where the shape of k is stated, its level alone is taken over.
     own = np.log(k) if layout.known is None else np.full(len(s), level)
     x[: layout.spline.count] = np.linalg.lstsq(layout.spline.basis(s), own, rcond=None)[0]
     return x, level
@@ -699,8 +651,7 @@ def starting(layout: Layout, start: Profile | float) -> tuple[Array, float]:
 def with_mass_found(
     recordings: Sequence[Observations], problem: FitProblem, near: MapEstimate
 ) -> tuple[Sequence[Observations], MapEstimate]:
-    """Recordings and estimate with a guessed mass replaced by what came out: the prior of its unevenness is relative to
-    the mass."""
+    """Recordings and estimate with a guessed mass replaced by the fitted one; its uneven parts are relative to it."""
     if not any(np.isfinite(o.stated.mass_sd) for o in recordings):
         return recordings, near
     mass, even = problem.layout.index["mass", -1].where, np.array([1.0, 0.0, 0.0, 0.0])
@@ -711,8 +662,8 @@ def with_mass_found(
 
 
 def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some: list[int]) -> MapEstimate:
-    """An estimate for all frames of all recordings, from that for a few frames of some. What the others have of their
-    own begins where nothing is known of it, their noise in the middle of what was found."""
+    """An estimate for all frames of all recordings, from that for a few frames of `some`. Own parameters of the others
+    begin at their prior mean, their noise at the median."""
     x, found = np.zeros(whole.layout.size), near.hyperparameters
     for (name, recording), block in whole.layout.index.items():
         if block.start >= 0 and (recording < 0 or recording in some):
@@ -732,16 +683,13 @@ def carried_over(problem: FitProblem, near: MapEstimate, whole: FitProblem, some
         same = np.array_equal(few.frames, whole.recordings[i].frames)
         if same and np.array_equal(few.problem.grid.nodes, whole.recordings[i].problem.grid.nodes):
             shapes[i] = prediction.solved.q
-    release(near)
+    clear_slopes(near)
     begin = estimate_at(whole, x, shapes)
     return with_own_forces(replace(begin, hyperparameters=replace(found, noise=noise), steps=near.steps))
 
 
-# The maximum where static poses may be in one of several equilibria: each in that which its points show.
-#
-# While k(s) is far from what it will be, the equilibrium that a pose is in may not exist yet: no stable one is near
-# its points. Such poses wait; what fits the others brings theirs about. At every maximum all poses choose anew, until
-# none changes. A pose that is then still far from every stable equilibrium is left out of the fit, and named.
+# Static poses may have several equilibria. Poses without a stable one near their points wait; at each maximum all poses
+# choose anew. Poses that remain far from every stable equilibrium are left out.
 
 _ROUNDS = 6  # of choosing, at most
 _SAME = 1e-3  # of the length: poses whose tags are nearer are in one equilibrium
@@ -751,12 +699,12 @@ def find_on_branches(
     problem: FitProblem, estimate: MapEstimate, settings: OptimizerSettings, progress: Progress
 ) -> tuple[FitProblem, MapEstimate]:
     """The maximum a posteriori from an estimate to begin with, and the problem without the poses that were left out."""
-    if all(recording.poses is None for recording in problem.recordings):
+    if all(data.poses is None for data in problem.recordings):
         return problem, find_maximum(problem, estimate, settings, progress)
     kept = [_explained(one) for one in estimate.predictions]
     for _ in range(_ROUNDS):
         begin = tuple(map(_part, estimate.predictions, kept))
-        some = replace(problem, recordings=tuple(one.recording for one in begin))
+        some = replace(problem, recordings=tuple(one.data for one in begin))
         found = find_maximum(some, replace(estimate, predictions=begin, converged=False), settings, progress)
         again = tuple(map(_chosen_anew, problem.recordings, kept, found.predictions))
         estimate = replace(found, predictions=again)
@@ -771,41 +719,41 @@ def _part(every: Prediction, kept: BoolArray) -> Prediction:
     """Some frames (F,) of a recording of poses."""
     if np.all(kept):
         return every
-    o, chosen = every.recording.observations, every.recording.frames.copy()
+    data, chosen = every.data, every.data.frames.copy()
     chosen[np.flatnonzero(chosen)[~kept]] = False
-    part = fit_data(o, every.recording.number, chosen, every.layout.spline)
+    part = fit_data(data.observations, data.number, chosen, every.layout.spline)
     return predict(part, every.layout, every.x, None, every.own[kept])
 
 
-def _chosen_anew(recording: FitData, kept: BoolArray, now: Prediction) -> Prediction:
-    """Every pose in the equilibrium that its points show now; a film as it is."""
-    if recording.poses is None:
+def _chosen_anew(data: FitData, kept: BoolArray, now: Prediction) -> Prediction:
+    """Every pose in the equilibrium nearest to its points; a film unchanged."""
+    if data.poses is None:
         return now
-    own = np.zeros_like(recording.force)
+    own = np.zeros_like(data.force)
     own[kept] = now.own
-    return predict(recording, now.layout, now.x, None, own)
+    return predict(data, now.layout, now.x, None, own)
 
 
 def _explained(prediction: Prediction) -> BoolArray:
-    """(F,) frames; of a film all."""
-    recording = prediction.recording
-    off = (recording.measured - prediction.pose)[..., :2]
-    if recording.poses is None or len(off) == 1:
+    """(F,) frames near a stable equilibrium; of a film all."""
+    data = prediction.data
+    off = (data.measured - prediction.pose)[..., :2]
+    if data.poses is None or len(off) == 1:
         return np.ones(len(off), dtype=bool)
-    return ~unexplained(np.where(_is_free(recording), pose_rms(off), 0.0), recording.observations.length)
+    return ~unexplained(np.where(_is_free(data), pose_rms(off), 0.0), data.observations.length)
 
 
 def _same(before: BoolArray, now: BoolArray, found: Prediction, again: Prediction) -> bool:
     """Whether no pose of a recording has changed, nor its equilibrium."""
     if not np.array_equal(before, now):
         return False
-    change = np.abs(found.pose - again.pose[before])[_is_free(again.recording)[before], :, :2]
-    return bool(np.max(change, initial=0.0) < _SAME * again.recording.observations.length)
+    change = np.abs(found.pose - again.pose[before])[_is_free(again.data)[before], :, :2]
+    return bool(np.max(change, initial=0.0) < _SAME * again.data.observations.length)
 
 
-def _is_free(recording: FitData) -> BoolArray:
-    """(F,) frames whose end nobody holds."""
-    free = np.ones(len(recording.measured), dtype=bool)
-    if recording.ends is not None:
-        free[recording.ends.frames] = False
+def _is_free(data: FitData) -> BoolArray:
+    """(F,) frames with a free end."""
+    free = np.ones(len(data.measured), dtype=bool)
+    if data.ends is not None:
+        free[data.ends.frames] = False
     return free

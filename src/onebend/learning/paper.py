@@ -21,6 +21,7 @@ from onebend.learning.frames import (
     nothing_moves,
     push_places,
     usable_frames,
+    whitened,
     whitening,
 )
 from onebend.learning.outcome import Comparison, Learned, Trial
@@ -30,10 +31,8 @@ from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, Observations, Remark, covariance_with_camera
 
-# Inverse kinematics (22): modal states of every frame from the tags' positions and angles.
-#
-# Levenberg-Marquardt on all frames at once. Each tag counts by its covariance; a missing tag counts nothing. Where a
-# frame has fewer data than states, the shape of least curvature among those that fit is taken.
+# Inverse kinematics (22) by Levenberg-Marquardt on all frames at once. Where a frame has fewer data than states, the
+# shape of least curvature is taken.
 
 _LEAST_CURVATURE = 1e-3  # weight of the curvature energy against whitened data (a prior sd of about 30 rad)
 
@@ -66,11 +65,13 @@ def solve_states(
     rest = at_rest(observations) if rest is None else rest
     xy, tangent = beam_points(observations, rest)
     measured = np.concatenate([xy, tangent[..., None]], axis=-1)  # (T, m, 3)
-    whiten, data = _tag_whitening(measured, covariance_with_camera(observations), with_angles)
+    used = measured * np.array([1.0, 1.0, 1.0 if with_angles else np.nan])
+    whiten = whitening(used, covariance_with_camera(observations))
+    data = np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))  # (T, m)
     target = np.where(np.isfinite(measured), measured, 0.0)
     at = places(observations.length, Modes(n), observations.marker_s)
     theta, converged = _levenberg(at, target, whiten, _start(at, target, data > 0, whiten), most)
-    jacobian = _whitened(whiten, _jacobian(at, theta))
+    jacobian = whitened(whiten, _jacobian(at, theta))
     information = np.swapaxes(jacobian, 1, 2) @ jacobian + np.diag(_energy(n))
     seen = np.any(data > 0, axis=1)
     theta[~seen] = np.nan
@@ -83,14 +84,6 @@ def solve_states(
         data=np.sum(data, axis=1),
         converged=converged & seen,
     )
-
-
-def _tag_whitening(measured: Array, covariance: Array, with_angles: bool) -> tuple[Array, Array]:
-    """Inverse Cholesky factors (T, m, 3, 3), zero where a number is missing, and the count of numbers (T, m)."""
-    if not with_angles:
-        measured = measured * np.array([1.0, 1.0, np.nan])
-    whiten = whitening(measured, covariance)
-    return whiten, np.asarray(np.sum(np.any(whiten != 0.0, axis=-1), axis=-1, dtype=float))
 
 
 def _start(at: Places, target: Array, seen: BoolArray, whiten: Array) -> Array:
@@ -120,7 +113,7 @@ def _levenberg(at: Places, target: Array, whiten: Array, theta: Array, most: int
         todo = np.flatnonzero(~converged)
         if todo.size == 0:
             break
-        jacobian = _whitened(whiten[todo], _jacobian(at, theta[todo]))
+        jacobian = whitened(whiten[todo], _jacobian(at, theta[todo]))
         step = _damped_step(jacobian, residual[todo], theta[todo], damping[todo])
         tried = theta[todo] + step
         new_residual = _residual(at, target[todo], whiten[todo], tried)
@@ -162,11 +155,6 @@ def _jacobian(at: Places, theta: Array) -> Array:
     return np.concatenate([jacobians(at, theta), turn], axis=2)
 
 
-def _whitened(whiten: Array, jacobian: Array) -> Array:
-    """(T, 3 m, n)."""
-    return (whiten @ jacobian).reshape(len(jacobian), -1, jacobian.shape[-1])
-
-
 def _cost(residual: Array, theta: Array) -> Array:
     return np.asarray(np.sum(residual**2, axis=1) + theta**2 @ _energy(theta.shape[1]))
 
@@ -176,17 +164,10 @@ def _energy(n: int) -> Array:
     return np.asarray(_LEAST_CURVATURE / (2.0 * np.arange(n) + 1.0))
 
 
-# The paper's regression (12)-(18): `X gamma = Y`, linear in the coefficients gamma of k(s).
-#
-# For frame t and test function phi_j, with the curvature's departure from rest q - q0 (the paper's beams have q0 =
-# 0):
-#
-# sum_w gamma_w int Pi_w (q - q0) phi_j ds = (J(s_a)^T F)_j  (+ the weight's share)
-#
-# Solved by an orthogonal decomposition, never by normal equations. The rows are those of the test functions: the
-# paper's are the powers of s, unweighted, which is part of its method (under noise the answer depends on the basis).
-# As an improvement the rows of a frame can be weighted by what noise does to them: an error in theta moves them by
-# the tangent of the equilibrium, one in F by J^T.
+# The paper's regression (12)-(18): `X gamma = Y`, linear in the coefficients gamma of k(s). For frame t and test
+# function phi_j: sum_w gamma_w int Pi_w (q - q0) phi_j ds = (J(s_a)^T F)_j (+ the weight's share). Solved by an
+# orthogonal decomposition. The paper's test functions are powers of s, unweighted; "regression" weights the rows by
+# their noise.
 
 Family = Literal["gaussians", "powers"]
 _GRID = make_grid(order=32)
@@ -281,10 +262,9 @@ def weighted(
 
 
 def _residual_whitening(correlation: Array) -> Array:
-    """(T, n, n) W: `W' W` is the inverse of each correlation matrix (T, n, n), whose spectrum begins at `_ROUNDING`.
+    """(T, n, n) W: `W' W` is the inverse of each correlation matrix (T, n, n), eigenvalues bounded by `_ROUNDING`.
 
-    A Cholesky factor takes an eighth of the time of a spectrum, and says where that is needed: the sum of the inverse
-    spectrum is the sum of the inverse factor's squares.
+    A Cholesky factor is eight times faster than a spectrum; where its inverse is too large, the spectrum is used.
     """
     try:
         whiten = np.linalg.inv(np.linalg.cholesky(correlation))
@@ -335,8 +315,6 @@ def _weight_beyond(observations: Observations) -> Array:
         beyond = beyond + one.mass * (_GRID.nodes < one.s)
     return np.asarray(beyond[None, :, None] * observations.gravity[:, None, :])
 
-
-# The (n, m) table and the choice by BIC (19), (20).
 
 Method = Literal["regression", "paper"]
 Bic = Literal["textbook", "paper"]
@@ -479,8 +457,7 @@ def choose(candidates: list[Candidate]) -> int:
 
 
 def standing(candidates: list[Candidate], observations: Observations, rest: AtRest) -> tuple[int, Comparison]:
-    """The trial of the lowest BIC that stands in all frames, and its comparison there; those that do not are put out
-    of the running in `candidates`."""
+    """The trial of lowest BIC with an equilibrium in all frames, and its comparison; others get an infinite BIC."""
     while True:
         chosen = choose(candidates)
         best = candidates[chosen]
@@ -500,8 +477,7 @@ def _try(
     m: int,
     settings: RegressionSettings,
 ) -> Candidate:
-    """Learn one (n, m) from the frames `use` (T,), simulate it in those `compared` (T,), compare; `near` as
-    that of another trial there."""
+    """Learn one (n, m) from frames `use` (T,), simulate it in `compared` (T,); `near`: another trial's shapes."""
     n = rows.states.modes.n
     pi, sigma = basis(settings.family, m, settings.width)
     trial = Trial(n, m, np.full(m, np.nan), np.full(len(observations.marker_s), np.nan), np.inf, np.nan, np.inf)
@@ -544,9 +520,6 @@ def make_beam(observations: Observations, states: States, stiffness: Profile) ->
         mass_per_length=mass_profile(observations),
         masses=observations.stated.masses,
     )
-
-
-# From observations to a learned beam: states (22), regression (18), selection (20), in the paper's order.
 
 
 @one_blas_thread

@@ -29,11 +29,9 @@ from onebend.records import (
     StiffnessAlong,
 )
 
-# What is stated of how k varies along the beam: then one number is learned of it, and a slow correction where wanted.
-#
-# log k(s) = o(s) + l + e(s) + v(s): o is log I(s) of the stated section less its mean (zero where k is "even"), l one
-# level, e what an error of the section's stated sizes does to log I, v a slow variation of the modulus, a Gaussian
-# process of the stated sd with correlation exp(-d^2 / (2 C^2)) of places d apart, C being half of the beam.
+# Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even"
+# k), l one level, e the effect of errors of the section's sizes, v a slow variation of the modulus: a Gaussian process
+# of the stated sd with correlation exp(-d^2 / (2 C^2)) at a distance d.
 
 CORRELATION = 0.5  # C, of the length
 _LEAST = 1e-8  # of the largest: smaller parts of the slow variation are left out
@@ -94,7 +92,7 @@ def with_shared_shape(recordings: Sequence[Observations]) -> Sequence[Observatio
 
 
 def known_shape(recordings: Sequence[Observations]) -> KnownShape | None:
-    """What one recording of a beam says holds for all; None where nothing is stated.
+    """The stated shape of k, from any recording of the beam; None where nothing is stated.
 
     Raises:
         LearningError: the recordings contradict each other.
@@ -113,13 +111,9 @@ def known_shape(recordings: Sequence[Observations]) -> KnownShape | None:
     return KnownShape(section if said[0].stiffness_along == "section" else None, said[0].modulus_varies)
 
 
-# log k(s) as a cubic B-spline with a smoothness prior.
-#
-# The prior is a sum of four: a broad one for level and slope; a smooth part whose second derivative is white noise of
-# size `tau` (an integrated Wiener process); steps from each coefficient to the next (glued pieces); and bumps that
-# are three or four coefficients wide (joints, nodes of a stem). Where all steps are taken to be alike they are a
-# random walk of size `rho`, without bumps; where each has a size of its own, see `stiffness_prior.py`. Rough data
-# earn a rough k, and where nothing is seen the band opens as the prior does.
+# log k(s) as a cubic B-spline. Its prior is a sum of level and slope, a smooth part whose second derivative is white
+# noise of size `tau`, steps between coefficients, and bumps of three or four coefficients. Steps of one size `rho` are
+# a random walk, without bumps; steps of individual sizes: see `normal.py`.
 
 LEVEL_SD = 4.0  # of log k: a factor of 55 either way around the start
 SLOPE_SD = 3.0  # of log k from clamp to tip: a factor of 20 either way
@@ -208,8 +202,7 @@ class Spline:
 
     @cached_property
     def unseen(self) -> Array:
-        """(count - 1, f, f) covariance, by the f finer ones, of what the spline shows as a slope from one coefficient
-        to the next and is a step of size 1 that may be anywhere between them."""
+        """(count - 1, f, f) covariance of the spline's error for a step between two coefficients, in finer splines."""
         at = self.finer._places
         whole = self.basis(at)
         out = []
@@ -235,14 +228,11 @@ class Spline:
         return np.asarray(each.T @ (np.tile(0.5 * h * w, len(edges) - 1)[:, None] * each))
 
 
-# What is known of the beam's mass, and a first guess where nothing is: stiffness and mass are then learned together.
-#
-# Weight bends the beam by mu / k, so from weight alone only their ratio can be had. A force of known size, logged or
-# hung on, fixes both.
+# The beam's mass: weight alone tells only mu / k; a force of known size tells both.
 
 FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowledge
-TOLD = 0.7  # of the prior's sd: a weighed mass that stays less sure than this was hardly learned
-KNOWN = 0.35  # of itself: an unknown mass that stays less sure than this was not learned
+LEARNED = 0.7  # of the prior's sd: a weighed mass with a larger posterior sd was not learned
+KNOWN = 0.35  # of itself: an unknown mass with a larger posterior sd was not learned
 NEEDS_MASS = "gravity acts in the plane (or it swings), so the beam's mass must be given: mass_kg in [beam]"
 _SPREAD = {  # what is stated of it
     "even": "evenly spread",
@@ -272,30 +262,21 @@ def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
     if mass is None:
         return ()
     size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
-    if mass.along != "unknown":
-        return (_stated(mass, size),)
     even = f"it pulls on the clamp like {1000 * mass.even:.4g} g (sd {1000 * mass.even_sd:.2g} g) evenly spread"
-    if not np.isfinite(mass.written):
-        if mass.identified:
-            return (Remark("note", f"the mass was not written down; learned with k(s): {size}; {even}"),)
+    written, known = f"{1000 * mass.written:.4g} g as written", bool(np.isfinite(mass.written))
+    spread = "" if mass.along == "unknown" else f'mass {_SPREAD[mass.along]}, as mass_along = "{mass.along}" says'
+    if not known and not mass.identified:
         text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
-        return (Remark("warning", text, about="mass unknown"),)
-    if mass.identified:
-        return (Remark("note", f"mass {1000 * mass.written:.4g} g as written; the data make it {size}; {even}"),)
-    text = f"mass {1000 * mass.written:.4g} g as written; the data say no more of it: beside it, only k/mu"
+        return (Remark("warning", f"{text}. {spread.capitalize()}" if spread else text, about="mass unknown"),)
+    found = f"the data make it {size}" if mass.identified else "the data say no more of it: beside it, only k/mu"
+    if spread:
+        end = f"{written}, {found}" if known else f"not written down, and learned with k(s): {size}"
+        text = f"{spread}; {end}"
+    elif known:
+        text = f"mass {written}; {found}; {even}" if mass.identified else f"mass {written}; {found}"
+    else:
+        text = f"the mass was not written down; learned with k(s): {size}; {even}"
     return (Remark("note", text),)
-
-
-def _stated(mass: LearnedMass, size: str) -> Remark:
-    """Where recording.toml says how it is spread, so that one number was learned."""
-    spread = f'mass {_SPREAD[mass.along]}, as mass_along = "{mass.along}" says'
-    if np.isfinite(mass.written):
-        told = f"the data make it {size}" if mass.identified else "the data say no more of it: beside it, only k/mu"
-        return Remark("note", f"{spread}; {1000 * mass.written:.4g} g as written, {told}")
-    if mass.identified:
-        return Remark("note", f"{spread}; not written down, and learned with k(s): {size}")
-    text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
-    return Remark("warning", f"{text}. {spread.capitalize()}", about="mass unknown")
 
 
 def weighs(observations: Observations) -> bool:
@@ -323,9 +304,9 @@ def mass_is_open(recordings: Sequence[Observations]) -> bool:
 
 
 def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
-    """Raises `LearningError` where an unknown weight is all that bends the beam, or it only swings, with nothing of
-    known mass on it."""
-    if not mass_is_open(recordings) or any(forced(o) or _carries(o) for o in recordings):
+    """Raises `LearningError` where the data hold only the ratio of stiffness to mass."""
+    carries = any(one.tip_mass > 0.0 for o in recordings for one in o.frequencies)
+    if carries or not mass_is_open(recordings) or any(forced(o) for o in recordings):
         return
     names = ", ".join(o.source.name for o in recordings)
     if not any(weighs(o) for o in recordings):
@@ -341,11 +322,6 @@ def check_mass_can_be_learned(recordings: Sequence[Observations]) -> None:
     )
 
 
-def _carries(observations: Observations) -> bool:
-    """Whether it was seen to swing with a known mass at its tip."""
-    return any(one.tip_mass > 0.0 for one in observations.frequencies)
-
-
 def forced(observations: Observations) -> bool:
     """Whether something other than the beam's own weight acts on it."""
     hung = observations.known_loads is not None or (weighs(observations) and bool(observations.stated.masses))
@@ -355,16 +331,12 @@ def forced(observations: Observations) -> bool:
 def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tuple[Observations, ...]:
     """The recordings, those without a mass with that of the others; where none says it, with a `guess` [kg]."""
     recordings = _alike(recordings)
-    known = [o for o in recordings if np.isfinite(o.stated.mass)]
+    known = [o.stated for o in recordings if np.isfinite(o.stated.mass)]
     if known:
-        first = known[0]
-        given = [
-            o
-            if np.isfinite(o.stated.mass)
-            else replace(o, stated=replace(o.stated, mass=first.stated.mass, mass_line=first.stated.mass_line))
-            for o in recordings
-        ]
-        return tuple(given)
+        mass, line = known[0].mass, known[0].mass_line
+        given = (replace(o.stated, mass=mass, mass_line=line) for o in recordings)
+        pairs = zip(recordings, given, strict=True)
+        return tuple(o if np.isfinite(o.stated.mass) else replace(o, stated=stated) for o, stated in pairs)
     if not mass_is_open(recordings) or not np.isfinite(guess):
         return tuple(recordings)
     return tuple(replace(o, stated=replace(o.stated, mass=guess, mass_sd=FREE)) for o in recordings)
@@ -431,9 +403,8 @@ class Layout:
 
     @cached_property
     def stiffness_parts(self) -> Array:
-        """(p, n) coefficients of the independent parts that log k, less what is known of it, is the sum of before the
-        data: a level, what is left of an even k, the section's errors, the slow variation. `Spline.parts` where nothing
-        is stated."""
+        """(p, n) coefficients of the independent parts of log k, less its stated shape, in the prior: a level, a small
+        free part, errors of the section, the slow variation; `Spline.parts` without a stated shape."""
         if self.known is None:
             return self.spline.parts
         of_places = [self.spline.nearest(each) for each in (self.known.errors, self.known.slow)]
@@ -455,8 +426,7 @@ class Layout:
         return np.asarray(parts @ parts.T)
 
     def stiffness_root(self, variances: Array) -> Array:
-        """(p, p) lower triangular factor of the coefficients' prior covariance, from the variances (n,) of the
-        parts."""
+        """(p, p) lower triangular factor of the coefficients' prior covariance, from the parts' variances (n,)."""
         return np.asarray(np.linalg.qr(np.sqrt(variances)[:, None] * self.stiffness_parts.T, mode="r")).T
 
     def get(self, x: Array, name: str, recording: int = -1) -> Array:
@@ -465,7 +435,7 @@ class Layout:
         return x[block.where] if block.start >= 0 else np.zeros(len(block.labels))
 
     def columns(self, name: str, recording: int = -1) -> slice | None:
-        """Where a block's derivatives go among those that its recording knows (`known_to`); None where frozen."""
+        """Columns of a block among the parameters of its recording (`known_to`); None where frozen."""
         block = self.index[name, recording]
         if block.start < 0:
             return None
@@ -506,8 +476,7 @@ def make_layout(
     priors: Priors,
     allowances: Sequence[Sequence[Allowance]] = (),
 ) -> Layout:
-    """The vector for several recordings of one beam; `knots` counts the force errors' knots of each, `allowances` are
-    those of each."""
+    """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
     shared = {a.name: a for own in allowances for a in own if a.shared}
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]
@@ -557,11 +526,10 @@ def make_layout(
 
 
 def clamp_sd(one: Observations, priors: Priors) -> float:
-    """rad, of the clamp's direction in the recording's frame before the data.
+    """rad, prior sd of the clamp's direction in the recording's frame; 0 freezes it.
 
-    The frame's x axis is the line through the tags at rest: it is off by what their places are, and the fit knows those
-    from the same frames, so twice that spread is left to it. Where the beam is curved at rest, or rest was not seen,
-    no more is known than how well a base tag is put on. Of poses the stated sd is all. 0 freezes it.
+    The frame's x axis is the line through the tags at rest, so twice the spread of their places is added. Where the
+    beam is curved at rest, or rest was not seen, the mounting of a base tag is added instead. Poses have the stated sd.
     """
     stated = one.stated.clamp_sd if priors.clamp is None else priors.clamp
     if stated == 0.0 or (one.static and np.isfinite(stated)):
@@ -582,21 +550,8 @@ def curvature_sd(one: Observations, priors: Priors) -> float:
 
 
 def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
-    """rad, of the Legendre states of q0 that a recording has of its own; 0 where there is one recording alone, or where
-    nobody says that the beam's rest changed."""
+    """rad, of the Legendre states of q0 of one recording; 0 for one recording alone, or an unchanged rest."""
     return recordings[r].stated.rest_change_sd if len(recordings) > 1 else 0.0
-
-
-def rest_curvature(layout: Layout, x: Array, recording: int) -> Array:
-    """(3,) rad, Legendre states of q0 in one recording."""
-    return np.asarray(layout.get(x, "curvature") + layout.get(x, "rest change", recording))
-
-
-def log_axes(layout: Layout, x: Array, recording: int) -> Array:
-    """(2, 2) by which the logged force is turned."""
-    turn = float(layout.get(x, "direction", recording)[0])
-    cos, sin = np.cos(turn), np.sin(turn)
-    return np.array([[cos, -sin], [sin, cos]])
 
 
 def scale_sd(one: Observations, priors: Priors) -> float:

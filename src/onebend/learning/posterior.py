@@ -26,7 +26,7 @@ from onebend.learning.frequencies import GROSS, PredictedFrequencies, with_modes
 from onebend.learning.hyperparameters import SPREAD
 from onebend.learning.linear import FitProblem, log_k_map
 from onebend.learning.normal import JointCovariance
-from onebend.learning.parameters import KNOWN, TOLD, Block, Layout, LearnedMass, with_shared_shape
+from onebend.learning.parameters import KNOWN, LEARNED, Block, Layout, LearnedMass, with_shared_shape
 from onebend.learning.prediction import Prediction, predict, secant_of
 from onebend.learning.push_place import FAR, PlaceSearch, doubtful, moved_off, search_place, with_places
 from onebend.learning.start import start_of
@@ -191,7 +191,7 @@ def _weighed(data: Sequence[FitData]) -> Observations | None:
 def _largest_sd(written: float, block: Block) -> float:
     if np.isnan(written):
         return KNOWN
-    return TOLD * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
+    return LEARNED * float(np.hypot(block.prior_sd[0], block.prior_sd[1] / 3.0))
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ class Posterior:
     @property
     def secant_shares(self) -> tuple[float, ...]:
         """Of each recording: k(s), the secant stiffness, over the instantaneous stiffness; 1 without relaxation."""
-        return tuple(secant_of(p.recording, p.layout, p.x, p.solved) for p in self.optimum.predictions)
+        return tuple(secant_of(p) for p in self.optimum.predictions)
 
     @property
     def stiffness(self) -> UncertainStiffness:

@@ -27,7 +27,6 @@ from onebend.beam.statics import Equilibrium, gradient, tangent
 from onebend.beam.stiffness import RectangularSection, UncertainStiffness
 from onebend.learning.allowances import (
     SLIDE_SD,
-    Allowance,
     Entry,
     memory,
     reached_part,
@@ -36,24 +35,18 @@ from onebend.learning.allowances import (
     secant_share,
     section_at,
     shift_derivatives,
+    with_rest,
 )
 from onebend.learning.fit_data import FitData
-from onebend.learning.frames import push_places, ruler_places, steepness, whitened, zeroed_coordinates
+from onebend.learning.frames import evenly_spread, push_places, ruler_places, steepness, whitened, zeroed_coordinates
 from onebend.learning.normal import in_own_pages
-from onebend.learning.parameters import Layout, log_axes, rest_curvature
+from onebend.learning.parameters import Layout
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
 from onebend.records import Array, BoolArray, IntArray, Observations
 
-# Derivatives of the tags' poses with the parameters: one order of columns, used by all who need them.
-#
-# The way from a parameter to a tag has three parts, and each stands here once.
-#
-# 1. Parameters that bend the beam come in groups. `balance_changes` says how each group enters the balance of
-# moments; the order of its entries is the order of the columns (`ResponseColumns`). A further group is one more entry
-# there. 2. A tag rides on the beam: `TagRide` takes the motion of the beam's places to the tags in the picture, and
-# `TagMotion` says how tags move with their own places, the origin and the camera's scale while the shape stays as it
-# is. 3. `put_blocks` and `put_tags` write all of it to the columns that a layout gives to each block of parameters. A
-# group and a block of the layout that have one name belong together.
+# Derivatives of the tags' poses: `balance_changes` gives each group of parameters that bends the beam, in the order of
+# the columns; `TagRide` maps the motion of the beam to the tags; `put_blocks` and `put_tags` write the columns of a
+# layout.
 
 
 @dataclass(frozen=True)
@@ -80,10 +73,10 @@ def balance_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """Those of the loads, the clamp and the beam at rest.
+    """Groups of the loads, the clamp and the beam at rest.
 
     "curvature" (3) rad; "clamp" (1) rad; "push" (2) N, the force of each frame; "place" (1) m, of the push along the
-    beam; "mass" (4), its parts over all of it, where something weighs; "relaxation", the shares that relax.
+    beam; "mass" (4), relative, where weight acts; "relaxation", the relaxing shares.
     """
     problem = beam.solved.problem
     changes = {
@@ -100,10 +93,10 @@ def load_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
-    """Those of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
+    """Groups of the beam itself, which enter by `k (q - q0)` and by 1/EA and 1/kGA.
 
-    "stiffness" (p) coefficients of log k; what else enters log k, by name; "length" (1) its log; "section" (1) its
-    thickness, where the beam stretches and shears.
+    "stiffness" (p) coefficients of log k; further functions of log k, by name; "length" (1) its log; "section" (1) its
+    thickness.
     """
     problem = beam.solved.problem
     changes = {
@@ -119,8 +112,7 @@ def material_changes(beam: BentBeam) -> dict[str, Perturbation]:
 
 
 def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[Array, Array]:
-    """(Q, P) each: the functions of k [N m] and of the logs of 1/EA and 1/kGA of `material_changes` that frames share,
-    one group after the other; zero where a group has none."""
+    """(Q, P) each: functions of k [N m] and of the logs of 1/EA and 1/kGA, all groups of `material_changes`."""
     elastic, compliant = (
         np.concatenate([np.zeros((nodes, len(c.clamp))) if f is None else f[1] for c, f in pairs], axis=1)
         for pairs in ([(c, c.elastic) for c in changes.values()], [(c, c.compliance) for c in changes.values()])
@@ -129,11 +121,8 @@ def joined_functions(changes: Mapping[str, Perturbation], nodes: int) -> tuple[A
 
 
 def _of_length(solved: Equilibrium) -> Perturbation:
-    """One parameter: the log of the length, k [N m] and the loads staying as they are; without point moments.
-
-    The levers of all forces grow with the length. In equilibrium they balance k (q - q0), so that the balance changes
-    as if k were smaller by as much; 1/EA and 1/kGA go with 1 / (k L).
-    """
+    """The log of the length at fixed k [N m] and loads, without point moments: it acts as a smaller k, as all levers
+    grow; 1/EA and 1/kGA go with 1 / (k L)."""
     problem = solved.problem
     elastic = solved.q - problem.q0, -problem.k[..., None]
     compliance = None
@@ -183,8 +172,7 @@ def along_and_across(force: Array, angle: Array) -> tuple[Array, Array]:
 
 
 def push_forces(push: Array, log_axes: Array, rate: Array) -> dict[str, Array]:
-    """(F, 2, 1) N per unit of the push, with the "direction" of the force log's axes [rad] and its "clock" [s]; see
-    `push_blocks`."""
+    """(F, 2, 1) N per unit: the push with the "direction" of the log's axes [rad] and its "clock" [s]."""
     turned = paired(-push[:, 1], push[:, 0])
     return {"direction": turned[..., None], "clock": (rate @ log_axes.T)[..., None]}
 
@@ -200,8 +188,7 @@ def push_blocks(by_push: Array, push: Array, log_axes: Array, rate: Array) -> di
 
 
 def pushed_by(beyond: Array, force: Array) -> Perturbation:
-    """n parameters that add to the push, of which the share `beyond` (F, Q) acts beyond each node: `force` (F, 2, n) N
-    per unit in each frame."""
+    """n parameters that add `force` (F, 2, n) N to the push, of which `beyond` (F, Q) acts beyond each node."""
     added = beyond[..., None, None] * force[:, None]
     return Perturbation(added, None, None, np.zeros(force.shape[-1]))
 
@@ -254,9 +241,8 @@ class TagRide:
         return np.sin(self.angle) / steepness(self.angle)
 
     def motion(self, xy: Array, bend: Array, onward: Array | None = None) -> TagMotion:
-        """Of tags at `xy` (F, m, 2) m in the beam's frame, where the beam's curvature is `bend` (F, m) 1/m; zero beyond
-        the tip. `onward` (F, m, 2): m per m along the beam of its places; None: along the tangent, as it does not
-        stretch."""
+        """Of tags at `xy` (F, m, 2) m in the beam's frame; `bend` (F, m) 1/m is the beam's curvature, zero beyond the
+        tip. `onward` (F, m, 2): m per m along the beam; None: the tangent, without stretch."""
         if self.ruler:
             return self._ruler_motion(xy)
         cos, sin = np.cos(self.angle), np.sin(self.angle)
@@ -266,8 +252,7 @@ class TagRide:
         return TagMotion(along, bend, self.scale * paired(-sin, cos), xy)
 
     def _ruler_motion(self, xy: Array) -> TagMotion:
-        """Of rulers: one that stands a metre farther out reads what passes there, and a beam that is moved along passes
-        under it with another part."""
+        """Of rulers, which read y at a fixed x."""
         nothing, one = np.zeros_like(self.slope), np.ones_like(self.slope)
         origin = np.stack([paired(nothing, nothing), paired(-self.slope, one)], axis=2)
         return TagMotion(paired(nothing, self.slope), nothing, paired(nothing, one), xy, origin)
@@ -288,8 +273,7 @@ def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Ar
 
 
 def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion) -> None:
-    """Write derivatives with the tags' own places and turns, the origin and the camera's scale to `out` (F, m, 3, C),
-    in which columns of blocks that are not written stay as they are: zero."""
+    """Write derivatives with the tags' places and turns, the origin and the scale to `out` (F, m, 3, C)."""
     tags = np.arange(out.shape[1])
     own = {name: columns[name].start + tags for name in ("along", "across", "turn") if name in columns}
     for c in range(2):
@@ -320,155 +304,142 @@ def tag_blocks(motion: TagMotion) -> dict[str, Array]:
     return {name: out[..., where] for name, where in columns.items()}
 
 
-# What a recording's allowances do to the fit's model at given parameters, and its derivatives with them.
-
 _SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
 _FALLING = 0.2  # of the change before: one that is larger takes a new tangent
 _FARTHEST = 5.0  # rad, of the curvature in one update of Newton's method
 _MOST_PASSES = 16
+_KEY_FRAMES = 24  # at most, through which derivatives follow the memory of the material
+_PASSES = 2  # each leaves about the relaxing share of the error of the one before
 
 
-def allowed(recording: FitData, layout: Layout, x: Array, enters: Entry) -> Array | float:
-    """The sum of the allowances that enter here, at parameters x (P,); 0 where there are none. Shapes: see `Entry`."""
-    here = [a for a in recording.allowances if a.enters == enters]
-    return sum((a.basis @ _values(recording, layout, x, a) for a in here), start=0.0)
+@dataclass(frozen=True)
+class State:
+    """One recording's model at parameters x."""
+
+    data: FitData
+    layout: Layout
+    x: Array  # (P,)
+
+    def value(self, name: str) -> Array:
+        """(n,) values of a block; zeros where it is frozen."""
+        shared = (name, -1) in self.layout.index
+        return self.layout.get(self.x, name, -1 if shared else self.data.number)
+
+    def allowed(self, enters: Entry) -> Array | float:
+        """The sum of the allowances that enter here; 0 where there are none. Shapes: see `Entry`."""
+        return sum((a.basis @ self.value(a.name) for a in self.data.entering(enters)), start=0.0)
+
+    @property
+    def length(self) -> Array:
+        """() m, the beam's length."""
+        change = [self.value(a.name)[0] for a in self.data.entering("length")]
+        return np.asarray(self.data.observations.length * np.exp(sum(change)))
+
+    @property
+    def clamp(self) -> Array:
+        """() or (F, 1) rad, the clamp's angle."""
+        angle, gives = self.value("clamp")[0], self.allowed("clamp")
+        return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
+
+    @property
+    def section(self) -> tuple[RectangularSection | None, float]:
+        """The section by which the beam stretches and shears, or None, and its derivative: see `section_at`."""
+        o = self.data.observations
+        for a in self.data.entering("section"):
+            return section_at(float(self.value(a.name)[0]), o.stated.thickness, o.length)
+        return None, 0.0
+
+    @property
+    def log_axes(self) -> Array:
+        """(2, 2) rotation of the logged force."""
+        turn = float(self.value("direction")[0])
+        cos, sin = np.cos(turn), np.sin(turn)
+        return np.array([[cos, -sin], [sin, cos]])
+
+    @property
+    def push_beyond(self) -> Array:
+        """(F, Q) share of the push that acts beyond the node."""
+        place = self.value("place") + self.allowed("place")  # (1,) or (F,) m
+        return np.asarray(self.data.beyond + place[:, None] * self.data.farther)
+
+    @property
+    def rest(self) -> Array:
+        """(Q,) or (F, Q) rad, curvature at rest of a beam that has not relaxed."""
+        return np.asarray(self.data.rest_on_nodes @ (self.value("curvature") + self.value("rest change")))
+
+    @property
+    def relaxation(self) -> tuple[Array, Array] | None:
+        """(n,) shares of the material that relax, and (T,) s of the frames; None where nothing is allowed to relax."""
+        return next(((self.value(a.name), a.basis) for a in self.data.entering("relaxation")), None)
+
+    @property
+    def memory(self) -> Array | None:
+        """(T, T) see `allowances.memory`; None where equilibria do not depend on earlier ones."""
+        if self.relaxation is None or self.data.ends is not None or not np.any(self.relaxation[0]):
+            return None
+        return memory(*self.relaxation)
+
+    def places(self, solved: Equilibrium) -> tuple[Array, Array]:
+        """(m,) s of the tags on the beam, and (m,) m beyond its tip; (F, m) each of readings under rulers."""
+        data = self.data
+        if data.rulers is not None:
+            return ruler_places(solved, np.nan_to_num(data.rulers) + self.value("along") - self.value("origin")[0])
+        length = data.observations.length
+        s = data.observations.marker_s + self.value("along") / length
+        return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
+
+    def ride(self, solved: Equilibrium) -> TagRide:
+        """The tags on these equilibria."""
+        s, over = self.places(solved)
+        scale, ruler = 1.0 + float(self.value("scale")[0]), self.data.rulers is not None
+        across = np.zeros(over.shape[1]) if ruler else self.value("across")
+        return TagRide(solved.angle(s), over, across, scale, ruler)
 
 
-def allowed_length(recording: FitData, layout: Layout, x: Array) -> Array:
-    """() m, the beam's length."""
-    change = [_values(recording, layout, x, a)[0] for a in recording.allowances if a.enters == "length"]
-    return np.asarray(recording.observations.length * np.exp(sum(change)))
+def _relaxed(problem: Problem, remembering: Array, start: Array | None) -> Equilibrium:
+    """Equilibria where the material relaxes: each depends on the earlier ones, and all are found together.
 
-
-def allowed_clamp(recording: FitData, layout: Layout, x: Array) -> Array:
-    """() or (F, 1) rad, the clamp's angle."""
-    angle, gives = layout.get(x, "clamp", recording.number)[0], allowed(recording, layout, x, "clamp")
-    return np.asarray(angle if isinstance(gives, float) else angle + gives[:, None])
-
-
-def allowed_section(recording: FitData, layout: Layout, x: Array) -> tuple[RectangularSection | None, float]:
-    """By which the beam stretches and shears, None where it does neither, and how it goes with the parameter: see
-    `section_at`."""
-    for a in recording.allowances:
-        if a.enters == "section":
-            o = recording.observations
-            return section_at(float(_values(recording, layout, x, a)[0]), o.stated.thickness, o.length)
-    return None, 0.0
-
-
-def equilibria(recording: FitData, layout: Layout, x: Array, problem: Problem, start: Array | None) -> Equilibrium:
-    """Of a free end; where the material relaxes, each shape hangs on those before it, and all are found together.
-
-    `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q), where shapes are known about.
-    Newton's method on each shape and the shift of its rest take turns. The shift settles slowly and Newton's method
-    fast: the tangent's inverse of one pass does for the next ones, as long as they settle.
+    `problem` has the curvature at rest of a beam that has not relaxed; `start` (F, Q) are known shapes. Newton's method
+    and the shift of the rest take turns. The inverse tangent is kept as long as the updates fall fast.
     """
-    values = relaxation_values(recording, layout, x)
-    if values is None or not remembers(recording, layout, x):
-        return free_ends(problem, recording.poses, start)
-    q = follow(problem).q if start is None else start
-    remembering, rest = memory(values, relaxation_time(recording)), problem.q0
-    nodes, inverse, before = q.shape[1], None, np.inf
+    q, rest = follow(problem).q if start is None else start, problem.q0
+
+    def shifted(q: Array) -> Problem:
+        return replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights))
+
+    inverse, before = None, np.inf
     for _ in range(_MOST_PASSES):
-        shifted = replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights))
-        if inverse is None:
-            inverse = solve_each(tangent(shifted, q), np.broadcast_to(np.eye(nodes), (*q.shape, nodes)))
-        update = (inverse @ gradient(shifted, q)[..., None])[..., 0]
+        here = shifted(q)
+        inverse = _inverse_tangent(here, q) if inverse is None else inverse
+        update = (inverse @ gradient(here, q)[..., None])[..., 0]
         size = float(np.max(np.abs(update)))
-        if not size < _FARTHEST:  # from here Newton's method alone cannot be trusted
-            q, inverse = refine(shifted, q).q, None
+        if not size < _FARTHEST:  # far from equilibrium: Newton's method with a line search
+            q, inverse = refine(here, q).q, None
             continue
         q = q - update
         if size < _SETTLED:
             break
         inverse, before = (inverse if size < _FALLING * before else None), size
-    return refine(replace(problem, q0=rest + rest_shift(remembering, q - rest, problem.weights)), q)
+    return refine(shifted(q), q)
 
 
-def relaxation_values(recording: FitData, layout: Layout, x: Array) -> Array | None:
-    """(n,) shares of the material that relax; None where nothing is allowed to."""
-    every = [_values(recording, layout, x, a) for a in recording.allowances if a.enters == "relaxation"]
-    return every[0] if every else None
+def _inverse_tangent(problem: Problem, q: Array) -> Array:
+    """(F, Q, Q)."""
+    return solve_each(tangent(problem, q), np.broadcast_to(np.eye(q.shape[1]), (*q.shape, q.shape[1])))
 
 
-def remembers(recording: FitData, layout: Layout, x: Array) -> bool:
-    """Whether a shape hangs on those before it."""
-    values = relaxation_values(recording, layout, x)
-    return values is not None and bool(np.any(values != 0.0)) and recording.ends is None
-
-
-def relaxation_time(recording: FitData) -> Array:
-    """(T,) s of the frames whose shapes relaxation remembers."""
-    return next(a.basis for a in recording.allowances if a.enters == "relaxation")
-
-
-def relaxation_derivatives(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array | None:
-    """(F, Q, n) of the curvature at rest, shapes held; None where the material does not relax."""
-    values = relaxation_values(recording, layout, x)
-    if values is None:
-        return None
-    return shift_derivatives(
-        values, relaxation_time(recording), bending(recording, layout, x, solved), solved.problem.weights
-    )
-
-
-def secant_of(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> float:
-    """The secant stiffness over the instantaneous one; 1 where the material does not relax."""
-    values = relaxation_values(recording, layout, x)
-    if values is None:
+def secant_of(prediction: Prediction) -> float:
+    """Secant stiffness over instantaneous stiffness; 1 where the material does not relax."""
+    if prediction.relaxation is None:
         return 1.0
-    remembering = memory(values, relaxation_time(recording))
-    return secant_share(remembering, bending(recording, layout, x, solved), solved.problem.weights)
-
-
-def log_k_functions(recording: FitData) -> dict[str, Array]:
-    """Functions of log k at the nodes, by the allowance's name."""
-    return {a.name: a.basis for a in recording.allowances if a.enters == "log k"}
-
-
-def allowance_changes(recording: FitData, beam: BentBeam) -> dict[str, Perturbation]:
-    """How the allowances of the push and of the clamp enter the balance, by name."""
-    changes: dict[str, Perturbation] = {}
-    for a in recording.allowances:
-        if a.enters == "force":
-            changes[a.name] = pushed_by(beam.beyond, a.basis)
-        elif a.enters == "place":
-            changes[a.name] = placed_by(beam, a.basis)
-        elif a.enters == "load":
-            changes[a.name] = Perturbation(a.basis, None, None, np.zeros(a.count))
-    return changes
-
-
-def clamp_blocks(recording: FitData, by_clamp: Array) -> dict[str, Array]:
-    """(F, m, 3, n) of the allowances that turn the clamp or move the tags, by name; `by_clamp` (F, m, 3, 1) per rad."""
-    out = {a.name: by_clamp * a.basis[:, None, None, :] for a in recording.allowances if a.enters == "clamp"}
-    return out | {a.name: a.basis for a in recording.allowances if a.enters == "poses"}
-
-
-def bending(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> Array:
-    """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
-    return np.asarray(solved.q - recording.rest_on_nodes @ rest_curvature(layout, x, recording.number))
-
-
-def _values(recording: FitData, layout: Layout, x: Array, allowance: Allowance) -> Array:
-    return layout.get(x, allowance.name, -1 if allowance.shared else recording.number)
-
-
-# Derivatives of a beam whose material remembers: what a parameter changes in one frame goes on in all later ones.
-#
-# A change of the bending shifts the curvature at rest of all later frames, which changes their bending, and so on. It
-# is followed through some frames only, for the memory is smooth in time; what it shifts in the others lies between.
-
-_KEY_FRAMES = 24  # at most, through which the memory is followed
-_PASSES = 2  # each leaves about the relaxing share of what the one before left
+    return secant_share(memory(*prediction.relaxation), prediction.bending, prediction.solved.problem.weights)
 
 
 @dataclass(frozen=True)
 class Remembered:
-    """What the memory adds to the derivatives of poses at S places of the beam, in F frames.
+    """Derivatives of poses at S places, in F frames, that come from the material's memory.
 
-    A part of the push that is `weights @ values` in each frame, as the force log's error is, adds `by_push` with its
-    value in the frame itself and `by_pushes` with its values in the key frames.
+    A slow part of the push adds `by_push` times its value in the frame and `by_pushes` times those in the key frames.
     """
 
     by_parameters: Array  # (F, S, 3, P) m, m, rad per unit
@@ -477,87 +448,46 @@ class Remembered:
     keys: IntArray  # (n,)
 
 
-@dataclass(frozen=True)
-class _KeyFrames:
-    """n of the F frames."""
-
-    keys: IntArray  # (n,)
-    between: Array  # (T, n) weights by which values of the key frames stand for all T that remember
-    remembering: Array  # (n, n) see `memory`
-    bending: Array  # (n, Q) rad
-    weights: Array  # (Q,) or (n, Q)
-
-
-def remembered_poses(
-    recording: FitData, layout: Layout, x: Array, solved: Equilibrium, columns: ResponseColumns, by_node: Array
-) -> Remembered:
+def _remembered_poses(now: Prediction, columns: ResponseColumns, by_node: Array) -> Remembered:
     """With the P parameters of `columns` and with the push; `by_node` (F, S, 3, Q) of the poses with the curvature at
-    rest at each node, without memory."""
-    values, time = relaxation_values(recording, layout, x), relaxation_time(recording)
-    assert values is not None
+    rest at each node, without memory.
+
+    A change of the bending shifts the curvature at rest of all later frames. It is followed through key frames, as the
+    memory is smooth in time, and interpolated between them.
+    """
+    assert now.relaxation is not None
+    (values, time), count = now.relaxation, len(by_node)
     keys = np.unique(np.linspace(0, len(time) - 1, min(len(time), _KEY_FRAMES)).round().astype(np.int64))
-    some, bent = solved.take(keys), bending(recording, layout, x, solved)[keys]
+    some, bent, remembering = now.solved.take(keys), now.bending[keys], memory(values, time[keys])
     between = np.stack([np.interp(time, time[keys], one) for one in np.eye(len(keys))], axis=1)
-    frames = _KeyFrames(keys, between, memory(values, time[keys]), bent, some.problem.weights)
-    first, by_shift = _responses_with_memory(some, columns.changes.take(keys))
+    inverse, weights = _inverse_tangent(some.problem, some.q), some.problem.weights
+    first = inverse @ minus_gradient(some, columns.changes.take(keys))
+    by_shift = inverse * some.problem.stiff[..., None, :]
     change = first.copy()
-    change[..., columns.slices["curvature"]] -= recording.rest_on_nodes  # the rest that bending counts from
-    shift = np.tensordot(between, _shift(frames, change, by_shift), 1)
-    by_parameters = _at_places(by_node[: len(time)], shift)
-    by_push, by_pushes = _by_push(frames, first[..., columns.slices["push"]], by_node[keys])
-    rests = len(by_node) - len(time)
-    return Remembered(
-        _with_rests(by_parameters, rests), _with_rests(by_push, rests), _with_rests(by_pushes, rests), keys
-    )
-
-
-def _responses_with_memory(some: Equilibrium, changes: Perturbations) -> tuple[Array, Array]:
-    """(n, Q, P) of the curvature to changes, and (n, Q, Q) to the curvature at rest at each node, without memory."""
-    problem, nodes = some.problem, some.q.shape[1]
-    inverse = solve_each(tangent(problem, some.q), np.broadcast_to(np.eye(nodes), (len(some.q), nodes, nodes)))
-    return inverse @ minus_gradient(some, changes), inverse * problem.stiff[..., None, :]
-
-
-def _shift(frames: _KeyFrames, change: Array, by_shift: Array) -> Array:
-    """(n, Q, P) of the curvature at rest, from changes (n, Q, P) of the bending without memory."""
+    change[..., columns.slices["curvature"]] -= now.data.rest_on_nodes  # bending is counted from the rest
     moved = change
     for _ in range(_PASSES):
-        moved = change + by_shift @ remembered(frames.remembering, frames.bending, frames.weights, moved)
-    return remembered(frames.remembering, frames.bending, frames.weights, moved)
-
-
-def _by_push(frames: _KeyFrames, by_push: Array, by_node: Array) -> tuple[Array, Array]:
-    """(T, S, 3, 2) with the push of the frame itself, and (T, S, 3, 2 n) with that of the key frames.
-
-    `by_push` (n, Q, 2) of the curvature without memory, `by_node` (n, S, 3, Q) of the poses with the curvature at rest.
-    To first order in what relaxes; that the part c of the curvature that is reached changes too is left out.
-    """
-    every = np.arange(len(by_push))
-    reached = reached_part(frames.remembering @ frames.bending, frames.bending, frames.weights)
-    pairs = np.tensordot(by_node, by_push, ((3,), (1,)))  # (n, S, 3, n, 2): frame, and where it was pushed
-    at_once = np.tensordot(frames.between, pairs[every, :, :, every], 1)
-    pairs *= frames.remembering[:, None, None, :, None]
-    later = np.tensordot(frames.between, pairs.reshape(*pairs.shape[:3], -1), 1)
-    return -reached / (1.0 - reached) * at_once, later / (1.0 - reached)
-
-
-def _at_places(by_node: Array, shift: Array) -> Array:
-    """(F, S, 3, P) of poses, from `by_node` (F, S, 3, Q) and shifts (F, Q, P) of the curvature at rest."""
-    rows = by_node.reshape(len(by_node), -1, by_node.shape[-1])
-    return np.asarray((rows @ shift).reshape(*by_node.shape[:3], -1))
-
-
-def _with_rests(part: Array, rests: int) -> Array:
-    """(F, ...) of (T, ...): nothing in the frames at rest, which come last."""
-    return np.concatenate([part, np.zeros((rests, *part.shape[1:]))])
+        moved = change + by_shift @ remembered(remembering, bent, weights, moved)
+    shift = np.tensordot(between, remembered(remembering, bent, weights, moved), 1)
+    nodes = by_node[: len(time)]
+    by_parameters = (nodes.reshape(len(nodes), -1, nodes.shape[-1]) @ shift).reshape(*nodes.shape[:3], -1)
+    # To first order in the relaxing share; the change of the reached part of the curvature is left out.
+    reached = reached_part(remembering @ bent, bent, weights)
+    every, by_push = np.arange(len(keys)), first[..., columns.slices["push"]]
+    pairs = np.tensordot(by_node[keys], by_push, ((3,), (1,)))  # (n, S, 3, n, 2): of a frame, with the push in another
+    at_once = np.tensordot(between, pairs[every, :, :, every], 1)
+    pairs *= remembering[:, None, None, :, None]
+    later = np.tensordot(between, pairs.reshape(*pairs.shape[:3], -1), 1)
+    by_push, by_pushes = -reached / (1.0 - reached) * at_once, later / (1.0 - reached)
+    return Remembered(with_rest(by_parameters, count), with_rest(by_push, count), with_rest(by_pushes, count), keys)
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """Derivatives of R numbers a frame with the parameters of a film (`at.known_to`) and with each frame's force.
+    """Derivatives of R numbers a frame with a film's parameters (`Layout.known_to`) and each frame's force.
 
-    The slow error of the force log comes last of the parameters. It enters by its value in the frame and, where the
-    material remembers, by those in n key frames before it, so its K knots are not written out.
+    The slow error of the force log comes last. It enters by its value in the frame and, with memory, by those in n
+    earlier key frames, so its K knots are not written out.
     """
 
     j: Array  # (F, ..., C - 2 K + 2 n) with all parameters but that error, and with the push in the key frames
@@ -614,17 +544,19 @@ class Slopes:
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """Tags where the parameters put them."""
+class Prediction(State):
+    """The tags' poses at the parameters of a state."""
 
-    recording: FitData
-    layout: Layout
-    x: Array  # (P,) the parameters
     solved: Equilibrium
     pose: Array  # (F, m, 3)
-    force: Array  # (F, 2) N, the corrected force, `own` with it
-    own: Array  # (F, 2) N, what of the force is each frame's own: less the log's error that is faster than the knots
-    nearby: Slopes | None = None  # whitened ones of shapes so near that they do for these as well
+    force: Array  # (F, 2) N, the corrected force, `own` included
+    own: Array  # (F, 2) N, each frame's own force: minus the log's error that is faster than the knots
+    nearby: Slopes | None = None  # whitened derivatives of shapes nearby, taken for these
+
+    @property
+    def bending(self) -> Array:
+        """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
+        return self.solved.q - self.rest
 
     @property
     def slopes(self) -> Slopes:
@@ -633,124 +565,135 @@ class Prediction:
 
     @cached_property
     def whitened_slopes(self) -> Slopes:
-        """The same of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
+        """Derivatives of the whitened poses, R = 3 m numbers a frame; zero where a tag was not seen."""
         if self.nearby is not None:
             return self.nearby
-        whiten, shapes = self.recording.whiten, replace(self.solved, problem=replace(self.solved.problem))
-        slopes = replace(self, solved=shapes).slopes  # what is worked out of the shapes on the way is not kept
+        whiten, shapes = self.data.whiten, replace(self.solved, problem=replace(self.solved.problem))
+        slopes = replace(self, solved=shapes).slopes  # a copy, so that cached properties of the shapes are freed
         added = None if slopes.added is None else whitened(whiten, slopes.added)
         return replace(slopes, j=in_own_pages(whitened(whiten, slopes.j)), a=whitened(whiten, slopes.a), added=added)
 
     @property
     def whitened_by_force(self) -> Slopes:
-        """`whitened_slopes` with each frame's force, and with no parameter: a small part of the work."""
-        recording, frames = self.recording, len(self.pose)
-        by_force = pushed_by(_pushed(recording, self.layout, self.x), np.eye(2)[None])
-        ride = tag_ride(recording, self.layout, self.x, self.solved)
-        a = whitened(recording.whiten, ride.carry(_responses_at_once(self, Perturbations((by_force,)))[0]))
-        return Slopes(a[..., :0], a, np.eye(2), np.zeros((frames, 0)))
+        """`whitened_slopes` with each frame's force alone: much faster."""
+        by_force = Perturbations((pushed_by(self.push_beyond, np.eye(2)[None]),))
+        a = whitened(self.data.whiten, self.ride(self.solved).carry(_responses(self, by_force)[0]))
+        return Slopes(a[..., :0], a, np.eye(2), np.zeros((len(a), 0)))
 
-    def release(self) -> None:
-        """Forget the derivatives, most of what a fit holds in memory; they are worked out again where asked for, and
-        then its own ones."""
+    def clear_slopes(self) -> None:
+        """Free the cached derivatives, most of the memory of a fit; they are computed again on demand."""
         self.__dict__.pop("whitened_slopes", None)
-        self.__dict__["nearby"] = None
 
 
-def predict(recording: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
-    """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], none where it is not given;
-    warm-started from shapes `start` (F, Q) where given."""
-    r = recording.number
-    own = np.zeros_like(recording.force) if own is None else own
-    slow = recording.error_weights @ layout.get(x, "force", r).reshape(-1, 2)
-    force = (recording.force - slow + recording.rate * layout.get(x, "clock", r)) @ log_axes(layout, x, r).T + own
-    force = force + allowed(recording, layout, x, "force")
-    k = np.exp(
-        recording.offset + recording.on_nodes @ layout.get(x, "stiffness") + allowed(recording, layout, x, "log k")
-    )
-    weight_beyond = recording.weight + allowed(recording, layout, x, "load")
-    if recording.mass is not None:
-        weight_beyond = weight_beyond + recording.mass.force(recording.problem, k, layout.get(x, "mass"))
+def predict(data: FitData, layout: Layout, x: Array, start: Array | None, own: Array | None = None) -> Prediction:
+    """Equilibria and tags for parameters x and each frame's `own` force (F, 2) [N], zero if None.
+
+    `start`: shapes (F, Q) for a warm start.
+    """
+    state = State(data, layout, x)
+    value, allowed = state.value, state.allowed
+    own = np.zeros_like(data.force) if own is None else own
+    slow = data.error_weights @ value("force").reshape(-1, 2)
+    force = (data.force - slow + data.rate * value("clock")) @ state.log_axes.T + own
+    force = force + allowed("force")
+    k = np.exp(data.offset + data.on_nodes @ value("stiffness") + allowed("log k"))
+    weight_beyond = data.weight + allowed("load")
+    if data.mass is not None:
+        weight_beyond = weight_beyond + data.mass.force(data.problem, k, value("mass"))
     problem = replace(
-        recording.problem,
+        data.problem,
         k=k,
-        length=allowed_length(recording, layout, x),
-        section=allowed_section(recording, layout, x)[0],
-        q0=recording.rest_on_nodes @ rest_curvature(layout, x, r),
-        alpha0=allowed_clamp(recording, layout, x),
-        dead_force=_pushed(recording, layout, x)[..., None] * force[:, None, :] + weight_beyond,
+        length=state.length,
+        section=state.section[0],
+        q0=state.rest,
+        alpha0=state.clamp,
+        dead_force=state.push_beyond[..., None] * force[:, None, :] + weight_beyond,
     )
-    if recording.ends is not None:
-        solved = solve(problem, recording.ends, moved(recording.ends, layout, x, r), start, recording.poses)
+    remembering = state.memory
+    if data.ends is not None:
+        solved = solve(problem, data.ends, moved(data.ends, layout, x, data.number), start, data.poses)
+    elif remembering is not None:
+        solved = _relaxed(problem, remembering, start)
     else:
-        solved = equilibria(recording, layout, x, problem, start)
-    s, _ = tag_places(recording, layout, x, solved)
-    ride = tag_ride(recording, layout, x, solved)
-    xy = ride.scale * (solved.xy(s) + ride.offset) + layout.get(x, "origin", r)
-    if recording.rulers is not None:
-        xy = paired(recording.rulers, xy[..., 1] + layout.get(x, "across"))
-    pose = np.concatenate([xy, (ride.angle + layout.get(x, "turn"))[..., None]], axis=-1)
-    for (i, c), zero in zip(zeroed_coordinates(recording.observations), layout.get(x, "zero", r), strict=True):
+        solved = free_ends(problem, data.poses, start)
+    (s, _), ride = state.places(solved), state.ride(solved)
+    xy = ride.scale * (solved.xy(s) + ride.offset) + value("origin")
+    if data.rulers is not None:
+        xy = paired(data.rulers, xy[..., 1] + value("across"))
+    pose = np.concatenate([xy, (ride.angle + value("turn"))[..., None]], axis=-1)
+    for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
-    return Prediction(recording, layout, x, solved, pose + allowed(recording, layout, x, "poses"), force, own)
+    return Prediction(data, layout, x, solved, pose + allowed("poses"), force, own)
 
 
 def _slopes(now: Prediction) -> Slopes:
-    recording, layout, x, r, solved = now.recording, now.layout, now.x, now.recording.number, now.solved
-    bent, axes = _bent(now), log_axes(layout, x, r)
-    logged = now.force - now.own - allowed(recording, layout, x, "force")
-    pushes = {name: pushed_by(bent.beyond, f) for name, f in push_forces(logged, axes, recording.rate).items()}
-    columns = response_columns(balance_changes(bent) | pushes | allowance_changes(recording, bent))
-    nodes, has_memory = solved.q.shape[1], remembers(recording, layout, x)
+    data, layout, solved, axes = now.data, now.layout, now.solved, now.log_axes
+    bent, has_memory = _bent(now), now.memory is not None
+    pushes = push_forces(now.force - now.own - now.allowed("force"), axes, data.rate)
+    changes = balance_changes(bent) | {name: pushed_by(bent.beyond, f) for name, f in pushes.items()}
+    columns, nodes = response_columns(changes | _allowance_changes(data, bent)), solved.q.shape[1]
     each_node = of_rest_curvature(solved.problem, np.eye(nodes) if has_memory else np.zeros((nodes, 0)))
-    both, by_end = _responses_at_once(now, columns.changes + each_node)
+    both, by_end = _responses(now, columns.changes + each_node)
     response, by_node = np.split(both, [len(columns.changes.clamp)], axis=-1)
-    s, ride = tag_places(recording, layout, x, solved)[0], tag_ride(recording, layout, x, solved)
-    if recording.ends is None and "length" in columns.slices:
+    (s, _), ride = now.places(solved), now.ride(solved)
+    if data.ends is None and "length" in columns.slices:
         response[:, :, :2, columns.slices["length"]] += solved.xy(s)[..., None]
     carried = ride.carry(response)
-    free, error = free_columns(layout, r), layout.columns("force", r)
-    out = np.zeros((*now.pose.shape, len(layout.known_to(r)) if error is None else error.start))
-    slopes = Slopes(out, columns.split(carried)["push"], axes, recording.error_weights)
+    free, error = free_columns(layout, data.number), layout.columns("force", data.number)
+    out = np.zeros((*now.pose.shape, len(layout.known_to(data.number)) if error is None else error.start))
+    slopes = Slopes(out, columns.split(carried)["push"], axes, data.error_weights)
     if has_memory:
-        memory = remembered_poses(recording, layout, x, solved, columns, by_node)
+        memory = _remembered_poses(now, columns, by_node)
         carried = carried + ride.carry(memory.by_parameters)
         if error is not None:
             out = np.concatenate([out, ride.carry(memory.by_pushes)], axis=-1)
             slopes = replace(slopes, j=out, added=ride.carry(memory.by_push), keys=memory.keys)
     blocks = columns.split(carried)
-    blocks = blocks | {"rest change": blocks["curvature"]} | clamp_blocks(recording, blocks["clamp"])
+    blocks["rest change"] = blocks["curvature"]
+    blocks |= {a.name: blocks["clamp"] * a.basis[:, None, None, :] for a in data.entering("clamp")}
+    blocks |= {a.name: a.basis for a in data.entering("poses")}
     put_blocks(slopes.j, free, blocks)
     put_tags(slopes.j, free, _tag_motion(now, ride, s))
-    if recording.ends is not None:
-        held = replace(ride, angle=ride.angle[recording.ends.frames])
-        put_ends(slopes.j, recording.ends, layout, r, held.carry(by_end))
+    if data.ends is not None:
+        held = replace(ride, angle=ride.angle[data.ends.frames])
+        put_ends(slopes.j, data.ends, layout, data.number, held.carry(by_end))
     if "zero" in free:
-        for n, (i, c) in enumerate(zeroed_coordinates(recording.observations)):
+        for n, (i, c) in enumerate(zeroed_coordinates(data.observations)):
             slopes.j[:, i, c, free["zero"].start + n] = -1.0
     return slopes
 
 
-def _responses_at_once(now: Prediction, changes: Perturbations) -> tuple[Array, Array]:
+def _allowance_changes(data: FitData, bent: BentBeam) -> dict[str, Perturbation]:
+    """How the allowances of push and loads enter the balance of moments, by name."""
+    changes = {}
+    for a in data.allowances:
+        if a.enters == "force":
+            changes[a.name] = pushed_by(bent.beyond, a.basis)
+        elif a.enters == "place":
+            changes[a.name] = placed_by(bent, a.basis)
+        elif a.enters == "load":
+            changes[a.name] = Perturbation(a.basis, None, None, np.zeros(a.count))
+    return changes
+
+
+def _responses(now: Prediction, changes: Perturbations) -> tuple[Array, Array]:
     """(F, m, 3, P) of the beam's places under the tags to changes, and (H, m, 3, 3) to the held ends."""
-    recording, solved = now.recording, now.solved
-    s, _ = tag_places(recording, now.layout, now.x, solved)
-    if recording.ends is None:
+    solved, (s, _) = now.solved, now.places(now.solved)
+    if now.data.ends is None:
         return respond(solved, changes).poses(s), np.zeros((0, s.shape[-1], 3, 3))
     wrench = of_force(solved.problem, np.ones(1)) + of_moment(solved.problem, np.ones(1))
-    return with_ends_held(respond(solved, changes + wrench).poses(np.append(s, 1.0)), recording.ends)
+    return with_ends_held(respond(solved, changes + wrench).poses(np.append(s, 1.0)), now.data.ends)
 
 
 def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
-    """How the tags at places `s` (S,) move with what holds them; a metre along is one of the length as written."""
-    recording, layout, x, solved = now.recording, now.layout, now.x, now.solved
-    seen = now.pose - allowed(recording, layout, x, "poses")
-    xy = (seen[..., :2] - layout.get(x, "origin", recording.number)) / ride.scale
-    written, on_beam = recording.observations.length, ride.over <= 0.0
+    """How the tags at places `s` (S,) move with their mounting; a metre along is one of the length as written."""
+    seen, solved = now.pose - now.allowed("poses"), now.solved
+    xy = (seen[..., :2] - now.value("origin")) / ride.scale
+    written, on_beam = now.data.observations.length, ride.over <= 0.0
     if ride.ruler:
         return ride.motion(xy, ride.over)
     bend = np.where(on_beam, apply(solved.problem.grid.value_at(s), solved.q) / written, 0.0)
-    if not recording.allowances:
+    if not now.data.allowances:
         return ride.motion(xy, bend)
     tangent = np.stack([np.cos(ride.angle), np.sin(ride.angle)], axis=-1)
     return ride.motion(xy, bend, np.where(on_beam[:, None], solved.xy_by_s(s) / written, tangent))
@@ -758,79 +701,46 @@ def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
 
 def _bent(now: Prediction) -> BentBeam:
     """What the parameters change in the balance of the fitted shapes."""
-    recording, layout, x, solved = now.recording, now.layout, now.x, now.solved
-    on_nodes, by_mass, weight_by_k = recording.on_nodes, None, None
-    if recording.mass is not None:
-        k = solved.problem.k
-        by_mass = recording.mass.by_mass(recording.problem, k)
-        weight_by_k = recording.mass.by_stiffness(recording.problem, k, on_nodes, layout.get(x, "mass"))
+    data, k, by_mass, weight_by_k, shift = now.data, now.solved.problem.k, None, None, None
+    if data.mass is not None:
+        by_mass = data.mass.by_mass(data.problem, k)
+        weight_by_k = data.mass.by_stiffness(data.problem, k, data.on_nodes, now.value("mass"))
+    if now.relaxation is not None:
+        shift = shift_derivatives(*now.relaxation, now.bending, now.solved.problem.weights)
     return BentBeam(
-        solved,
-        on_nodes,
-        recording.rest_on_nodes,
+        now.solved,
+        data.on_nodes,
+        data.rest_on_nodes,
         now.force,
-        _pushed(recording, layout, x),
-        recording.farther,
+        now.push_beyond,
+        data.farther,
         by_mass,
         weight_by_k,
-        log_k_functions(recording),
-        relaxation_derivatives(recording, layout, x, solved),
-        lengthens="length" in free_columns(layout, recording.number),
-        thickens=allowed_section(recording, layout, x)[1],
+        {a.name: a.basis for a in data.entering("log k")},
+        shift,
+        lengthens="length" in free_columns(now.layout, data.number),
+        thickens=now.section[1],
     )
 
 
-def tag_places(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> tuple[Array, Array]:
-    """Where the tags sit: (m,) s on the beam, and (m,) m beyond its tip, where one sits there; (F, m) each of what is
-    under rulers."""
-    if recording.rulers is not None:
-        origin, along = layout.get(x, "origin", recording.number), layout.get(x, "along")
-        return ruler_places(solved, np.nan_to_num(recording.rulers) + along - origin[0])
-    length = recording.observations.length
-    s = recording.observations.marker_s + layout.get(x, "along") / length
-    return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
-
-
-def tag_ride(recording: FitData, layout: Layout, x: Array, solved: Equilibrium) -> TagRide:
-    """The tags on fitted shapes."""
-    s, over = tag_places(recording, layout, x, solved)
-    scale = 1.0 + float(layout.get(x, "scale", recording.number)[0])
-    if recording.rulers is not None:
-        return TagRide(solved.angle(s), over, np.zeros(over.shape[1]), scale, ruler=True)
-    return TagRide(solved.angle(s), over, layout.get(x, "across"), scale)
-
-
-def _pushed(recording: FitData, layout: Layout, x: Array) -> Array:
-    """(F, Q) share of the push that acts beyond the node."""
-    place = layout.get(x, "place", recording.number) + allowed(recording, layout, x, "place")  # (1,) or (F,) m
-    return np.asarray(recording.beyond + place[:, None] * recording.farther)
-
-
-# How far off a learned beam's prediction of another push is likely to be.
-#
-# The noise of the force is only a part of it. k(s) is known to its band. The other push acts where somebody says that
-# it does, to a tolerance, slides from there as any tool may, and its log's axes stand as written, to another: the fit
-# takes all of that as unknown in each push. To first order each moves the tags by its derivative. The scale of the
-# force counts for nothing where one sensor logged both pushes: k(s) is off by as much as the force.
+# Error of a learned beam's prediction of another push: band of k(s), place and direction of the force, to first order.
+# The scale of the force cancels where one sensor logged both pushes.
 
 _FRAMES = 100  # that are looked at
 
 
 def few_frames(frames: BoolArray) -> BoolArray:
     """(T,) of these frames at most as many as are looked at, evenly chosen."""
-    used = np.flatnonzero(frames)
-    chosen = np.zeros_like(frames)
-    chosen[used[np.linspace(0, len(used) - 1, min(len(used), _FRAMES)).astype(int)]] = True
-    return chosen
+    return evenly_spread(np.flatnonzero(frames).astype(np.int64), _FRAMES, len(frames))
 
 
 def variances(
     solved: Equilibrium, observations: Observations, frames: BoolArray, stiffness: UncertainStiffness
 ) -> dict[str, Array]:
-    """(m,) m^2 each, mean over the frames of the squared distance by which the tags are likely to be off:
-    by the band of log k(s), by the place of the push and by the direction of its force.
+    """(m,) m^2 each, variance of the tags' predicted places, mean over the frames: by the band of log k(s), the place
+    of the push and the direction of its force.
 
-    `solved`: the beam in these `frames` (T,). Loads that hang on marks act where and as they are said to.
+    `solved`: the beam in these `frames` (T,). Loads that hang on marks are exact.
     """
     s, problem, stands = observations.marker_s, solved.problem, solved.converged[:, None]
     functions = problem.k[..., None] * stiffness.basis(problem.grid.nodes)

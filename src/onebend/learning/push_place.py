@@ -1,22 +1,15 @@
-"""Where the push acts, asked of the whole recording: the evidence at other places than the one written down.
+"""The place of the push: evidence at other places than the written one.
 
-The moment of a push is its force times the way to it, so to first order a push said at a' that acts at a makes k(s)
-wrong by `(a' - s) / (a - s)`: zero or infinite at the nearer of the two. Such a k hardly misses the tags, but none like
-it is expected of a beam. So the evidence is compared, in which the prior of k takes part: the fit is made again with
-the push at places farther and farther from the written one (`place_evidence.py`), first under the noise of the fit at
-the written place, then under that of the best.
+The moment of a push is its force times its lever, so a push written at a' that acts at a makes k(s) wrong by
+`(a' - s) / (a - s)`. Such a k hardly misses the tags, but the prior of k makes it unlikely. So the fit is repeated with
+the push at places farther and farther from the written one, and the evidence is compared.
 
-A place that was written wrongly may be anywhere, and how often that happens nobody knows. So the band does not go by
-how likely it is, but holds in either case, unless the recording rules the mistake out: a place that has nothing to do
-with the true one seldom agrees with the tags as well as a right one does. Where the probability of the mistake is left
-above LEFT_OUT (before the data it is an even chance, or a small one where the place is stated more closely than a hand
-puts it), the band is that with the push at any of the places that are likely then: to half its width comes the largest
-change of log k among them. The covariance is that about the fit at the written place, `C + sum_j w_j d_j d_j'`, d_j
-being how far the parameters are from it with the push at place j, of probability w_j if the written one is wrong. So
-what the recording cannot tell stands in the band; where another place has far more evidence, the written one is
-accused.
+The band holds whether the written place is right or wrong, unless the probability of a mistake is below LEFT_OUT. Its
+half width grows by the largest change of log k among the likely places. The covariance about the fit at the written
+place is `C + sum_j w_j d_j d_j'`: d_j is the change of the parameters with the push at place j, of probability w_j if
+the written one is wrong. Where another place has far more evidence, the written one is accused.
 
-Where no test of the fit's model gives a reason, places on either side are asked first, and mostly that is the end.
+Where no test of the fit's model gives a reason, only the places on either side are tried.
 """
 
 from __future__ import annotations
@@ -31,7 +24,6 @@ from scipy.special import ndtri
 from onebend.beam.stiffness import SHAPE_LEVELS, SHAPE_PLACES
 from onebend.errors import LearningError
 from onebend.learning.criticism import ALARM, Criticism
-from onebend.learning.fit_data import FitData
 from onebend.learning.hyperparameters import Evidence, with_stiffness_prior
 from onebend.learning.linear import FitProblem, Hyperparameters, RecordingNoise, data_information, log_k_map, prior
 from onebend.learning.normal import JointCovariance
@@ -52,23 +44,10 @@ from onebend.learning.start import start_of
 from onebend.progress import Silent
 from onebend.records import PLACE_SD, Array, BoolArray
 
-# The evidence for a place of the push.
-#
-# Evidences can be compared under one noise only. The noise of the tags and of the log is not that of greatest
-# evidence (its correlation in time is counted in, and it settles slowly), so the evidence goes with it to first
-# order: one part in twenty of the noise is worth five of its logarithm. So every place is fitted with the noise, and
-# the sizes of the force error and of the allowances, of one fit. What that fit misses counts as noise, at every place
-# alike.
-#
-# k(s), and all that recordings share, are integrated out. What a recording has of its own (a hundred numbers of the
-# log's error, mostly) is at its most probable instead: how closely the tags tell it goes by where the push acts, but
-# by what is assumed of the noise too, and no bench keeps to that. So the tags have one working covariance for all
-# places, and its determinant is no evidence (quasi-likelihood; Wedderburn 1974, Liang and Zeger 1986).
-#
-# A bench is not quite as the model says, in ways that stay from frame to frame, and more frames do not tell more of
-# the place then. So a recording counts as a few frames, and the likelihood of all its frames is raised to the power
-# that makes it so (coarsening; Miller and Dunson 2019). A few frames by themselves would do, but for which ones they
-# are.
+# Evidence under one noise: every place is fitted with the noise and the sizes of one fit, as the evidence depends on
+# them strongly. Shared parameters are integrated out; own ones are at their maximum, since their volume depends on the
+# assumed noise (quasi-likelihood; Wedderburn 1974, Liang and Zeger 1986). Errors of the model persist from frame to
+# frame, so a recording counts as _FRAMES frames (coarsening; Miller and Dunson 2019).
 
 _FRAMES = 50.0  # that a recording counts as, at most
 _NOISE = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
@@ -89,7 +68,7 @@ class AtPlace:
 
 
 def at_written(problem: FitProblem, optimum: Optimum, place: float) -> AtPlace | None:
-    """The fit with the push where it is written, with a noise of its own; None where there is none."""
+    """The fit with the push at the written place and a noise of its own; None if it fails."""
     found = MapEstimate(optimum.x, optimum.hyperparameters, optimum.predictions)
     return with_own_noise(AtPlace(place, problem, found, np.nan))
 
@@ -103,29 +82,21 @@ def with_own_noise(fit: AtPlace) -> AtPlace | None:
     return under(replace(fit, estimate=estimate), coarsened(estimate.hyperparameters, fit.problem))
 
 
-def frames_of_film(recording: FitData) -> int:
-    """How many frames of the film are fitted, means counted as the frames that they are of."""
-    o = recording.observations
-    return int(np.sum(recording.frames if o.means is None else o.means.count[recording.frames]))
-
-
 def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
-    """With noise so large that the frames of a recording tell as much as _FRAMES of them."""
-
-    def of(noise: RecordingNoise, frames: int) -> RecordingNoise:
+    """With noise so large that the frames of a recording count as at most _FRAMES; means count as all their frames."""
+    noise = []
+    for one, data in zip(found.noise, problem.recordings, strict=True):
+        means = data.observations.means
+        frames = int(np.sum(data.frames if means is None else means.count[data.frames]))
         wider = float(np.sqrt(max(frames / _FRAMES, 1.0)))
-        return RecordingNoise(wider * noise.marker, wider * noise.force)
-
-    each_one = zip(found.noise, problem.recordings, strict=True)
-    return replace(found, noise=tuple(of(noise, frames_of_film(recording)) for noise, recording in each_one))
+        noise.append(RecordingNoise(wider * one.marker, wider * one.force))
+    return replace(found, noise=tuple(noise))
 
 
 def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.inf) -> AtPlace | None:
-    """The fit with the push at another place, under the noise of one beside it; None where there is none. `most`: the
-    log evidence of the best place so far.
+    """The fit with the push at another place, under the noise of a neighbouring fit; None if it fails.
 
-    It begins at the k(s) found there, and where that leads nowhere at the even beam that is nearest to the tags: a k(s)
-    that makes up for a wrong place may be one that no step leads away from.
+    It begins at the neighbour's k(s), and if that fails at the best even beam. `most`: best log evidence so far.
     """
     for even in (False, True):
         begun = _begun(fit, place, settings, even=even)
@@ -136,8 +107,7 @@ def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.i
 
 
 def under(fit: AtPlace, common: Hyperparameters, least: float = -np.inf) -> AtPlace | None:
-    """The fit under a noise that is not its own; the prior of log k stays its own. With less log evidence than `least`
-    after a round it is left as it is."""
+    """The fit under another noise, with its own prior of log k; it stops once the log evidence is below `least`."""
     problem, own = fit.problem, fit.estimate.hyperparameters
     common = replace(common, part_variances=own.part_variances, chains=own.chains)
     estimate, value = replace(fit.estimate, hyperparameters=common), np.nan
@@ -156,8 +126,7 @@ def under(fit: AtPlace, common: Hyperparameters, least: float = -np.inf) -> AtPl
 
 
 def _begun(fit: AtPlace, place: float, settings: FitSettings, *, even: bool) -> AtPlace | None:
-    """Where to begin with the push at another place, on the same frames: as near as `fit`, k as much larger as the
-    moment, or `even`."""
+    """Initial fit with the push at another place, on the same frames: k in proportion to the moment, or `even`."""
     problem, x, p = fit.problem, fit.estimate.x.copy(), fit.problem.layout.spline.count
     o = problem.recordings[0].observations
     there = replace(o, push_s=np.where(np.isfinite(o.push_s), place, o.push_s))
@@ -182,9 +151,8 @@ def log_ratio(s: Array, before: float, after: float) -> Array:
 
 AT_TIP = 0.5  # share of the tip, where most pushes act, if another place is written; the rest is even from INNERMOST on
 INNERMOST = 0.3  # s: nobody pushes a cantilever nearer to its clamp
-# Of the log evidence: by so much more, averaged over the other places, the written one is not believed. The chance that
-# a right place loses by as much is at most `exp` of minus this (Markov's inequality), as small as that beyond which
-# other tests count.
+# Gain of log evidence, averaged over the other places, that accuses the written one. The probability that a right place
+# is accused is at most `exp(-ACCUSED)` (Markov's inequality).
 ACCUSED = -float(np.log(10.0)) * ALARM
 FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fallen as far
 BY_HAND, MEASURED = 0.5, 0.01  # probability of a mistake before the data; MEASURED: stated more closely than PLACE_SD
@@ -193,9 +161,7 @@ LIKELIER = 1.0 - LEFT_OUT  # and beyond which a warning says so
 _HELD = 0.95  # probability of the places that are named
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
-# Of the log evidence at the first of them. Below it on both sides the tags tell the place to 0.025 of the length (sd),
-# and against a right place one written at random has less than LEFT_OUT: `0.5 sqrt(2 pi) 0.025 / (1 - INNERMOST)`.
-_WORSE = -2.0
+_WORSE = -2.0  # gain of log evidence at the first of them: below it on both sides a mistake is unlikely
 _FINE = 0.005  # of the length, between places that are told apart
 _HOPELESS = 12.0  # of the log evidence, below the best place: places beyond are worse still
 _TOLERANCES = 4.0  # sds of the written place within which another one is as written
@@ -203,7 +169,7 @@ _TOLERANCES = 4.0  # sds of the written place within which another one is as wri
 
 @dataclass(frozen=True)
 class PlaceSearch:
-    """Other places of the push than the written one, and what speaks for them."""
+    """Other places of the push than the written one, and their evidence."""
 
     written: float
     s: Array  # (n,) places that were tried
@@ -255,13 +221,15 @@ def moved_off(layout: Layout, mean: Array) -> float:
     return max((float(np.max(np.abs(mean[one.where]) / one.prior_sd)) for one in blocks), default=0.0)
 
 
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # on the way to places that cannot be
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # of fits that fail
 def search_place(
     problem: FitProblem, optimum: Optimum, settings: FitSettings, *, thorough: bool = True
 ) -> PlaceSearch | None:
-    """The evidence at other places than the written one; None where nothing is written of one place, where several
-    recordings are learned from, where the film shows the tool at the written place, or, unless `thorough`, where the
-    places on either side are far less likely."""
+    """The evidence at other places than the written one.
+
+    None without one written place, for several recordings, where the film shows the tool there, or, unless `thorough`,
+    where the places on either side are far less likely.
+    """
     (first, *others), layout = problem.recordings, problem.layout
     block = layout.index["place", 0]
     places = first.push_s[np.any(first.force != 0.0, axis=1)]
@@ -294,8 +262,7 @@ def _every_place(here: AtPlace, settings: FitSettings, *, thorough: bool) -> lis
 
 
 def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, list[AtPlace]]:
-    """The fits at the written place and at others, under the noise that is left where the evidence is greatest: a wrong
-    place takes what it misses for noise."""
+    """The fits at the written place and at others, under the noise of the place of greatest evidence."""
     best = max(found, key=lambda one: one.log_evidence)
     if best.log_evidence <= here.log_evidence:
         return here, found
@@ -348,8 +315,10 @@ def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtP
 
 
 def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HAND) -> tuple[Array, Array, float]:
-    """Places (f,) with their probabilities (f,) if the written one is wrong, and the probability that it is, from the
-    gains of log evidence (n,) at places s (n,) and its probability before. What was not tried has no evidence."""
+    """Places (f,), their probabilities (f,) if the written one is wrong, and the probability that it is.
+
+    `gain` (n,) of log evidence at places s (n,); `before`: prior probability of a mistake.
+    """
     known, order = np.append(s, written), np.argsort(np.append(s, written))
     inner, outer = float(np.min(known)), float(np.max(known))
     places = np.linspace(inner, outer, int(np.ceil((outer - inner) / _FINE)) + 1)
@@ -365,10 +334,10 @@ def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HA
     return places, evidence / of_mistake, of_mistake / (of_mistake + float(np.exp(-most)) * (1.0 - before) / before)
 
 
-@np.errstate(divide="ignore")  # so sure of either that the other has none
+@np.errstate(divide="ignore")  # a probability may be 1
 def gain_of_mistake(weight: Array, mistaken: float, before: float = BY_HAND) -> float:
-    """Of the log evidence, over the written place, of a mistake that led to one of some places: `weight` (f,) of them,
-    the probability of a mistake, and that before."""
+    """Gain of log evidence of a mistake that led to one of some places: `weight` (f,) of them, the probability of a
+    mistake, and the prior one."""
     odds = mistaken * (1.0 - before) / np.float64((1.0 - mistaken) * before)
     return float(np.log(odds * np.sum(weight)))
 

@@ -1,4 +1,4 @@
-"""Where the marker-space fit begins: its search is local, so the first beam must follow every recording roughly."""
+"""Initial k(s) and mass for the marker-space fit, which searches locally."""
 
 from __future__ import annotations
 
@@ -126,9 +126,8 @@ def _some(o: Observations, most: int = _FRAMES) -> BoolArray:
 
 
 def _distances(beams: Sequence[Beam], recordings: Sequence[Observations], frames: list[BoolArray]) -> list[float]:
-    """`_distance` of each beam, infinite where a beam would snap through. Of films of a free end the last come first,
-    and those of `_TRIED` from the stiffest on: the softer ones, which take longest, are left out where they only lead
-    away."""
+    """`_distance` of each beam, infinite without equilibrium. Films of a free end are tried from the stiffest beam on;
+    softer ones, which take longest, are left out once the distance grows."""
     away = [np.inf] * len(beams)
     films, best = not any(o.static or is_held(o) for o in recordings), np.inf
     for i in reversed(range(len(beams))):

@@ -64,7 +64,7 @@ def patterns() -> dict[str, Array]:
     x = np.zeros(one.layout.size)
     assert isinstance(beam.stiffness, LogSpline)
     x[:8] = beam.stiffness.coefficients
-    return mechanics(one.recordings[0], one.layout, x, predict(one.recordings[0], one.layout, x, None))
+    return mechanics(predict(one.recordings[0], one.layout, x, None))
 
 
 def poses(beam: Beam, force: Array = FORCES, at_s: float = 1.0) -> Array:

@@ -25,7 +25,7 @@ from onebend.learning.allowances import (
     section_at,
     sliding,
 )
-from onebend.learning.prediction import allowed, allowed_length, allowed_section, predict
+from onebend.learning.prediction import State, predict
 from onebend.records import Array
 from tests.learning.allowances.allowed_bench import PUSH_S, TAGS, filmed, with_everything
 from tests.learning.bench import forces
@@ -84,12 +84,12 @@ def test_a_section_is_as_thick_as_stated_or_as_usual() -> None:
     assert section(known=False).prior_sd[0] == UNKNOWN_SD
     one, layout, x = with_everything(share=0.0)
     change = float(x[layout.index["section", -1].start])
-    made, _ = allowed_section(one, layout, x)
+    made, _ = State(one, layout, x).section
     assert made is not None
     assert made.thickness == pytest.approx(USUAL_THICKNESS * 0.15)
     assert made.share == pytest.approx(1.0 + change)
     stated = replace(one.observations.stated, thickness=0.02)
-    known, _ = allowed_section(replace(one, observations=replace(one.observations, stated=stated)), layout, x)
+    known, _ = State(replace(one, observations=replace(one.observations, stated=stated)), layout, x).section
     assert known is not None
     assert known.thickness == 0.02
 
@@ -109,16 +109,16 @@ def test_a_longer_beam_puts_its_tags_farther_out() -> None:
     x = np.zeros(layout.size)
     x[layout.index["stiffness", -1].where] = 5.0  # hardly bends
     x[layout.index["length", -1].start] = 0.01
-    assert allowed_length(one, layout, x) == pytest.approx(0.15 * np.exp(0.01))
+    assert State(one, layout, x).length == pytest.approx(0.15 * np.exp(0.01))
     np.testing.assert_allclose(predict(one, layout, x, None).pose[0, :, 0], 0.15 * np.exp(0.01) * TAGS, rtol=1e-3)
 
 
 def test_allowances_of_one_kind_add_up() -> None:
     one, layout, x = with_everything(share=0.0)
-    assert isinstance(allowed(replace(one, allowances=()), layout, x, "poses"), float)
+    assert isinstance(State(replace(one, allowances=()), layout, x).allowed("poses"), float)
     parts = [a for a in one.allowances if a.enters == "poses"]
     own = [a.basis @ layout.get(x, a.name, -1 if a.shared else 0) for a in parts]
-    np.testing.assert_allclose(allowed(one, layout, x, "poses"), np.sum(own, axis=0), atol=1e-15)
+    np.testing.assert_allclose(State(one, layout, x).allowed("poses"), np.sum(own, axis=0), atol=1e-15)
 
 
 WEIGHING = {"inertia", "gravity direction"}  # which need the nodes: see `unknown_mass` and `gravity_direction`

@@ -20,7 +20,6 @@ from onebend.learning.linear import (
     rest_information,
     rest_residuals,
     rest_score,
-    rows_by_force,
     unweighted_rows,
 )
 from onebend.learning.parameters import RHO, TAU, Priors, Spline, make_layout
@@ -103,7 +102,7 @@ def test_rows_by_force_are_the_rows_without_the_parameters() -> None:
     x = np.zeros(problem.layout.size)
     x[:8] = LEVEL
     now = predict(problem.recordings[0], problem.layout, x, None)
-    found, every = rows_by_force(now, noise), residual_rows(now, noise)
+    found, every = residual_rows(now, noise, now.whitened_by_force), residual_rows(now, noise)
     assert found.slopes.j.shape[-1] == found.slopes.weights.shape[-1] == 0
     np.testing.assert_allclose(found.a, every.a, atol=1e-10 * np.max(np.abs(every.a)))
     np.testing.assert_allclose(found.r, every.r, rtol=1e-8, atol=1e-10)

@@ -35,21 +35,21 @@ def exact() -> Prediction:
 
 def missed(exact: Prediction, by: float, motion: float | None = None) -> Miss | None:
     """What is said of a fit that is `by` [m] off its middle tag in every frame; the tag moves by `motion` [m]."""
-    data, off = exact.recording, np.zeros_like(exact.pose)
+    data, off = exact.data, np.zeros_like(exact.pose)
     off[:, 1, 1] = by
     if motion is not None:
         measured = data.measured.copy()
         measured[:, 1, :2] = data.measured[0, 1, :2]
         measured[0, 1, 0] += motion
         data = replace(data, measured=measured)
-    now = replace(exact, recording=data, pose=data.measured + off)
+    now = replace(exact, data=data, pose=data.measured + off)
     found = misses([data], [now])
     return found[0] if found else None
 
 
 def motion_of(exact: Prediction) -> Array:
     """(m,) m."""
-    return np.asarray(np.linalg.norm(np.ptp(exact.recording.measured[..., :2], axis=0), axis=1))
+    return np.asarray(np.linalg.norm(np.ptp(exact.data.measured[..., :2], axis=0), axis=1))
 
 
 @pytest.mark.parametrize(("times", "is_miss"), [(1.0, False), (2.5, False), (3.5, True), (10.0, True)])
@@ -81,7 +81,7 @@ def test_a_fit_is_hopeless_by_the_motion_of_all_tags_together(exact: Prediction)
 
 
 def test_a_fit_on_the_tags_misses_none(exact: Prediction) -> None:
-    assert misses([exact.recording], [exact]) == ()
+    assert misses([exact.data], [exact]) == ()
 
 
 def fit_with_error(share: float, zero: float = 0.0) -> tuple[FitProblem, MapEstimate]:

@@ -137,5 +137,5 @@ def test_far_from_the_maximum_the_tags_noise_is_that_of_their_residuals() -> Non
     noise = _coarse(problem, now).noise[0]
     assert noise.marker == pytest.approx(np.sqrt(np.mean(residuals(now[0]) ** 2)))
     assert noise.force == expected.noise[0].force
-    exact = replace(now[0], pose=now[0].recording.measured)
+    exact = replace(now[0], pose=now[0].data.measured)
     assert _coarse(problem, (exact,)).noise[0].marker == 1.5

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Powers, UncertainStiffness, Uniform
 from onebend.learning.outcome import Comparison
-from onebend.learning.prediction import allowed
+from onebend.learning.prediction import State
 from onebend.learning.validation import validate
 from onebend.learning.verdict import explained
 from onebend.report import figures as curves, figures as recordings, style
@@ -58,7 +58,7 @@ def test_what_the_fit_explains_runs_through_its_own_tags_and_ends_as_near_as_it_
     np.testing.assert_allclose(1000 * one.rms, np.sqrt(np.nanmean(residual**2, axis=0)), rtol=0.05)
     assert FITTED.line.shape == (len(one.frame), 121, 2)
     sits = FIT.layout.get(FIT.mean, "along"), FIT.layout.get(FIT.mean, "across")
-    seen_off = np.asarray(allowed(FIT.recordings[0], FIT.layout, FIT.mean, "poses"))[: len(one.frame), :, :2]
+    seen_off = np.asarray(State(FIT.recordings[0], FIT.layout, FIT.mean).allowed("poses"))[: len(one.frame), :, :2]
     away = np.linalg.norm(FITTED.line[:, [40, 80, 120]] - (one.predicted - seen_off), axis=-1)
     assert np.max(away) < 1.01 * np.max(np.hypot(*sits)) + 2e-5  # the tags ride on the line
     slow = FIT.slow[0].force[: len(one.frame)] - FIT.recordings[0].force[: len(one.frame)]
