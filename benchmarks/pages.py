@@ -47,11 +47,15 @@ def pages() -> dict[Path, dict[str, str]]:
 
 
 def messages() -> str:
-    """The warnings on what was learned, each with its entry on the page; a number is shown as an ellipsis."""
+    """The beginnings of the warnings on what was learned, by their entry on the page; a number is an ellipsis."""
     titles = {anchor_of(title): title for title in re.findall(r"(?m)^### (.+)$", TROUBLES.read_text(encoding="utf-8"))}
-    found = {re.sub(r"\{[^}]*\}", "…", one.text): SECTIONS[one.about] for one in SENTENCES.values() if one.about}
-    head = ["| message | entry |", "| --- | --- |"]
-    return "\n".join([*head, *(f"| {text} | [{titles[anchor]}](#{anchor}) |" for text, anchor in found.items())])
+    found: dict[str, dict[str, None]] = {}
+    for one in filter(lambda one: one.about, SENTENCES.values()):
+        text = re.sub(r"\{[^}]*\}", "…", one.text)
+        found.setdefault(SECTIONS[str(one.about)], {})[re.split(r"[:;(]|\. ", text)[0].strip(" ,.…")] = None
+    return "\n".join(
+        f"- [{titles[anchor]}](#{anchor}): {'; '.join(filter(None, few))}." for anchor, few in found.items()
+    )
 
 
 def anchor_of(title: str) -> str:
