@@ -219,11 +219,10 @@ class FrameReader:
     largest: float  # m, displacement so far
 
     def stands_in(self, ahead: float) -> float:
-        """s: so far after the newest row of the log, by the clocks as they are known, a frame may be and take its force
-        all the same. `ahead` [s] is what that row's time usually is ahead of a frame's as it comes in.
+        """s: a frame up to so far after the newest row of the log takes its force. `ahead` [s]: usual lead of that
+        row's time over a frame's at its arrival.
 
-        What comes in together is usually of one time. Where the clocks say otherwise, but are not known well enough to
-        rule that out, a frame would wait for the force of a later time: always, if their offset is wrong.
+        Arrivals at one moment are usually of one time. With a wrong offset of the clocks a frame would wait for ever.
         """
         return float(np.clip(self.offset - ahead, 0.0, AS_NEAR * self.offset_sd))
 

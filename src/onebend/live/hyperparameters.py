@@ -303,11 +303,8 @@ class StiffnessChains:
 
     @property
     def parts(self) -> Array:
-        """(n,) geometric means of the parts' variances over the kept draws: the prior for the estimate.
-
-        A few draws of large steps would dominate the plain mean; under so wide a prior log k would follow every error
-        of the first few frames.
-        """
+        """(n,) geometric means of the parts' variances over the kept draws: the prior for the estimate. A few draws of
+        large steps would dominate an arithmetic mean."""
         return np.asarray(np.exp(np.mean(self._logs_drawn, axis=0)))
 
     def step(self, stiffness_form: InformationForm) -> None:
@@ -321,8 +318,7 @@ class StiffnessChains:
     def mixed(self, stiffness_form: InformationForm) -> tuple[Array, Array, Array]:
         """Mean (p,) and covariance (p, p) of log k averaged over fresh draws, and the mean steps (p - 1,).
 
-        The kept draws are of earlier data. So copies of the chains make fresh draws; the chains themselves stay as they
-        are, and reading a band changes nothing.
+        Copies of the chains make fresh draws: reading a band changes nothing.
         """
         data, rng, drawn = self._data(stiffness_form), deepcopy(self._rng), []
         logs, own = np.repeat(self._logs, _COPIES, axis=0), np.repeat(self._own, _COPIES, axis=0)

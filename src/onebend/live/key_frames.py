@@ -250,11 +250,10 @@ _USUAL = 0.1  # of the length: the largest displacement that is expected before 
 
 
 class LoadStages:
-    """The load's own time, found from frames as they come; its memory is fixed.
+    """The load's own time, from frames as they come, of bounded size; see `recording.force` for a whole recording.
 
-    As `recording/force.py` has it for a whole recording: a load begins, reverses where the beam comes back
-    by more than a share of the largest displacement so far, and ends. A reversal is noticed late; then it counts for
-    the frames before, too.
+    A load begins, reverses where the beam comes back by a share of the largest displacement so far, and ends. A
+    reversal is noticed late and then counts for the frames before, too.
     """
 
     def __init__(self, length: float, tags: int) -> None:

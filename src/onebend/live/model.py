@@ -294,9 +294,8 @@ class _LoadedBeam:
 def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start: Array | None) -> LinearisedTags:
     """Poses and derivatives of the tags on a beam, from shapes `start` (B, Q) where there are any.
 
-    The tags have fewer coordinates than there are parameters, so the tangent is solved for those (the adjoint way), and
-    for the force. What a beam that relaxes remembers is taken at `start`, and as given: it has no derivatives but those
-    with the shares.
+    The tangent is solved for the tags' coordinates (adjoint) and the force. The memory of a beam that relaxes is taken
+    as given: it has derivatives with the shares alone.
     """
     layout, m, x, push_grid = session.layout, len(session.marker_s), beam.x, beam.push_grid
     bases, straight = CourseBases(inputs.terms, m, session.carried), beam.problem.q0
@@ -395,11 +394,8 @@ class _Tags:
 
 
 def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
-    """Equilibria (B, Q), which of them were found, and the Cholesky factors of their tangents.
-
-    Newton from `start`, its last tangent being good enough for derivatives; where it strays from a stable shape nearby,
-    or without a start, the shapes are sought from rest.
-    """
+    """Equilibria (B, Q), whether each was found, and the Cholesky factors of their tangents: Newton's method from
+    `start` and, where that fails, continuation from rest."""
     if start is not None:
         q, moved, b = start.copy(), 0.0, push_grid.to_nodes.T
         update, factors = np.empty_like(q), list[Array]([q]) * len(q)
@@ -566,11 +562,8 @@ class Lineariser:
         return set(solved.tolist())
 
     def _memory(self, keys: KeyFrames, push_grid: PushGrid, frames: tuple[list[int], Array], point: Array) -> Memory:
-        """What the beam remembers in the chosen frames, from the key frame before each; with the shapes that `_on_grid`
-        gives of them.
-
-        The first of all, and averages in the making, keep what they have.
-        """
+        """Memory of the beam in the chosen frames, from the key frame before each; `frames`: these, and their shapes.
+        The first key frame and proposed averages keep theirs."""
         chosen, here = frames
         before, now = here[..., 3:], np.zeros((len(chosen), len(TIMES)))
         if not self._session.carries("relaxation"):

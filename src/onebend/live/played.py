@@ -143,11 +143,10 @@ class Followed:
 
 
 def follow(live: Live, arrivals: Iterable[Arrival], *, at_pace: bool = False) -> Followed:
-    """Give a stream all that comes in, and measure: what a frame costs, and how long after it came it is in k(s).
+    """Play arrivals to a stream and measure the cost of each frame, and its delay until k(s) includes it.
 
-    What comes in while the one before is worked on waits, as it would live. Time is that of the stamps and the
-    processor's, without that of reviews, as if another process had made them; with `at_pace` it is the clock's, and all
-    comes in as fast as it was recorded.
+    An arrival waits while the one before is processed. Time counts stamps and processor time without reviews; with
+    `at_pace` it is wall time, and arrivals come as fast as they were recorded.
     """
     stamps, came, frame_cost, force_cost, tags, latency = [], [], [], [], [], []
     now, between, zero = -np.inf, 0.0, np.nan

@@ -73,9 +73,8 @@ def marginalise_oldest(
 
 
 def likelihood_rows(keys: KeyFrames, i: int, marker: float, white: float) -> Array:
-    """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise;
-    at rest two more, of the log itkeys.
-    """
+    """(R, n + 3) rows `[J, -A | zeta]` of unit noise on x and the force error of frame i, at these sizes of noise; at
+    rest two more, of the log itself."""
     root = np.repeat(np.sqrt(keys.weight[i]), 3)[:, None] / marker
     rows = root * keys.rows[i]
     rows[:, -3:-1] *= -1.0
@@ -88,9 +87,8 @@ def likelihood_rows(keys: KeyFrames, i: int, marker: float, white: float) -> Arr
 
 
 def with_error_change(rows: Array, variance: float) -> Array:
-    """Rows on (x, c) that hold the information of `rows` (R, n + 3) on (x, e), where e = c + d and d (2,) is integrated
-    out: normal with this variance [N^2] on each axis. There are at most as many as before.
-    """
+    """At most R rows on (x, c) with the information of `rows` (R, n + 3) on (x, e), e = c + d, where d (2,), normal
+    with this variance [N^2], is integrated out."""
     if variance <= 0.0:
         return rows
     wide = np.zeros((len(rows) + 2, rows.shape[1] + 2))  # d before the others: its rows come out on top

@@ -116,12 +116,8 @@ class LiveFrame:
 
 
 def live_frames(observations: Observations) -> list[LiveFrame]:
-    """What a live learner can use, in order of time: frames under load, frames at rest well away from contact, and the
-    force log in the rest before and after the film, where no tag is seen.
-
-    The log's zero is that of the first rest, as it is while a push is going on: what a line to the next one took off is
-    put back.
-    """
+    """Frames for a live learner, in order of time: those under load, those at rest well away from contact, and the
+    force log in the rest before and after the film. The log's zero is that of the first rest."""
     o, places, covariance = observations, push_places(observations), covariance_with_camera(observations)
     logged = o.force - ramp(o.source.clean_force, o.time)
     film = [

@@ -265,11 +265,8 @@ class Reviewer:
 
 
 class ReviewerBeside(Reviewer):
-    """Reviews in a process of its own, which ends with this object, or with the process that made it.
-
-    When a review is made, the frames that came meanwhile are sent after it, so that its learner is nearly up to date
-    when it comes back.
-    """
+    """Reviews in a process of its own, which ends with this object, or with its parent. Frames that came meanwhile are
+    sent after each review, so that its learner is nearly up to date."""
 
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
         super().__init__(observing, learning)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from onebend.learning.sensing.forces import estimate
-from onebend.learning.sensing.sense import LiveForce, OnlineSense, SenseSettings, bench_of, prior_of
+from onebend.learning.sensing.sense import LiveForce, OnlineSense, SenseSettings, bench_of, priors_of
 from onebend.records import Observations
 from tests.learning.bench import SOFT, forces, observed
 
@@ -25,7 +25,7 @@ def test_live_frames_are_as_those_of_a_recording_each_by_itself() -> None:
     o = observed(SOFT, forces(12), noise=(3e-5, 1e-3))
     frames = np.arange(12)
     bench = bench_of(SOFT, o, None, None, KNOWN)
-    alone = estimate(bench, frames, o.push_s, np.full(2, prior_of(SOFT, KNOWN)), seek_place=False)
+    alone = estimate(bench, frames, o.push_s, priors_of(SOFT, KNOWN), seek_place=False)
     for t, one in enumerate(followed(o, KNOWN)):
         away = one.force - bench.axes @ alone.force[t]
         assert away @ np.linalg.solve(one.covariance, away) < 0.2
@@ -54,7 +54,7 @@ def test_a_frame_that_shows_nothing_tells_nothing_and_the_next_one_does() -> Non
 def test_a_beam_left_alone_is_not_touched() -> None:
     found = followed(observed(SOFT, np.zeros((3, 2)), noise=(2e-5, 1e-3)), KNOWN)
     assert not any(one.touched for one in found)
-    assert found[-1].covariance[0, 0] == pytest.approx(prior_of(SOFT, KNOWN) ** 2, rel=0.1)
+    assert found[-1].covariance[0, 0] == pytest.approx(priors_of(SOFT, KNOWN)[0] ** 2, rel=0.1)
 
 
 def test_a_shape_that_no_force_explains_tells_none_and_the_next_frame_does() -> None:

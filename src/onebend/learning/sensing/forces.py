@@ -1,9 +1,9 @@
 """The force of each frame: maximum a posteriori by Gauss-Newton, many frames at once.
 
-Whitened by the tags' noise and by what the frames share (`model.py`), the residuals r of a frame and their derivatives
-J with its own unknowns u, in units of their prior's sd, give steps `(1 + d) (J^T J + I) du = J^T r - u`; d, of each
-frame, grows where a step did not lower `|r|^2 + |u|^2` and falls where it did. The covariance is `(J^T J + I)^-1`.
-What the frames share counts as it does at the force where a search begins; a second one begins where the first ended.
+Residuals r of a frame, whitened by the tags' noise and by what frames share (`model.py`), and their derivatives J with
+its own unknowns u, in units of their priors' sds, give damped steps `(1 + d) (J^T J + I) du = J^T r - u`. The
+covariance is `(J^T J + I)^-1`. What frames share counts as at the start of a search; a second search begins where the
+first ended.
 """
 
 from __future__ import annotations
@@ -288,8 +288,7 @@ class FrameForces:
 def estimated(time: Array, found: Estimates, widened: float, prior_sd: float) -> FrameForces:
     """What `found` says, each frame's whole region (with what all share) taken for its noise, without the prior.
 
-    With a posterior of variance `v` and mean `a` in one of its axes, the frame told `a / v`, with the information
-    `1/v - 1/prior_sd^2`.
+    Along an axis with posterior variance `v` and mean `a` the information is `1/v - 1/prior_sd^2`, its vector `a / v`.
     """
     known: BoolArray = np.asarray(np.isfinite(found.force).all(axis=1))
     nothing = np.where(known[:, None, None], 0.0, prior_sd**2 * np.eye(2))
@@ -323,8 +322,7 @@ def read(
     """Of `frames` (F,), to first order about `load` (F, n) at `place` (F,), NaN in frames that tell nothing; the
     frame's other unknowns are integrated out.
 
-    What a frame tells less of than the prior (`prior_sd` (n,)) is left out: it depends on how the beam is bent at rest
-    and on the other component, which first order does not know, and many frames would make it sure.
+    Directions with less information than the prior (`prior_sd` (n,)) are left out: to first order they are not known.
     """
     known = np.flatnonzero(np.isfinite(load).all(axis=1))
     chunks = [known[i : i + CHUNK] for i in range(0, len(known), CHUNK)]

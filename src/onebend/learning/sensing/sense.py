@@ -295,23 +295,18 @@ def sense(
 
 
 def priors_of(beam: Beam, settings: SenseSettings) -> Array:
-    """(n,) N, N, and N m where a moment is asked for: one sd of each before any shape is seen."""
-    force = prior_of(beam, settings)
-    moment = force * beam.length if settings.moment_prior is None else settings.moment_prior
-    return np.array([force, force, moment][: 3 if settings.moment else 2])
-
-
-def prior_of(beam: Beam, settings: SenseSettings) -> float:
-    """N, one sd of each component of the force before any shape is seen.
+    """(n,) N, N, and N m where a moment is asked for: one sd of each before any shape is seen.
 
     Raises:
         LearningError: what is asked for is beyond any force on this beam.
     """
     mean_k = float(np.mean(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, 101)))))
-    usual, given = PRIOR_SHARE * mean_k / beam.length, settings.force_prior
-    if given is not None and not _PRIORS[0] < given / usual < _PRIORS[1]:
-        raise LearningError(f"a force prior of {given:g} N is beyond any force on this beam; usual is {usual:.3g} N")
-    return usual if given is None else given
+    usual = PRIOR_SHARE * mean_k / beam.length
+    force = usual if settings.force_prior is None else settings.force_prior
+    if settings.force_prior is not None and not _PRIORS[0] < force / usual < _PRIORS[1]:
+        raise LearningError(f"a force prior of {force:g} N is beyond any force on this beam; usual is {usual:.3g} N")
+    moment = force * beam.length if settings.moment_prior is None else settings.moment_prior
+    return np.array([force, force, moment][: 3 if settings.moment else 2])
 
 
 def bench_of(
@@ -499,7 +494,7 @@ class OnlineSense:
         self._bench = bench_of(beam, o, stiffness, instruments, settings)
         every = np.arange(len(o.time), dtype=np.int64)
         self._place = None if settings.place == "unknown" else float(places_of(o, every, settings)[0])
-        self._force_sd = np.full(2, prior_of(beam, settings))
+        self._force_sd = priors_of(beam, settings)[:2]
         self._shape: _Shape | None = None
 
     @one_blas_thread

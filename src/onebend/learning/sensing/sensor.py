@@ -124,8 +124,8 @@ def check_sensor(
 class _Check:
     """Generalised least squares of T frames; `sizes` of the log's error: sds of their logs from what is expected.
 
-    The slopes are those at a force that is smooth in time, and told by the log where the shape tells little: what the
-    shape tells there is noise, and noise in a slope counts as information.
+    Slopes are taken at a force that is smooth in time, and from the log where the shape shows little: noise in a slope
+    would count as information.
     """
 
     def __init__(self, told: SensedForces, logged: Array, error: ForceError, weights: Array) -> None:
