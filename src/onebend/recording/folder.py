@@ -50,8 +50,6 @@ from onebend.recording.schema import Mistakes, Place, keys_of, place_name, read_
 from onebend.records import Array, Remark
 from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, to_json, toml_data
 
-# Recordings of one beam: what their files alone say against it.
-
 
 def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
     """Raises `LearningError` where the recordings cannot be learned from together, read from their files alone;
@@ -91,8 +89,6 @@ def check_same_length(length: float, description: Recording) -> None:
             f"{1000 * length:.4g} mm. Validate on recordings of the same beam, or correct length_m"
         )
 
-
-# [camera] from a bag: the camera's calibration as its driver published it.
 
 RECTIFIED = "image_rect"  # how the name of a topic of rectified pictures begins
 POLYNOMIAL, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", ("equidistant", "fisheye")
@@ -195,6 +191,8 @@ def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
 
 FILE_NAME = "recording.toml"
 BAGS = ("video", "force")  # whose file may be a bag
+FOLDERS = ("folder", "definitions")  # keys that name folders
+PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", *FOLDERS)
 CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 LINE_NAMED = re.compile(r"\bline (\d+)\b")  # in what is said of text that is no TOML
 
@@ -328,21 +326,12 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
     """`entry` with the files it names made whole paths; each must exist, but for those `to_come`."""
     if entry is None:
         return None
-    for field_name in (
-        "file",
-        "frame_times",
-        "base_angle_file",
-        "mass_file",
-        "section_file",
-        "loads",
-        "folder",
-        "definitions",
-    ):
+    for field_name in PATHS:
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue
         path = folder / written
-        wants_folder = field_name in ("folder", "definitions")
+        wants_folder = field_name in FOLDERS
         exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
         if not exists and not to_come:
             what, other = "folder" if wants_folder else "file", "" if wants_folder else _no_file(path)
@@ -359,19 +348,12 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
 
 
 def _no_file(path: Path) -> str:
-    """What stands there in place of a file; empty where nothing does."""
+    """The kind of thing that is there in place of a file; empty where nothing is."""
     if path.is_symlink() and not os.path.exists(path):  # noqa: PTH110  (`Path.exists` raises on a circle of links)
         return "a link that leads nowhere"
-    kinds = {
-        "a folder": path.is_dir,
-        "a pipe": path.is_fifo,
-        "a device": path.is_char_device,
-        "a socket": path.is_socket,
-    }
-    return next((kind for kind, stands in kinds.items() if stands()), "")
+    kinds = {"folder": path.is_dir, "pipe": path.is_fifo, "device": path.is_char_device, "socket": path.is_socket}
+    return next((f"a {kind}" for kind, stands in kinds.items() if stands()), "")
 
-
-# The commented `recording.toml` that `onebend new` writes, made from the keys' own declarations.
 
 Kind = Literal["video", "ros", "photos", "weights", "mocap"]
 INTRODUCTION = f"""\
