@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 
-# Whether the types that a bag declares are such as messages have: before anything is made of them.
-#
-# A bag brings the definitions of its own messages, and what decodes them is code made from these. So names must be
-# names, and types must not hold themselves, nor grow beyond what any message is, whatever its bytes say.
+# A bag brings the definitions of its own messages, and what decodes them is code made from these. So names must be names,
+# and types must not hold themselves, nor grow beyond the size of a message.
 
 MOST_TEXT = 200_000  # characters of a definition
 LONGEST_LINE = 2000
@@ -53,8 +51,7 @@ def check_type_name(name: str) -> None:
 
 
 def check_types(types: Typesdict, known: Typesdict) -> None:
-    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound; `known`
-    are types that need no check."""
+    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound."""
     for name, (_, fields) in types.items():
         check_type_name(name)
         for field, _ in fields:
@@ -104,15 +101,11 @@ def _field_size(field: Any, types: Typesdict, sizes: dict[str, int], outer: tupl
     return 1 if numbers else each * int(count)
 
 
-# What the messages of a bag are made of: by the bag's own definitions, the standard ones, or given .msg files.
-
 IDL_PART = "=" * 80 + "\n"
 
 
 def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[[bytes], Any]:
-    """What turns the bytes of the channel's messages into objects.
-
-    `definitions` is a folder with .msg files, for a bag that does not carry them."""
+    """What turns messages' bytes into objects; `definitions`: a folder with .msg files, for a bag without them."""
     if channel.encoding not in ("cdr", "ros1"):
         raise RecordingError(
             f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
@@ -166,8 +159,6 @@ def types_of(channel: Channel, definitions: Path | None) -> Typestore:
     store.register({name: ([], fields) for name, (_, fields) in types.items()})  # constants are not in messages
     return store
 
-
-# Robot logs (ROS 1 and ROS 2 bags) without a ROS installation: their topics and their messages.
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
 

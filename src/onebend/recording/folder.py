@@ -52,8 +52,8 @@ from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_to
 
 
 def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
-    """Raises `LearningError` where the recordings cannot be learned from together, read from their files alone;
-    `jointly`: by a method that takes several."""
+    """`LearningError` where the recordings cannot be learned from together; `jointly`: by a method that takes
+    several."""
     first = wanted[0]
     if not jointly and len(wanted) > 1:
         raise LearningError("the regression learns from one recording; give one, or learn from all with the fit")
@@ -98,8 +98,7 @@ OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the
 def known_camera(
     camera: CameraEntry | CameraInfoEntry | None, video: VideoEntry | None, mistakes: Mistakes
 ) -> tuple[CameraEntry | None, tuple[Remark, ...]]:
-    """The camera of `recording.toml`, from the film's bag where it names a topic of it; what is wrong goes to
-    `mistakes`."""
+    """The camera of `recording.toml`, or of a topic of the film's bag; what is wrong goes to `mistakes`."""
     if not isinstance(camera, CameraInfoEntry):
         return camera, ()
     if mistakes.found:
@@ -236,9 +235,7 @@ def read_recording(
 
 
 def check_text(folder: Path, content: str) -> TextCheck:
-    """Check the text of a `recording.toml` for this folder, without writing it; quick enough for every key pressed.
-
-    The files that it names must exist; bags are not opened. Empty keys do not keep the others from being checked."""
+    """Check a `recording.toml` without writing it, quickly; bags are not opened. Empty keys do not stop the check."""
     empty = empty_values(content)
     rows = content.splitlines()
     for _, line, _ in empty:

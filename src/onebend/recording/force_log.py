@@ -120,8 +120,7 @@ def refuse_other_unit(force: Array, mass: float, where: str) -> None:
 
 
 def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
-    """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are as large, or as small, as if
-    they stood in another unit."""
+    """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] seem to be in another unit."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     heavy = largest / (9.81 * mass) if mass > 0 else 0.0
     if largest > LARGEST or heavy > OF_WEIGHT:

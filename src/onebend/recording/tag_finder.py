@@ -22,10 +22,6 @@ from onebend.recording.signals import runs
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array, BoolArray
 
-# The cells of a printed tag, from the detector's own table of codes.
-#
-# The detector finds a tag that is printed from them, with the same number and the same upper edge.
-
 
 @dataclass(frozen=True)
 class PrintedTag:
@@ -117,9 +113,7 @@ ROOT = float(np.sqrt(2 * np.pi))
 
 @dataclass(frozen=True)
 class Pattern:
-    """A tag's picture as a model: brightness = dark + contrast * blurred pattern(homography(pixel)).
-
-    Pixels are in tag sizes from the centre. `dark` and `contrast` change linearly over the tag, for uneven light."""
+    """brightness = dark + contrast * blurred pattern(homography(pixel)); pixels in tag sizes from the tag's centre."""
 
     homography: Array  # (8,) pixel to cells, the ninth entry is 1
     dark: Array  # (3,) level, slope along x, slope along y

@@ -66,8 +66,7 @@ def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
 
 
 def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
-    """How far measured angles (T, m) [rad] turn for each radian that the places (T, m, 2) [m] turn: about 1; NaN where
-    nothing bends, or no angle is measured."""
+    """How far measured angles (T, m) [rad] turn per radian of the places (T, m, 2) [m]: about 1; NaN: nothing bends."""
     chords = unwrap(chord_angles(xy, s), from_zero=False)
     known = np.isfinite(chords) & np.isfinite(angle)
     if not known.any():
@@ -139,8 +138,7 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
 
 
 def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
-    """How far points (T, m, 3) move out of the plane: their own steady distance from it (a marker's height) is taken
-    off."""
+    """How far points (T, m, 3) move out of the plane, less each marker's own height over it."""
     distance = plane.away(points)
     measured = np.isfinite(distance).any(axis=0)
     distance = distance[:, measured] - np.nanmedian(distance[:, measured], axis=0)
