@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 
-# A bag brings the definitions of its own messages, and what decodes them is code made from these. So names must be names,
-# and types must not hold themselves, nor grow beyond the size of a message.
+# A bag brings the definitions of its own messages, and what decodes them is code made from these. So names must be
+# names, and types must not hold themselves, nor grow beyond the size of a message.
 
 MOST_TEXT = 200_000  # characters of a definition
 LONGEST_LINE = 2000

@@ -135,9 +135,9 @@ def rays_in_picture(lens: Lens, matrix: Array, size: tuple[int, int]) -> tuple[A
     return rays[inside], bool(complete.all())
 
 
-# The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of the
-# known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three numbers
-# (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point).
+# The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of
+# the known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three
+# numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point).
 
 # The plane's axes when it faces the camera: x right, y up, z towards the camera.
 FACING: Array = np.diag([1.0, -1.0, -1.0])

@@ -271,13 +271,13 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
     return tuple(remarks)
 
 
-# For every offset the log is modelled by features of the markers with unknown coefficients, plus the sensor's noise. The
-# evidence of the log is the likelihood of the offset. Three choices matter:
+# For every offset the log is modelled by features of the markers with unknown coefficients, plus the sensor's noise.
+# The evidence of the log is the likelihood of the offset. Three choices matter:
 # - The log's rows stay fixed and the markers are shifted: other rows would have other noise.
 # - Coefficients are integrated out under a prior, not fitted: a free function of the displacement fits any offset.
-# - The noise has coloured and random-walk parts, whose sizes come from the same data.
-# A push whose force rises at F' [N/s] during T under a noise of spectral density S determines the offset to about
-# sqrt(S / (F'^2 T)), and no method does better.
+# - The noise has coloured and random-walk parts, whose sizes come from the same data. A push whose force rises at F'
+#   [N/s] during T under a noise of spectral density S determines the offset to about sqrt(S / (F'^2 T)), and no method
+#   does better.
 
 APART, MOST_FIRST = 0.15, 6  # s: estimates of the offset that are farther apart are each looked at closely
 
@@ -463,8 +463,8 @@ def displacements(markers: Markers) -> Array:
     return np.asarray(flat - np.nanmedian(flat, axis=0)) if flat.size else np.zeros((len(markers.time), 1))
 
 
-# A slow sensor's filter delays and lowers peaks: k(s) comes out too small, and the offset takes up the delay. But the log
-# goes on falling when the tags stand still. So it is compared with features that went through such a filter.
+# A slow sensor's filter delays and lowers peaks: k(s) comes out too small, and the offset takes up the delay. But the
+# log goes on falling when the tags stand still. So it is compared with features that went through such a filter.
 
 QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
 SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s

@@ -103,10 +103,8 @@ class Track:
     def mean(self, centre: Array, width: float) -> Array:
         """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
-        centre_held = np.clip(centre, first_centre, last_centre)
-        centre_held = np.where(
-            (centre < first_centre - self.before) | (centre > last_centre + self.after), centre, centre_held
-        )
+        outside = (centre < first_centre - self.before) | (centre > last_centre + self.after)
+        centre_held = np.where(outside, centre, np.clip(centre, first_centre, last_centre))
         low, high = centre_held - width / 2, centre_held + width / 2
         average = np.asarray((self.integral(high) - self.integral(low)) / width)
         holes = np.concatenate([[0], np.cumsum(~self.covered)])
@@ -253,8 +251,8 @@ def is_still(moved: Array, rows: slice) -> bool:
     return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))
 
 
-# The turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about s: exact for a
-# beam that moves slowly. Of w, the mean over the span and the slope are used.
+# The turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about s: exact for
+# a beam that moves slowly. Of w, the mean over the span and the slope are used.
 
 SLACK = 0.2  # s, by which the log's error may change before or after the load does
 FEWEST_SPANS = 2  # that end at or before the push
@@ -697,12 +695,9 @@ def scan_closer(
         reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= 0.3])))
         # Offsets that each refinement of the grid adds.
         new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), 15), offsets)
-        offsets, log_density = (
-            np.append(offsets, new),
-            np.append(log_density, log_posterior(shared, new, errors, prior)),
-        )
-        order = np.argsort(offsets)
-        offsets, log_density = offsets[order], log_density[order]
+        order = np.argsort(np.append(offsets, new))
+        log_density = np.append(log_density, log_posterior(shared, new, errors, prior))[order]
+        offsets = np.append(offsets, new)[order]
     most = float(log_density.max())
     weight = np.exp(log_density - most) @ np.gradient(offsets)
     return *moments_of(offsets, log_density), most + float(np.log(weight))
@@ -729,10 +724,8 @@ def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:
 def common_rows(moments: Moments, rows: BinnedLog, offsets: Array, first: float) -> tuple[CommonRows | None, Array]:
     """The rows that all `offsets` cover, None where too few; and parameters to begin with."""
     use = np.all([moments_at(moments, rows.time - offset, rows.width).known for offset in offsets], axis=0)
-    time = moments.track.time
-    film = moments_at(
-        moments, np.arange(time[0] + 0.5 * rows.width, time[-1] - 0.5 * rows.width, rows.width), rows.width
-    )
+    time, half = moments.track.time, 0.5 * rows.width
+    film = moments_at(moments, np.arange(time[0] + half, time[-1] - half, rows.width), rows.width)
     if use.sum() < FEWEST or film.known.sum() < FEWEST:
         return None, np.zeros(0)
     time_used, force = rows.time[use], rows.force[use]
@@ -759,12 +752,12 @@ def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> 
         noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
         others = covariance(noise, shared.time, spread, np.zeros_like(jumps))
         jumps = fit_jumps(residual, design, others, jumps, typical)
-    size = jumps[(typical > 0.0) & (jumps > 0.0)] / typical[(typical > 0.0) & (jumps > 0.0)]
+    known = (typical > 0.0) & (jumps > 0.0)
+    size = jumps[known] / typical[known]
     log_prior = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
     jump_sd = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
-    return LogError(
-        fit_residual_noise(residual, design, shared.time, spread, start, jumps), jumps, z, log_prior, jump_sd
-    )
+    noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
+    return LogError(noise, jumps, z, log_prior, jump_sd)
 
 
 def log_posterior(shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior) -> Array:

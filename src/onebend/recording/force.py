@@ -220,9 +220,9 @@ def displacement(time: Array, xy: Array, rest: Array) -> Array:
     return np.asarray(np.sqrt(np.mean((filled - start) ** 2, axis=1)))
 
 
-# Row i of one axis is `x_i + w_i + e_i`: an Ornstein-Uhlenbeck process, a random walk and white noise. The precision P of
-# the states (x_0, w_0, x_1, w_1, ...) is a band, and C^-1 = (1 - H (W P + H' H)^-1 H') / W with W the variance of e and
-# H the sum of the two states of a row: one banded Cholesky factor.
+# Row i of one axis is `x_i + w_i + e_i`: an Ornstein-Uhlenbeck process, a random walk and white noise. The precision P
+# of the states (x_0, w_0, x_1, w_1, ...) is a band, and C^-1 = (1 - H (W P + H' H)^-1 H') / W with W the variance of e
+# and H the sum of the two states of a row: one banded Cholesky factor.
 
 _NEGLIGIBLE = 1e-14  # of the white variance: a step of a process below it is taken for it
 

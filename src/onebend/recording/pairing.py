@@ -18,9 +18,9 @@ from onebend.recording.force_log import FEWEST_ROWS, read_force_log, refuse_othe
 from onebend.recording.signals import at_times, bandwidth, from_clamp, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
-# Flipped signs and swapped axes are the commonest mistakes. The moment of the force about a place turns a clamped passive
-# beam there in the sense of the moment, and a larger moment turns it more. A log that contradicts this has another sign
-# or other axes than recording.toml says. Nothing is corrected: the experimenter must say which it is.
+# Flipped signs and swapped axes are the commonest mistakes. The moment of the force about a place turns a clamped
+# passive beam there in the sense of the moment, and a larger moment turns it more. A log that contradicts this has
+# another sign or other axes than recording.toml says. Nothing is corrected: the experimenter must say which it is.
 
 READINGS: dict[str, Array] = {
     "as it is": np.array([[1.0, 0.0], [0.0, 1.0]]),

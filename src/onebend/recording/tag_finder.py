@@ -248,11 +248,10 @@ def carry(homography: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
 
 def homography_between(source: Array, target: Array) -> Array:
     """The homography (8,) that carries four points (4, 2) to four others."""
-    equations, values = [], []
+    equations = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        values += [u, v]
-    return np.linalg.solve(np.array(equations), np.array(values))
+    return np.linalg.solve(np.array(equations), target.ravel())
 
 
 def homography_inverse(homography: Array) -> Array:

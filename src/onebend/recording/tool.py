@@ -15,6 +15,7 @@ from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.camera import project
 from onebend.recording.entries import Recording
+from onebend.recording.signals import from_clamp
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark, View
 
@@ -95,9 +96,7 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Arra
     tangent = np.full_like(centre, np.nan)
     for at, row in enumerate(rows):
         seen = np.isfinite(markers.xy[row]).all(axis=-1) & np.isfinite(markers.angle[row])
-        s = np.concatenate([[0.0], markers.s[seen]])
-        xy = np.concatenate([np.zeros((1, 2)), markers.xy[row, seen]])
-        angle = np.concatenate([[0.0], markers.angle[row, seen]])
+        s, (xy,), (angle,) = from_clamp(markers.s[seen], markers.xy[None, row, seen], markers.angle[None, row, seen])
         s, first = np.unique(s, return_index=True)
         slopes = grid.length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         axis = CubicHermiteSpline(s, xy[first], slopes[first])
@@ -555,9 +554,8 @@ class KeptSmall:
             return
         middle = corners.mean(axis=1)
         if self._first is None:
-            self._begin(
-                picture, float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen].mean()), middle
-            )
+            sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen]
+            self._begin(picture, float(sides.mean()), middle)
         assert self._first is not None
         self._first = np.where(np.isfinite(self._first), self._first, middle)
         moved = _farthest(middle - self._first) > MOVED * self._side

@@ -14,7 +14,7 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
-from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
+from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, from_clamp
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
@@ -27,8 +27,7 @@ def chord_angles(xy: Array, s: Array) -> Array:
     small enough for clocks and rests, not for learning. NaN where a marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
-    places = np.concatenate([[0.0], s[order]])
-    points = np.concatenate([np.zeros((len(xy), 1, 2)), xy[:, order]], axis=1)
+    places, points, _ = from_clamp(s, xy, np.zeros(xy.shape[:2]))
     span = np.maximum(np.diff(places), 1e-9)
     chord = np.diff(points, axis=1)
     turn = np.arctan2(chord[..., 1], chord[..., 0])
