@@ -277,8 +277,9 @@ def false_zeros(force: Array) -> BoolArray:
 
 
 def held(time: Array, force: Array) -> BoolArray:
-    """(N,) rows that repeat the forces (N, c) of the row before for long; not zeros, extremes, or logs without
-    noise."""
+    """(N,) rows that repeat the forces (N, c) of the row before for so long that the sensor or the logger hung.
+
+    Logs without noise are not judged, nor are zeros, which may be true, and the largest and smallest forces."""
     hung = np.zeros(len(force), dtype=bool)
     if not len(force):
         return hung

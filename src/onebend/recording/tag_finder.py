@@ -251,7 +251,7 @@ def homography_between(source: Array, target: Array) -> Array:
     equations = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-    return np.linalg.solve(np.array(equations), target.ravel())
+    return np.asarray(np.linalg.solve(np.array(equations), target.ravel()))
 
 
 def homography_inverse(homography: Array) -> Array:

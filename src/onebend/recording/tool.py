@@ -190,7 +190,8 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             # Times its usual width: a strip that becomes so wide has run into the beam.
             # Cells of width more, for the same.
             if end - begin > 1.6 * usual + 3:
-                ended.append(Strip(*np.array(strip, dtype=np.int64).T, row))
+                rows_of, first_of, last_of = np.array(strip, dtype=np.int64).T
+                ended.append(Strip(rows_of, first_of, last_of, row))
             else:
                 going.append([*strip, (row, begin, end)])
         # what the edge cuts off has no middle
