@@ -394,8 +394,7 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 def scan_sqlite(path: Path, topic: str = "") -> Iterator[Item]:
-    """Topics, then messages in the order they were written, up to the first page that is not there as a whole; with
-    `topic` the messages of that one alone."""
+    """Topics, then messages (with `topic` those of that one alone), up to the first page that is cut."""
     try:
         with whole_pages(path) as file, open_database(file) as base:
             refuse_programs(base)
@@ -471,9 +470,7 @@ def whole_pages(path: Path) -> Iterator[Path]:
 
 
 def lacking(path: Path) -> str:
-    """What a database lacks of the length that it says it has, in words; "" for a whole one, or for another file.
-
-    The database's own reader does not always notice."""
+    """In words, how much of its stated length a database lacks; "" for a whole one, or for another file."""
     (page, pages), size = sqlite_pages(path), path.stat().st_size
     return f"it ends at byte {size} and says that it has {page * pages}" if size < page * pages else ""
 

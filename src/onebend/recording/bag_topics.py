@@ -130,8 +130,7 @@ def luma(rgb: Pixels) -> Pixels:
 
 
 def smooth_mosaic(raw: Pixels) -> Pixels:
-    """Brightness (R + 2 G + B) / 4 of a Bayer mosaic at every pixel: a 1-2-1 mean each way holds these parts at each
-    place of the pattern, whichever it is."""
+    """Brightness (R + 2 G + B) / 4 of a Bayer mosaic at every pixel, of any pattern: a 1-2-1 mean each way."""
     wide = np.pad(raw.astype(np.uint16), 1, mode="reflect")
     across = wide[:, :-2] + 2 * wide[:, 1:-1] + wide[:, 2:]
     return np.asarray((across[:-2] + 2 * across[1:-1] + across[2:] + 8) // 16, dtype=np.uint8)
@@ -439,9 +438,7 @@ def asked(bag: Bag, name: str) -> str:
 
 
 def with_bags(rec: Recording, written: Mapping[str, Any]) -> Recording:
-    """The recording with the start of its film taken from the bag where film and force share one, and with remarks.
-
-    `written` is recording.toml as data: a start that stands there is kept."""
+    """The recording with remarks, and the film's start from a bag that film and force share, unless it is `written`."""
     video = rec.video if rec.video is not None and rec.video.topic else None
     force = rec.force if rec.force is not None and rec.force.topic else None
     remarks = [*rec.remarks]

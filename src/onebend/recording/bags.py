@@ -21,10 +21,8 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 
-# Whether the types that a bag declares are such as messages have: before anything is made of them.
-#
 # A bag brings the definitions of its own messages, and what decodes them is code made from these. So names must be
-# names, and types must not hold themselves, nor grow beyond what any message is, whatever its bytes say.
+# names, and types must not hold themselves, nor grow beyond the size of a message.
 
 MOST_TEXT = 200_000  # characters of a definition
 LONGEST_LINE = 2000
@@ -52,14 +50,8 @@ def check_type_name(name: str) -> None:
         raise HostileTypeError(f"{name[:60]!r} is no name of a type")
 
 
-def without_constants(types: Typesdict) -> Typesdict:
-    """The types with fields alone: constants are not in messages."""
-    return {name: ([], fields) for name, (_, fields) in types.items()}
-
-
 def check_types(types: Typesdict, known: Typesdict) -> None:
-    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound; `known`
-    are types that need no check."""
+    """Raise `HostileTypeError` where names are no names, a type holds itself, or a message grows without bound."""
     for name, (_, fields) in types.items():
         check_type_name(name)
         for field, _ in fields:
@@ -109,15 +101,11 @@ def _field_size(field: Any, types: Typesdict, sizes: dict[str, int], outer: tupl
     return 1 if numbers else each * int(count)
 
 
-# What the messages of a bag are made of: by the bag's own definitions, the standard ones, or given .msg files.
-
 IDL_PART = "=" * 80 + "\n"
 
 
 def decoder(path: Path, channel: Channel, definitions: Path | None) -> Callable[[bytes], Any]:
-    """What turns the bytes of the channel's messages into objects.
-
-    `definitions` is a folder with .msg files, for a bag that does not carry them."""
+    """What turns messages' bytes into objects; `definitions`: a folder with .msg files, for a bag without them."""
     if channel.encoding not in ("cdr", "ros1"):
         raise RecordingError(
             f"{path}: {ascii_only(channel.topic)} is packed as {channel.encoding!r}; cdr and ros1 can be read."
@@ -168,11 +156,9 @@ def types_of(channel: Channel, definitions: Path | None) -> Typestore:
         types = {name: fields for name, fields in types.items() if name not in store.fielddefs}
     check_types(types, store.fielddefs)
     store.max_sequence_length = MOST_NUMBERS
-    store.register(without_constants(types))
+    store.register({name: ([], fields) for name, (_, fields) in types.items()})  # constants are not in messages
     return store
 
-
-# Robot logs (ROS 1 and ROS 2 bags) without a ROS installation: their topics and their messages.
 
 ENDINGS = (".mcap", ".db3", ".bag", ".active")  # a recorder that was killed leaves .bag.active
 
@@ -239,36 +225,29 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     if not files:
         raise RecordingError(f"{path} is no bag. Give a .mcap, .db3 or .bag file, or the folder that holds one.")
     require(("rosbags",), "ros")
-    refuse_journals(files)
     for file in files:
-        refuse_program(file)
-    if not keep:
-        indexed = [topics_by_index(file) for file in files]
-        if None not in indexed:
-            return Bag(path, files, scanned=False, topics=together(part for part in indexed if part is not None))
+        refuse_journal(file)
+        try:
+            check_database(file)
+        except (BrokenOffError, OSError) as wrong:
+            raise RecordingError(f"{file} cannot be read: {wrong}. Record the bag again, or copy it anew.") from None
+    indexed = [None if keep else topics_by_index(file) for file in files]
+    if None not in indexed:
+        return Bag(path, files, scanned=False, topics=together(part for part in indexed if part is not None))
     bag = scan_bag(path, files)
     if bag.fault and (not keep or not bag.count):
         raise damaged(bag, bag.fault)
     return replace(bag, scanned=keep or not any(is_packed(file) for file in files))
 
 
-def refuse_program(file: Path) -> None:
-    """An error where a database computes what a recorder writes down."""
-    try:
-        check_database(file)
-    except (BrokenOffError, OSError) as wrong:
-        raise RecordingError(f"{file} cannot be read: {wrong}. Record the bag again, or copy it anew.") from None
-
-
-def refuse_journals(files: Sequence[Path]) -> None:
+def refuse_journal(file: Path) -> None:
     """An error where a database has messages beside it that were not written into it yet."""
-    for file in files:
-        journal = file.with_name(f"{file.name}-wal")
-        if journal.is_file() and journal.stat().st_size:
-            raise RecordingError(
-                f"{file} was not closed: {journal.name} beside it holds messages that are not in it. Take them in with "
-                f'`sqlite3 {file.name} "PRAGMA wal_checkpoint(TRUNCATE)"`, or remove that file to do without them.'
-            )
+    journal = file.with_name(f"{file.name}-wal")
+    if journal.is_file() and journal.stat().st_size:
+        raise RecordingError(
+            f"{file} was not closed: {journal.name} beside it holds messages that are not in it. Take them in with "
+            f'`sqlite3 {file.name} "PRAGMA wal_checkpoint(TRUNCATE)"`, or remove that file to do without them.'
+        )
 
 
 def scan_bag(path: Path, files: Sequence[Path]) -> Bag:
@@ -305,10 +284,8 @@ def together(parts: Iterable[list[tuple[Channel, int]]]) -> dict[str, Topic]:
     topics: dict[str, Topic] = {}
     for part in parts:
         for channel, count in part:
-            before = topics.get(channel.topic)
-            topics[channel.topic] = (
-                Topic(channel, count) if before is None else replace(before, count=before.count + count)
-            )
+            before = topics.get(channel.topic, Topic(channel, 0))
+            topics[channel.topic] = replace(before, count=before.count + count)
     return topics
 
 
@@ -357,11 +334,10 @@ def messages(bag: Bag, topic: Topic, definitions: Path | None = None) -> Iterato
     decode = decoder(bag.path, topic.channel, definitions)
     for count, (received, data) in enumerate(raw_messages(bag, topic)):
         try:
-            yield received, decode(data)
-        except GeneratorExit:
-            raise
+            decoded = decode(data)
         except Exception as wrong:  # numpy, struct and the decoder's own, each in its way
             raise RecordingError(
                 f"{bag.path}: message {count} of {ascii_only(topic.channel.topic)} is no "
                 f"{ascii_only(topic.channel.type)} ({ascii_only(str(wrong))})."
             ) from None
+        yield received, decoded

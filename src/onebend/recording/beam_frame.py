@@ -72,9 +72,8 @@ def beam_turn(rest: RestShape, placement_sd: float) -> float:
 
 def turned(markers: Markers, turn: float) -> Markers:
     """`markers` seen from a frame turned by `turn` [rad] counter-clockwise against the base tag's."""
-    cos, sin = math.cos(turn), math.sin(turn)
+    cos, sin, view = math.cos(turn), math.sin(turn), markers.view
     back = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    view = markers.view
     return replace(
         markers,
         xy=markers.xy @ back[:2, :2].T,
@@ -113,9 +112,6 @@ def to_beam_frame(
     if weighed.any():
         remarks.append(Remark("note", "The beam hangs at rest: its weight is taken not to bend it then."))
     return markers, rest_shape(markers, still), tuple(remarks)
-
-
-# Gravity in the beam's frame, from its direction in the room and the angle of the base, constant or logged.
 
 
 @dataclass(frozen=True)
@@ -175,13 +171,12 @@ def base_clock(
             return math.inf
         return float(np.var(np.interp(log_time[inside], log.time, log.angle) - angle[inside]))
 
-    farthest = reach_of(uncertainty, margin)
-    reach, centre, width = farthest, stated, 0.02
-    for width in (0.02, 0.002):
+    farthest, centre = reach_of(uncertainty, margin), stated
+    for reach, width in ((farthest, 0.02), (0.05, 0.002)):
         tries = np.arange(centre - reach, centre + reach + width / 2, width)
         cost = np.array([misfit(trial) for trial in tries])
         best = int(np.argmin(cost))
-        centre, reach = float(tries[best]), 0.05
+        centre = float(tries[best])
     if not math.isfinite(cost[best]) or cost[best] > 0.05 * float(np.var(angle)):
         return unsettled
     around = slice(max(best - 10, 0), best + 11)

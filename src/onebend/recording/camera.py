@@ -16,8 +16,6 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.recording.entries import CameraEntry, Recording, TagEntry
 from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
 
-# The camera's geometry: points of the tags' plane <--> pixels, with OpenCV's lens model.
-
 
 def project(view: View, xy: Array) -> Array:
     """Pixels (..., 2) of points `xy` (..., 2) [m] of the plane."""
@@ -51,8 +49,7 @@ def distort(ray: Array, dist: Array) -> Array:
 
 
 def undistort(distorted: Array, dist: Array) -> Array:
-    """The inverse of `distort`, by fixed-point iteration. NaN where it does not converge: there the lens model folds
-    over and means nothing."""
+    """The inverse of `distort`, by fixed-point iteration; NaN where it does not converge: the lens model folds over."""
     ray = distorted
     for _ in range(50):
         error = distorted - distort(ray, dist)
@@ -63,8 +60,6 @@ def undistort(distorted: Array, dist: Array) -> Array:
         ray = np.where(np.abs(ray) < 1e3, ray, np.nan)
     return np.where(np.abs(distorted - distort(ray, dist)).max(axis=-1, keepdims=True) <= 1e-6, ray, np.nan)
 
-
-# Lenses of other models as ours: the nearest k1, k2, p1, p2 and k3 over the picture, and how far they stay from it.
 
 Lens = Callable[[Array], Array]  # rays (..., 2) as (x / z, y / z) to where the lens shows them
 DIRECTIONS, STEPS = 72, 400  # in which rays are followed from the middle to the picture's edge
@@ -140,16 +135,12 @@ def rays_in_picture(lens: Lens, matrix: Array, size: tuple[int, int]) -> tuple[A
     return rays[inside], bool(complete.all())
 
 
-# The camera's view of the plane of the tags, fitted to the tags: squares of one known size in one plane.
-#
-# For a trial camera and plane every sighting is projected into the plane, and a square of the known size is fitted to
-# it in closed form. The residuals are the distances between the corners of this square and the detected ones, in
-# pixels. The poses of the tags are no unknowns of the search: three numbers (tilt, tilt, distance) are fitted where
-# the camera is calibrated, seven where focal length, one lens term and the principal point (2) must be inferred too.
+# The view of the tags' plane. For a trial camera and plane every sighting is projected into the plane, and a square of
+# the known size is fitted in closed form. The residuals are its corners' distances from the detected ones, px. Three
+# numbers (tilt, tilt, distance) are fitted; seven without calibration (focal length, one lens term, principal point).
 
-FACING: Array = np.diag(
-    [1.0, -1.0, -1.0]
-)  # the plane's axes when it faces the camera: x right, y up, z towards the camera
+# The plane's axes when it faces the camera: x right, y up, z towards the camera.
+FACING: Array = np.diag([1.0, -1.0, -1.0])
 TILTS = (0.0, 0.6)  # rad, starts of the search, in each of four directions
 # Priors of the plane, and of a camera without calibration: one sd about the simplest value.
 TILT_SD = 0.5  # rad; it matters only where one tag alone leaves the tilt open
@@ -292,8 +283,6 @@ def lay_square(flat: Array) -> tuple[Array, Array]:
     return xy, np.arctan2(cross, dot)
 
 
-# Pose of every sighting of a tag in the tags' plane, with its covariance; functions of planar poses.
-
 END_CORRELATION = -0.5  # of the errors at the two ends of a straight edge
 STEP = 1e-6  # m and rad, of the pose's numerical derivative
 MEDIAN_CHI2 = 4.35146  # median of chi-squared with 5 degrees of freedom
@@ -413,8 +402,6 @@ def unwrap(angle: Array, *, from_zero: bool = True) -> Array:
     return flat.reshape(angle.shape)
 
 
-# The base's pose from the tags on it: one place where it stands still, one a frame where it moves.
-
 MOVED = 5.0  # sd: a base that is farther from its median pose, after a running median, moves
 RUNNING = 5  # frames of that running median
 
@@ -524,8 +511,6 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
     ]
 
 
-# Corners in pixels to the pose of every beam tag in the base tag's frame, in metres and radians, with covariance.
-
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
@@ -587,8 +572,7 @@ def check_picture(detections: Detections, camera: CameraEntry | None) -> None:
 
 
 def spread(corners: Array) -> Array:
-    """Sightings (K, 4, 2) of frames spread evenly over the tags' travel, so that a long rest does not outweigh the
-    push; a rest has a small weight."""
+    """Sightings (K, 4, 2) of frames spread evenly over the tags' travel, in which a rest has a small weight."""
     centre = corners.mean(axis=2)
     travel = np.nan_to_num(np.linalg.norm(np.diff(centre, axis=0), axis=-1)).sum(axis=1)
     # Of the mean travel per frame: a frame without travel counts as this.
@@ -695,8 +679,6 @@ def wrong_remarks(detections: Detections, wrong: BoolArray) -> list[Remark]:
         if count
     ]
 
-
-# Whether the tags are turned on the beam as recording.toml says; a wrong turn_deg is off by a quarter turn or more.
 
 NEAREST = 0.05  # of the beam: the chord of tags nearer to each other gives no direction
 

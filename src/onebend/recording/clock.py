@@ -34,8 +34,6 @@ from onebend.recording.force import (
 from onebend.recording.signals import bandwidth, low_pass, outliers, step
 from onebend.records import Array, ClockOffset, ForceLog, ForceNoise, IntArray, Markers, Remark
 
-# The range of clock offsets that is searched, and the prior over it.
-
 ROUGHLY = 0.1  # s: a start stated to this uncertainty or less was measured, and is trusted
 
 
@@ -72,8 +70,6 @@ def prior_spread(low: float, high: float, prior: Prior) -> float:
     return moments_of(offset, prior(offset))[1]
 
 
-# The clock offset from features of the tags: a search over the whole range, then around the highest peak.
-
 FIRST_LOOK, UNLIKELY = 60.0, 30.0  # rows per film in the rough search; log evidence below the best that is dropped
 MOST_LOOKS, AROUND = 24, 0.5  # offsets that are searched finely, and how far around each, s
 FAR_OFF, NEAR = 0.05, 0.02  # of the largest force: residual of an offset on the rough, the fine grid
@@ -99,8 +95,7 @@ def likely_span(
 
 
 def peaks(searches: Sequence[OffsetScan], coarse: Array) -> list[float]:
-    """s, the offsets at which the posterior of a search has a maximum that may be the right one; the highest of each
-    search first."""
+    """s, the offsets at which a search's posterior has a maximum; the highest of each search first."""
     found: list[tuple[float, float]] = []
     for search in searches:
         p = np.concatenate([[-np.inf], search.log_posterior - search.log_posterior.max(), [-np.inf]])
@@ -242,8 +237,6 @@ def evidence_over_same_rows(search: OffsetScan, rows: BinnedLog, offset: Array) 
     return np.array([log_evidence(factor, linear_model(design[use], rows.force[use], layout)) for design in designs])
 
 
-# Remarks on the clock offset: found, or not found.
-
 AS_WRITTEN = "start_s is used as it is written"
 TOO_LITTLE = (
     f"Film and log share too little force and motion to match the clocks; {AS_WRITTEN}. Push further, or measure "
@@ -252,8 +245,7 @@ TOO_LITTLE = (
 
 
 def unsettled_remark(shift: float, sd: float, uncertainty: float) -> Remark:
-    """The remark where the data leave the offset as uncertain (`sd` [s]) as it was. `shift` [s]: the data's best
-    offset less the stated one."""
+    """The remark where the offset stays uncertain (`sd` [s]); `shift` [s]: the best offset less the stated one."""
     if uncertainty < ROUGHLY and abs(shift) > uncertainty + 3.0 * sd:  # sd of the data beyond the uncertainty
         text = f"The data would have the film start {shift:+.3f} s from start_s, more than its uncertainty"
         text += f"; {AS_WRITTEN}. If it may be wrong, give a larger start_uncertainty_s."
@@ -279,20 +271,13 @@ def remarks_on(clock: ClockOffset, uncertainty: float, low: float, high: float) 
     return tuple(remarks)
 
 
-# The offset between the video's clock and the force log's, from the data.
-#
-# For every offset the log is modelled by features of the markers with unknown coefficients (`polynomial_features.py`:
-# levers and polynomials; no stiffness enters) plus the sensor's noise. The evidence of the log under this model is
-# the likelihood of the offset. Three choices matter for the accuracy:
-#
-# - the log's rows stay fixed and the markers are shifted. Shifting the log would compare different samples of its
-# noise, whose scatter is larger than the effect of an offset of some hundredths of a second; - coefficients are
-# integrated out under a prior (evidence), not fitted: for a push in one direction a free function of the displacement
-# fits any offset, and the maximum would claim more accuracy than there is; - the noise has coloured and random-walk
-# parts (`noise.py`); its sizes come from the same data.
-#
-# A push whose force rises at F' [N/s] during T under a noise of spectral density S tells the offset to about
-# sqrt(S / (F'^2 T)), and no method does better: slow pushes with a weak force leave tens of milliseconds in `sd`.
+# For every offset the log is modelled by features of the markers with unknown coefficients, plus the sensor's noise.
+# The evidence of the log is the likelihood of the offset. Three choices matter:
+# - The log's rows stay fixed and the markers are shifted: other rows would have other noise.
+# - Coefficients are integrated out under a prior, not fitted: a free function of the displacement fits any offset.
+# - The noise has coloured and random-walk parts, whose sizes come from the same data. A push whose force rises at F'
+#   [N/s] during T under a noise of spectral density S determines the offset to about sqrt(S / (F'^2 T)), and no method
+#   does better.
 
 APART, MOST_FIRST = 0.15, 6  # s: estimates of the offset that are farther apart are each looked at closely
 
@@ -362,8 +347,7 @@ def fit_clock(
 def compared_rows(
     markers: Markers, log: ForceLog, rate: float, within: tuple[float, float], settings: ClockSettings
 ) -> BinnedLog | None:
-    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or all zero, or
-    nothing moves (a `rate` that is NaN)."""
+    """The log's rows that the film may cover at offsets `within` [s]; None where they are too few, or nothing moves."""
     if not np.isfinite(rate):
         return None
     span = (markers.time[0] + within[0], markers.time[-1] + within[1])
@@ -428,8 +412,7 @@ def matched(
 
 
 def averaged_over(searches: Sequence[OffsetScan], ends: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and sd [s] of the offset, over sets of features that the log's evidence does not tell apart; those whose
-    peak has no finite sd are left out, and where none has one the sd is infinite."""
+    """Mean and sd [s] of the offset over sets of features, weighted by their evidence, if their sd is finite."""
     mean, sd = np.transpose(ends)
     mass = np.array([np.logaddexp.reduce(search.log_posterior) for search in searches])
     kept = np.isfinite(sd)
@@ -449,8 +432,7 @@ def tracks(markers: Markers, push_s: float | None, settings: ClockSettings, step
 
 
 def averaged(markers: Markers, most: int) -> Markers:
-    """The markers in at most `most` frames, each the mean of equally many neighbours; missing where half of these
-    are."""
+    """The markers in at most `most` frames, each the mean of equally many neighbours; missing where half are."""
     size = -(-len(markers.time) // most)
     if size == 1:
         return markers
@@ -481,12 +463,8 @@ def displacements(markers: Markers) -> Array:
     return np.asarray(flat - np.nanmedian(flat, axis=0)) if flat.size else np.zeros((len(markers.time), 1))
 
 
-# A slow force sensor: one whose filter takes a good part of a second, so that its peaks are too low.
-#
-# A pure delay is part of the clock's offset and does no harm. A first-order filter of time constant tau also lowers
-# what comes and goes within some tau: k(s) comes out too small, and the clock's offset takes up the delay, so that
-# nothing else shows. But the log goes on falling when the tags stand still again. So the log is compared, as in the
-# search for the offset, with features of the tags that went through such a filter themselves.
+# A slow sensor's filter delays and lowers peaks: k(s) comes out too small, and the offset takes up the delay. But the
+# log goes on falling when the tags stand still. So it is compared with features that went through such a filter.
 
 QUICK = (0.0, 0.2)  # s: a sensor as quick as that hardly changes k(s)
 SLOW = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # s
@@ -506,8 +484,7 @@ class SensorLag:
 def slow_sensor(
     markers: Markers, log: ForceLog, clock: ClockOffset, *, push_s: float | None, settings: ClockSettings
 ) -> SensorLag | None:
-    """The lag of the sensor that wrote `log`, where it is certain; `log` and `push_s` as for `fit_clock`, which found
-    the `clock`."""
+    """The lag of the sensor that wrote `log`, where it is certain; arguments as of `fit_clock`, which found `clock`."""
     rate = bandwidth(markers.time, displacements(markers))
     markers = averaged(markers, settings.most_frames)
     within = (clock.offset - REACH * SLOW[-1] - MARGIN, clock.offset + MARGIN)
@@ -578,8 +555,7 @@ def resting(track: Track) -> Track:
 
 
 def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
-    """The log as a sensor without its first-order lag `tau` [s] would have written it: `F + tau F'`, of the log
-    low-passed at `cutoff` [Hz], since the derivative would raise its noise."""
+    """The log without its sensor's lag `tau` [s]: `F + tau F'`, low-passed at `cutoff` [Hz] against noise."""
     bad = outliers(log.force, spacing=step(log.time))
     known = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
     smooth = low_pass(log.time, np.stack(known, axis=1), cutoff, longest_gap=max(0.1, 3.0 * step(log.time)))
@@ -587,8 +563,7 @@ def without_lag(log: ForceLog, tau: float, cutoff: float) -> ForceLog:
 
 
 def lagging(track: Track, tau: float) -> Track:
-    """The features behind a first-order filter of time constant `tau` [s], at rest before the film; exact where they
-    run straight between frames."""
+    """The features behind a first-order filter of time constant `tau` [s], at rest before the film."""
     if tau == 0.0:
         return track
     time, value = track.time, track.integral.derivative()(track.time)

@@ -20,8 +20,6 @@ from onebend.recording.force import LoadChange, displacement, first_guess, likel
 from onebend.recording.signals import MAD_TO_SD, bridged, from_clamp, outliers, runs, step
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceLog, ForceNoise, IntArray, Markers
 
-# The force log averaged over bins of equal width, as the search for the clock offset uses it.
-
 
 @dataclass(frozen=True)
 class BinnedLog:
@@ -72,17 +70,12 @@ def thinned(rows: BinnedLog, rate: float) -> BinnedLog:
     return BinnedLog(time, force, size * rows.width, rows.largest)
 
 
-# Features of the markers on which the clock search regresses the force.
-#
-# Two kinds, neither of which needs a model of the beam:
-#
-# - levers: on a slowly moving beam the moment of the force about the middle of a span between two tags is
-# proportional to the turn of that span. So F = sum_i k_i f_i with f_i = (A^T A + ridge)^-1 A^T e_i turn_i, A the
-# levers of all spans (moment = A F) and k_i one unknown stiffness per span. The ridge (a fraction of the longest
-# lever squared) bounds the force along a straight beam, which bends nothing, so that it is not fitted to noise; -
-# polynomials of the markers' leading principal components: any smooth function of the shape. They are used alone
-# where the place of the push is not known or levers fail (a beam that swings), and with a small prior to correct the
-# levers.
+# Features of the markers on which the clock search regresses the force, without a model of the beam:
+# - Levers: the moment of the force about the middle of a span is proportional to the span's turn. So F = sum_i k_i f_i
+#   with f_i = (A^T A + ridge)^-1 A^T e_i turn_i, A the levers (moment = A F) and k_i one stiffness per span. The ridge
+#   bounds the force along a straight beam.
+# - Polynomials of the leading principal components: any smooth function of the shape. They correct the levers, or stand
+#   alone where the place of the push is not known or the beam swings.
 
 FREE = 10.0  # prior sd of the log's bias and of a stiffness, per largest force: free
 RIDGE = 0.01  # of the longest lever squared
@@ -110,10 +103,8 @@ class Track:
     def mean(self, centre: Array, width: float) -> Array:
         """(N, 2, p) features averaged over `width` [s] around every `centre`; NaN where the film does not cover it."""
         first_centre, last_centre = self.time[0] + width / 2, self.time[-1] - width / 2
-        centre_held = np.clip(centre, first_centre, last_centre)
-        centre_held = np.where(
-            (centre < first_centre - self.before) | (centre > last_centre + self.after), centre, centre_held
-        )
+        outside = (centre < first_centre - self.before) | (centre > last_centre + self.after)
+        centre_held = np.where(outside, centre, np.clip(centre, first_centre, last_centre))
         low, high = centre_held - width / 2, centre_held + width / 2
         average = np.asarray((self.integral(high) - self.integral(low)) / width)
         holes = np.concatenate([[0], np.cumsum(~self.covered)])
@@ -260,11 +251,8 @@ def is_still(moved: Array, rows: slice) -> bool:
     return bool(np.all(change < np.maximum(2e-3 * np.ptp(moved, axis=0).max(), 2 * noise)))
 
 
-# Turns and levers of the spans between the tags: the data of the markers on the force, without the stiffness.
-#
-# The turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k the compliance along it and a the lever of a
-# unit force about s. This is exact for a beam that moves slowly, and linear in F. Of w, the mean over the span and
-# the slope are used.
+# The turn of a span is `F . integral of w(s) a(s) ds` with w = 1 / k and a the lever of a unit force about s: exact for
+# a beam that moves slowly. Of w, the mean over the span and the slope are used.
 
 SLACK = 0.2  # s, by which the log's error may change before or after the load does
 FEWEST_SPANS = 2  # that end at or before the push
@@ -339,8 +327,7 @@ def make_moments(markers: Markers, *, push_s: float, longest_gap: float, hold: f
 
 
 def span_levers(xy: Array, angle: Array, s: Array, spans: IntArray, push_s: float) -> tuple[Array, Array, Array]:
-    """(T, k, 2) m mean lever of a unit force over each span, its first Legendre moment, and the beam's direction
-    (T, 2) at the push."""
+    """(T, k, 2) m mean lever over each span, its first Legendre moment; and the beam's direction (T, 2) at the push."""
     push = along(xy, angle, s, push_s)
     beside = np.clip((push_s - s[:-1]) / np.maximum(np.diff(s), 1e-9), 0.0, 1.0)
     direction = angle[:, 0] + np.diff(angle, axis=1) @ beside
@@ -560,9 +547,7 @@ def laplace_evidence(
 def residual_and_design(
     model: ForceLogModel, rows: MomentsAtRows, film: MomentsAtRows, force: Array, z: Array
 ) -> tuple[Array, Array]:
-    """The log less its mean (2N,), and a root (2N, p) of the covariance that the parameters give that mean.
-
-    Both are of the normal distribution that the film and the prior leave the parameters."""
+    """The log less its mean (2N,), and a root (2N, p) of the mean's covariance, by film and prior."""
     base = model.mean(rows, z)
     j = jacobian(lambda x: model.mean(rows, x), z, base)
     _, slope, inner = film_misfit(model, film, z)
@@ -591,9 +576,7 @@ def fit_jumps(residual: Array, design: Array, others: Array, jumps: Array, typic
 def fit_residual_noise(
     residual: Array, design: Array, time: Array, spread: Array, start: ForceNoise, jumps: Array
 ) -> ForceNoise:
-    """The likeliest noise of the `residual` (2N,) N of the log.
-
-    `design` (2N, p) N times standard normal numbers is the part of the residual that comes from the parameters."""
+    """The likeliest noise of the log's `residual` (2N,) N, of which `design` (2N, p) N is the parameters' part."""
 
     def misfit(noise: ForceNoise, square: float) -> float:
         root = np.linalg.cholesky(covariance(noise, time, spread, jumps))
@@ -606,8 +589,6 @@ def fit_residual_noise(
 
     return likeliest_noise(start, misfit, 80)
 
-
-# The posterior of the clock offset from the moments of the push about the spans, where its place is known.
 
 TYPICAL, LARGE = 0.01, 0.1  # of the largest force: jumps of the log's error when the load changes, usual and largest
 STEP, MOST_OFFSETS = 0.02, 31  # of the first grid: s between offsets at least, and their largest number
@@ -714,12 +695,9 @@ def scan_closer(
         reach = max(REACH * sd, 0.75 * float(np.max(np.diff(offsets)[np.abs(offsets[1:] - mean) <= 0.3])))
         # Offsets that each refinement of the grid adds.
         new = np.setdiff1d(np.linspace(max(mean - reach, span[0]), min(mean + reach, span[1]), 15), offsets)
-        offsets, log_density = (
-            np.append(offsets, new),
-            np.append(log_density, log_posterior(shared, new, errors, prior)),
-        )
-        order = np.argsort(offsets)
-        offsets, log_density = offsets[order], log_density[order]
+        order = np.argsort(np.append(offsets, new))
+        log_density = np.append(log_density, log_posterior(shared, new, errors, prior))[order]
+        offsets = np.append(offsets, new)[order]
     most = float(log_density.max())
     weight = np.exp(log_density - most) @ np.gradient(offsets)
     return *moments_of(offsets, log_density), most + float(np.log(weight))
@@ -746,10 +724,8 @@ def moments_of(offset: Array, log_density: Array) -> tuple[float, float]:
 def common_rows(moments: Moments, rows: BinnedLog, offsets: Array, first: float) -> tuple[CommonRows | None, Array]:
     """The rows that all `offsets` cover, None where too few; and parameters to begin with."""
     use = np.all([moments_at(moments, rows.time - offset, rows.width).known for offset in offsets], axis=0)
-    time = moments.track.time
-    film = moments_at(
-        moments, np.arange(time[0] + 0.5 * rows.width, time[-1] - 0.5 * rows.width, rows.width), rows.width
-    )
+    time, half = moments.track.time, 0.5 * rows.width
+    film = moments_at(moments, np.arange(time[0] + half, time[-1] - half, rows.width), rows.width)
     if use.sum() < FEWEST or film.known.sum() < FEWEST:
         return None, np.zeros(0)
     time_used, force = rows.time[use], rows.force[use]
@@ -776,12 +752,12 @@ def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> 
         noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
         others = covariance(noise, shared.time, spread, np.zeros_like(jumps))
         jumps = fit_jumps(residual, design, others, jumps, typical)
-    size = jumps[(typical > 0.0) & (jumps > 0.0)] / typical[(typical > 0.0) & (jumps > 0.0)]
+    known = (typical > 0.0) & (jumps > 0.0)
+    size = jumps[known] / typical[known]
     log_prior = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
     jump_sd = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
-    return LogError(
-        fit_residual_noise(residual, design, shared.time, spread, start, jumps), jumps, z, log_prior, jump_sd
-    )
+    noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
+    return LogError(noise, jumps, z, log_prior, jump_sd)
 
 
 def log_posterior(shared: CommonRows, offsets: Array, errors: Sequence[LogError], prior: Prior) -> Array:

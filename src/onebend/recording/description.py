@@ -243,12 +243,12 @@ def implausible(beam: BeamEntry, tags: TagsEntry, tables: dict[str, Any], scale_
         remarks.append(Remark("note", text))
     clamp = math.degrees(max((tables[name].clamp_sd for name in SOURCES if tables[name] is not None), default=math.nan))
     text = f"clamp_sd_deg = {clamp:g} lets the clamp turn freely: k near it cannot be known then. Write how firm it is."
-    warn(clamp > 15.0, text, "wide tolerance")
+    warn(clamp > 15.0, text, about="wide tolerance")
     curvature = math.degrees(beam.curvature_sd)
     text = f"rest_curvature_sd_deg = {curvature:.3g} is a beam that may be rolled up: is it in degrees?"
-    warn(beam.rest == "unknown" and beam.curvature_sd > 2.0, text, "wide tolerance")
+    warn(beam.rest == "unknown" and beam.curvature_sd > 2.0, text, about="wide tolerance")
     text = f"scale_sd = {scale_sd:g} is {100.0 * scale_sd:g} %: is it a share (0.003 = 0.3 %)?"
-    warn(scale_sd > 0.1, text, "wide tolerance")
+    warn(scale_sd > 0.1, text, about="wide tolerance")
     if beam.rest == "straight" and beam.curvature_sd not in (0.0, CURVATURE_SD):
         remarks.append(Remark("note", 'rest_curvature_sd_deg is used only with rest = "unknown".'))
     warn(length > 10.0, f"length_m = {length:g} is a beam longer than 10 m: is it in metres?")
@@ -266,7 +266,7 @@ def implausible(beam: BeamEntry, tags: TagsEntry, tables: dict[str, Any], scale_
     }
     for name, sd in turns.items():
         text = f"{name} = {math.degrees(sd):g} leaves the direction open: is it right?"
-        warn(sd > math.radians(45.0), text, "wide tolerance")
+        warn(sd > math.radians(45.0), text, about="wide tolerance")
     return tuple(remarks)
 
 

@@ -474,8 +474,8 @@ class PushEntry:
 
 @dataclass(frozen=True)
 class GravityEntry:
-    """[gravity]: the weight acts in the plane of the bending. Angles counter-clockwise from horizontal, as the camera
-    sees it; the beam's x axis is given once, or as a log."""
+    """[gravity]: the weight acts in the plane of bending; angles counter-clockwise from horizontal, as the camera
+    sees."""
 
     direction: float = key("direction_deg = -90.0", ANGLE, "where it pulls, in the room, degrees")  # rad
     magnitude: float = key(

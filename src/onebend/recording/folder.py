@@ -50,12 +50,10 @@ from onebend.recording.schema import Mistakes, Place, keys_of, place_name, read_
 from onebend.records import Array, Remark
 from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, to_json, toml_data
 
-# Recordings of one beam: what their files alone say against it.
-
 
 def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
-    """Raises `LearningError` where the recordings cannot be learned from together, read from their files alone;
-    `jointly`: by a method that takes several."""
+    """`LearningError` where the recordings cannot be learned from together; `jointly`: by a method that takes
+    several."""
     first = wanted[0]
     if not jointly and len(wanted) > 1:
         raise LearningError("the regression learns from one recording; give one, or learn from all with the fit")
@@ -92,8 +90,6 @@ def check_same_length(length: float, description: Recording) -> None:
         )
 
 
-# [camera] from a bag: the camera's calibration as its driver published it.
-
 RECTIFIED = "image_rect"  # how the name of a topic of rectified pictures begins
 POLYNOMIAL, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", ("equidistant", "fisheye")
 OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the camera is inferred from the tags."
@@ -102,8 +98,7 @@ OTHERWISE = "Calibrate with `onebend calibrate`, or remove camera_info: then the
 def known_camera(
     camera: CameraEntry | CameraInfoEntry | None, video: VideoEntry | None, mistakes: Mistakes
 ) -> tuple[CameraEntry | None, tuple[Remark, ...]]:
-    """The camera of `recording.toml`, from the film's bag where it names a topic of it; what is wrong goes to
-    `mistakes`."""
+    """The camera of `recording.toml`, or of a topic of the film's bag; what is wrong goes to `mistakes`."""
     if not isinstance(camera, CameraInfoEntry):
         return camera, ()
     if mistakes.found:
@@ -195,6 +190,8 @@ def of_part(info: CameraInfo, matrix: Array) -> tuple[Array, str]:
 
 FILE_NAME = "recording.toml"
 BAGS = ("video", "force")  # whose file may be a bag
+FOLDERS = ("folder", "definitions")  # keys that name folders
+PATHS = ("file", "frame_times", "base_angle_file", "mass_file", "section_file", "loads", *FOLDERS)
 CLAMP_ALONE = TagsEntry(on_beam=(TagEntry(id=0, s=0.0),))  # what is known where nothing is looked at
 LINE_NAMED = re.compile(r"\bline (\d+)\b")  # in what is said of text that is no TOML
 
@@ -238,9 +235,7 @@ def read_recording(
 
 
 def check_text(folder: Path, content: str) -> TextCheck:
-    """Check the text of a `recording.toml` for this folder, without writing it; quick enough for every key pressed.
-
-    The files that it names must exist; bags are not opened. Empty keys do not keep the others from being checked."""
+    """Check a `recording.toml` without writing it, quickly; bags are not opened. Empty keys do not stop the check."""
     empty = empty_values(content)
     rows = content.splitlines()
     for _, line, _ in empty:
@@ -328,21 +323,12 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
     """`entry` with the files it names made whole paths; each must exist, but for those `to_come`."""
     if entry is None:
         return None
-    for field_name in (
-        "file",
-        "frame_times",
-        "base_angle_file",
-        "mass_file",
-        "section_file",
-        "loads",
-        "folder",
-        "definitions",
-    ):
+    for field_name in PATHS:
         written = getattr(entry, field_name, None)
         if written is None or (field_name == "frame_times" and written == "container"):
             continue
         path = folder / written
-        wants_folder = field_name in ("folder", "definitions")
+        wants_folder = field_name in FOLDERS
         exists = path.is_dir() if wants_folder else path.is_file() or (name in BAGS and is_bag(path))
         if not exists and not to_come:
             what, other = "folder" if wants_folder else "file", "" if wants_folder else _no_file(path)
@@ -359,19 +345,12 @@ def with_paths(entry: Any, name: str, folder: Path, mistakes: Mistakes, to_come:
 
 
 def _no_file(path: Path) -> str:
-    """What stands there in place of a file; empty where nothing does."""
+    """The kind of thing that is there in place of a file; empty where nothing is."""
     if path.is_symlink() and not os.path.exists(path):  # noqa: PTH110  (`Path.exists` raises on a circle of links)
         return "a link that leads nowhere"
-    kinds = {
-        "a folder": path.is_dir,
-        "a pipe": path.is_fifo,
-        "a device": path.is_char_device,
-        "a socket": path.is_socket,
-    }
-    return next((kind for kind, stands in kinds.items() if stands()), "")
+    kinds = {"folder": path.is_dir, "pipe": path.is_fifo, "device": path.is_char_device, "socket": path.is_socket}
+    return next((f"a {kind}" for kind, stands in kinds.items() if stands()), "")
 
-
-# The commented `recording.toml` that `onebend new` writes, made from the keys' own declarations.
 
 Kind = Literal["video", "ros", "photos", "weights", "mocap"]
 INTRODUCTION = f"""\

@@ -16,11 +16,8 @@ from scipy.special import chdtri
 from onebend.recording.signals import MAD_TO_SD, at_times, bridged, low_pass, outliers, runs, step
 from onebend.records import Array, BoolArray, CleanForce, ForceLog, ForceNoise, IntArray, Markers, Remark
 
-# Contact and rest: when the beam is pushed and when it is free, from the markers and the force.
-#
-# The film must begin with a free beam (the camera starts before the push). The beam is free where its markers stand
-# still at their first places, and where it swings about that rest with no more force than before the push. All else
-# is contact.
+# The film begins with a free beam. It is free again where its markers stand still at their first places, and where it
+# swings with no more force than before the push. All else is contact.
 
 
 @dataclass(frozen=True)
@@ -151,18 +148,14 @@ def long_enough(mask: BoolArray, time: Array, shortest: float) -> BoolArray:
 
 
 def shrunk(time: Array, start: int, stop: int, settings: ContactSettings) -> tuple[float, float]:
-    """The span of the frames [start, stop), less the margin on the sides that border on contact, and open where the
-    film begins or ends: the log may show more of the same rest."""
+    """The span of the frames [start, stop) less the margin beside contact, open where the film begins or ends."""
     low = -np.inf if start == 0 else float(time[start]) + settings.margin
     high = np.inf if stop == len(time) else float(time[stop - 1]) - settings.margin
     return low, high
 
 
-# When a load begins, reverses and ends, from the tags: a sensor's error may change then.
-#
-# Robots that estimate forces from joint torques have friction in the joints: the error of the estimate is nearly
-# constant while the load grows or falls, and changes when the load begins, reverses or ends. These times are read
-# from the tags, as the log itself contains the error.
+# The error of a force estimated from joint torques changes when the load begins, reverses or ends, with the friction in
+# the joints. These times are read from the tags, as the log itself contains the error.
 
 TURN = 0.05  # of the largest displacement: a beam that comes back by less has not reversed
 CLEAR = 0.1  # of the largest displacement: by then a load has begun, or has turned
@@ -221,23 +214,15 @@ def turning_points(size: Array, margin: float) -> list[int]:
 
 
 def displacement(time: Array, xy: Array, rest: Array) -> Array:
-    """(T,) m, root mean square way of tags (T, m, 2) from where they rest (m, 2); from the first frame where that is
-    not known."""
+    """(T,) m, root mean square way of tags (T, m, 2) from their rest (m, 2), or from the first frame."""
     filled = bridged(time, xy.reshape(len(time), -1))
     start = np.where(np.isfinite(rest).ravel(), rest.ravel(), filled[0])
     return np.asarray(np.sqrt(np.mean((filled - start) ** 2, axis=1)))
 
 
-# The covariance of a force sensor's noise, factored: a dense one of few rows, a band of many.
-#
-# Row i of one axis is `x_i + w_i + e_i`: an Ornstein-Uhlenbeck process x and a random walk w, both Markov processes,
-# and white noise e. So the precision P of the states (x_0, w_0, x_1, w_1, ...) is a band, and by the matrix inversion
-# lemma
-#
-# C^-1 = (1 - H (W P + H' H)^-1 H') / W
-#
-# with W the variance of e and H the sum of the two states of a row: one banded Cholesky factor instead of a dense
-# one.
+# Row i of one axis is `x_i + w_i + e_i`: an Ornstein-Uhlenbeck process, a random walk and white noise. The precision P
+# of the states (x_0, w_0, x_1, w_1, ...) is a band, and C^-1 = (1 - H (W P + H' H)^-1 H') / W with W the variance of e
+# and H the sum of the two states of a row: one banded Cholesky factor.
 
 _NEGLIGIBLE = 1e-14  # of the white variance: a step of a process below it is taken for it
 
@@ -262,8 +247,7 @@ class NoiseFactor:
 
 
 def noise_factor(noise: ForceNoise, time: Array, walked: Array | None = None) -> NoiseFactor:
-    """Of the covariance of `noise` at rising `time` (N,) [s]; with `walked` (N,) [N^2], the variance that a second walk
-    has gathered so far, counted from the first row."""
+    """Of the covariance of `noise` at rising `time` (N,) [s]; `walked` (N,) [N^2]: variance so far of a second walk."""
     # Rows, up to which the dense factor is the quicker one.
     return dense_factor(noise, time, walked) if len(time) <= 150 else banded_factor(noise, time, walked)
 
@@ -310,17 +294,9 @@ def _check(info: int) -> None:
         raise np.linalg.LinAlgError("the covariance of the force's noise is not positive definite")
 
 
-# The noise of a force sensor, white, coloured and a random walk; its sizes from the data.
-#
-# The error of a force estimate from joint torques changes slowly, with friction, temperature and filters. The model
-# has three parts, equal and independent on the two axes: white noise, an Ornstein-Uhlenbeck process (exponential
-# correlation) and a random walk.
-
-
 @dataclass(frozen=True)
 class LinearModel:
-    """`values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise; each column stands but once: many
-    are of one axis alone, and the same for every axis."""
+    """`values` (N, a) = `design` (N, a, p) @ standard normal coefficients + noise; equal columns stand once."""
 
     columns: Array  # (N, c)
     coefficients: int  # p
@@ -413,9 +389,6 @@ def likeliest_noise(start: ForceNoise, misfit: Callable[[ForceNoise, float], flo
     options = {"maxfev": most, "xatol": 0.05, "fatol": 0.05, "initial_simplex": simplex}
     optimum = minimize(lambda z: misfit(sized(z), z @ z), np.zeros(4), method="Nelder-Mead", options=options)
     return sized(optimum.x)
-
-
-# Cleaning the force log: sign, frame, outliers, zero, zero-phase low-pass, and the noise that remains.
 
 
 @dataclass(frozen=True)

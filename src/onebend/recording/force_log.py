@@ -11,11 +11,9 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, within_noise
+from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, runs, within_noise
 from onebend.records import Array, ForceLog, Remark
 from onebend.text_files import csv_rows, is_number, listed_columns, quoted
-
-# Text logs of Franka robots: which columns hold the force, and what to write in recording.toml.
 
 # libfranka's own log of the last commands (franka::logToCSV): joints and commands, no force.
 JOINTS_ONLY = "state.tau_ext_hat_filtered[0]"
@@ -56,13 +54,8 @@ def likely_forces(header: Sequence[str]) -> tuple[str, str] | None:
     return None
 
 
-# Mistakes that a force log shows by itself: a channel not connected, a sensor at its limit, another unit.
-
 AXES = ("first", "second")
-LARGEST, SMALLEST = (
-    100.0,
-    5e-3,
-)  # N: less than the first bends a soft beam, and sensors for it do not resolve the second
+LARGEST, SMALLEST = 100.0, 5e-3  # N: a soft beam bends under less, and sensors for it do not resolve so little
 TOO_MANY_WEIGHTS, TOO_FEW_WEIGHTS = 700.0, 0.01  # a rod of carbon fibre bends under some hundred times its weight
 OF_WEIGHT = 50.0  # times the beam's weight; the force that bends a soft beam is near its weight
 OTHER_UNIT = re.compile(r"[_\s\[(/](mN|kN|uN|g|gf|kg|kgf|lbf?|ozf?|counts|V|mV)[\])]?$")
@@ -71,12 +64,11 @@ OTHER_TIME = re.compile(r"[_\s\[(/](ms|us|ns)[\])]?$")
 
 def still_columns(force: Array) -> tuple[Remark, ...]:
     """A warning for each column of the forces (N, 2) that never changes."""
-    sentence = "force of the log never changes ({:g} N): is its channel connected? Check columns."
-    constant = np.ptp(force, axis=0) == 0.0
+    sentence = "The {} force of the log never changes ({:g} N): is its channel connected? Check columns."
     return tuple(
-        Remark("warning", f"The {axis} {sentence.format(value)}", about="constant force")
-        for axis, value, unchanged in zip(AXES, force[0], constant, strict=True)
-        if unchanged
+        Remark("warning", sentence.format(axis, column[0]), about="constant force")
+        for axis, column in zip(AXES, force.T, strict=True)
+        if np.ptp(column) == 0.0
     )
 
 
@@ -96,9 +88,8 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
             if len(values) < 3 or counts[index] < max(0.01 * len(column), 3.0 * counts[inward], 5):
                 continue
             at_extreme = column == values[index]
-            after, before = np.append(False, at_extreme[:-1]), np.append(at_extreme[1:], False)
-            alone = at_extreme & ~after & ~before
-            if 2 * alone.sum() < counts[index] and within_noise(column[~at_extreme]):  # spikes are alone
+            alone = sum(end - begin == 1 for begin, end in runs(at_extreme))
+            if 2 * alone < counts[index] and within_noise(column[~at_extreme]):  # spikes are alone
                 share = 100 * counts[index] / len(column)
                 text = (
                     f"The {axis} force of the log stands at exactly its {end} value, {values[index]:g} N, in "
@@ -129,8 +120,7 @@ def refuse_other_unit(force: Array, mass: float, where: str) -> None:
 
 
 def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
-    """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] are as large, or as small, as if
-    they stood in another unit."""
+    """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] seem to be in another unit."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     heavy = largest / (9.81 * mass) if mass > 0 else 0.0
     if largest > LARGEST or heavy > OF_WEIGHT:
@@ -185,12 +175,8 @@ def read_force_log(
     if unit_advice := unit_in_name(columns, time_unit):
         raise RecordingError(f"{path}: {unit_advice}.")
     wanted = [*columns, *([push_column] if push_column else [])]
-    lines: list[int] = []
-    table: list[list[float]] = []
-    for line, values in numbers(path, wanted):
-        lines.append(line)
-        table.append(values)
-    read = np.array(table).reshape(-1, len(wanted))
+    rows = list(numbers(path, wanted))
+    lines, read = [line for line, _ in rows], np.array([values for _, values in rows]).reshape(-1, len(wanted))
     for name, column in zip(wanted, read.T, strict=True):
         if len(read) and not np.isfinite(column).any():
             raise RecordingError(f"{path}: the column {name} holds no number in any row. Is it the right one?")
@@ -250,17 +236,13 @@ def numbers(path: Path, wanted: Sequence[str]) -> Iterator[tuple[int, list[float
     header = [name.strip() for name in next(rows, (1, []))[1]]
     if not header:
         raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
-    twice = [name for name in wanted if header.count(name) > 1]
-    if twice:
+    if twice := [name for name in wanted if header.count(name) > 1]:
         raise RecordingError(f"{path}, line 1: the column {twice[0]} is there twice. Remove or rename one.")
-    missing = [name for name in wanted if name not in header]
-    if missing:
-        hint_of_robot = franka_hint(header)
-        hint = header_hint(header, wanted)
+    if missing := [name for name in wanted if name not in header]:
         there = listed_columns(path, header)
         raise RecordingError(
-            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}.{hint} "
-            f"Name the columns with columns in [force], or column in [push], of recording.toml.{hint_of_robot}"
+            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}.{header_hint(header, wanted)} "
+            f"Name the columns with columns in [force], or column in [push], of recording.toml.{franka_hint(header)}"
         )
     places = [header.index(name) for name in wanted]
     for line, row in rows:

@@ -147,9 +147,7 @@ def markers_of(rec: Recording, detections: Detections) -> Markers:
 def observe_markers(
     rec: Recording, markers: Markers, log: ForceLog | None, settings: ObserveSettings = ObserveSettings()
 ) -> Observations:
-    """The observations of tags and force that were read elsewhere, as from a camera and a sensor that still run.
-
-    No picture is there to show the tool that pushes: see `tool_checked`. Raises as `observe`."""
+    """The observations of tags and force that were read elsewhere, as from a live camera; raises as `observe`."""
     return with_frequencies(assemble(rec, markers, log, None, settings), rec)
 
 

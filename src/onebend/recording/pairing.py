@@ -18,11 +18,9 @@ from onebend.recording.force_log import FEWEST_ROWS, read_force_log, refuse_othe
 from onebend.recording.signals import at_times, bandwidth, from_clamp, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
-# Whether the force can have bent this beam. Flipped signs and swapped axes are the commonest mistakes.
-#
-# The moment of the force about a place turns the beam there in the sense of the moment, and a larger moment turns it
-# more. This holds for every clamped passive beam. A log that clearly contradicts it has another sign or other axes
-# than recording.toml says. Nothing is corrected here: the experimenter must say which it is.
+# Flipped signs and swapped axes are the commonest mistakes. The moment of the force about a place turns a clamped
+# passive beam there in the sense of the moment, and a larger moment turns it more. A log that contradicts this has
+# another sign or other axes than recording.toml says. Nothing is corrected: the experimenter must say which it is.
 
 READINGS: dict[str, Array] = {
     "as it is": np.array([[1.0, 0.0], [0.0, 1.0]]),
@@ -156,8 +154,7 @@ def _unexplained(axes: Array, force: Array, turns: Array, levers: Array) -> Arra
 
 
 def axes_words(reading: Reading, rotation: float, *, key: str = "columns") -> str:
-    """What the log's axes look like, and the line of [force] to mend; `rotation` [rad] is what is written there, `key`
-    the line that names its two axes."""
+    """How the log's axes look, and the line of [force] to correct, of which `key` names its axes; `rotation` [rad]."""
     if reading.better or reading.rotated:
         turn, line = _CORRECTION[reading.better] if reading.better else (reading.turn, _TURN)
         fits = math.degrees(math.remainder(rotation + turn, 2.0 * math.pi))
@@ -210,9 +207,7 @@ def read_log(rec: Recording) -> ForceLog | None:
 def match_clocks(
     rec: Recording, markers: Markers, log: ForceLog | None, base: BaseLog | None, settings: ClockSettings
 ) -> ClockFit:
-    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock.
-
-    Where the start is said to be exact, it is as written, with an sd of 0."""
+    """The offset from the force, else from the base's turn, else as written; 0 where there is no second clock."""
     stated, uncertainty = rec.start
     if log is None and base is None:
         start = stated if math.isfinite(stated) else 0.0

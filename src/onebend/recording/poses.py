@@ -114,8 +114,8 @@ def read_loads(path: Path, rec: Recording, axes: Axes) -> PoseLoads:
 
 
 def turned(vectors: Array, clamp: Array) -> Array:
-    """Room vectors (..., 2) in the frame of a clamp turned by `clamp` (...) [rad]; a missing coordinate spoils only
-    what depends on it."""
+    """Room vectors (..., 2) in the frame of a clamp turned by `clamp` (...) [rad]; NaN spoils only what depends on
+    it."""
     cos, sin = np.cos(np.nan_to_num(clamp)), np.sin(np.nan_to_num(clamp))
     cos, sin = (np.where(np.abs(part) < 1e-9, 0.0, part) for part in (cos, sin))
 
@@ -243,8 +243,7 @@ def reading_remarks(loads: PoseLoads, readings: Readings) -> tuple[Remark, ...]:
 
 
 def with_zero(readings: Readings, xy: Array, covariance: Array) -> tuple[Array, Array]:
-    """Points (P, m, 2) and covariances (P, m, 3, 3), in the pose of the zero too: each gauge shows 0 there, and is
-    zeroed as exactly as it is read."""
+    """Points (P, m, 2) and covariances (P, m, 3, 3) with the pose of the zero, where each gauge shows 0."""
     if readings.bare < 0:
         return xy, covariance
     seen = np.isfinite(xy)
@@ -291,8 +290,7 @@ def point_covariances(
 
 
 def _directions(xy: Array, s: Array, angle: Array) -> Array:
-    """(P, m) rad, of the beam at the points: as measured, else of the chords between those of which x and y are; 0
-    where neither is known, so that across is y."""
+    """(P, m) rad, of the beam at the points: as measured, else of the chords, else 0, so that across is y."""
     out = np.zeros(angle.shape)
     for pose, points in enumerate(xy):
         whole = np.isfinite(points).all(axis=-1)
@@ -598,8 +596,8 @@ def with_camera_as_noise(markers: Markers) -> Markers:
 
 
 def in_beam_frame(rec: Recording, markers: Markers, loads: PoseLoads) -> tuple[Markers, float, tuple[Remark, ...]]:
-    """The markers with x along the bare beam where a picture shows it, else along the base tag; and one sd of that
-    direction, rad (NaN: not stated)."""
+    """The markers with x along the bare beam, else along the base tag; and that direction's sd, rad (NaN: not
+    stated)."""
     assert rec.photos is not None
     stated = rec.photos.clamp_sd
     bare: BoolArray = np.asarray(~np.any(loads.force != 0.0, axis=1))

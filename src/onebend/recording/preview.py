@@ -14,7 +14,7 @@ from onebend.progress import available_cores
 from onebend.recording.camera import check_turns, measure_markers
 from onebend.recording.entries import Recording, VideoEntry
 from onebend.recording.tag_finder import Finder, Sighting
-from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, unseen_remarks
+from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, take, unseen_remarks
 from onebend.recording.tool import ToolPlace, not_seen, tool_in, tool_remarks
 from onebend.recording.video import FilmFrame, picture_in, timed
 from onebend.records import Array, BoolArray, Detections, Markers, Remark
@@ -69,9 +69,8 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
     sightings = search(looked, rec.tags.family, ids)
     seen = Counter(tag.tag_id for found in sightings for tag in found)
     corners = np.full((len(looked), len(ids), 4, 2), np.nan)
-    for t, found in enumerate(sightings):
-        for i, wanted in enumerate(ids):
-            corners[t, i] = next((tag.corners for tag in found if tag.tag_id == wanted), np.nan)
+    for row, found in zip(corners, sightings, strict=True):
+        take(row, found, ids)
     share = np.isfinite(corners).all(axis=(2, 3)).mean(axis=0)
     height, width = looked[0].luma.shape
     markers, fault, remarks, tool = None, "", [*size_remarks(corners, ids)], not_seen("no tags")

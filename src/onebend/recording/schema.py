@@ -37,8 +37,7 @@ class Key:
 
 
 def key(line: str, check: Check, says: str, default: Any = dataclasses.MISSING) -> Any:
-    """A dataclass field that is read from the file; `line` is an example, as `length_m = 0.15`. Required where it has
-    no default."""
+    """A dataclass field read from the file; `line` is an example, as `length_m = 0.15`. Required without a default."""
     name, _, example = line.partition(" = ")
     return field(default=default, metadata={"key": Key(name, check, says, example)})
 

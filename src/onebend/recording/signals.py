@@ -83,8 +83,8 @@ def bandwidth(time: Array, values: Array, fraction: float = 0.999) -> float:
 
 
 def steady(velocity: Array, grid: Array, time: Array, values: Array) -> Array:
-    """(N - 1, c) `velocity` between the instants `grid`, interpolated linearly over gaps longer than `LONG_GAP` in the
-    `values` (T, c) at `time`. A column with fewer than two values stays as it is."""
+    """(N - 1, c) `velocity` between the instants `grid`, straight over gaps longer than `LONG_GAP` in `values` (T,
+    c)."""
     straightened = velocity.copy()
     for column, measured in zip(straightened.T, np.isfinite(values).T, strict=True):
         known = time[measured]
@@ -161,8 +161,8 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
 
 
 def resampled(time: Array, values: Array, at: Array) -> Array:
-    """(T, c) `values` (N, c) at instants `at` (T,), straight between the rising `time` (N,); themselves where these are
-    the same to a millionth of a step."""
+    """(T, c) `values` (N, c) at `at` (T,), straight between the rising `time` (N,); unchanged where these are the
+    same."""
     if len(at) == len(time) and np.max(np.abs(at - time)) < 1e-6 * step(time):
         return values
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
@@ -222,8 +222,6 @@ def runs(mask: BoolArray) -> IntArray:
     edges = np.diff(np.concatenate([[0], mask.astype(np.int64), [0]]))
     return np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)], axis=1).astype(np.int64)
 
-
-# Samples that a logger lost: missing rows, zeros in place of measured forces, and rows that repeat.
 
 HELD, SLOW = 0.5, 20.0  # s, and usual run lengths: forces that repeat for longer were not measured
 

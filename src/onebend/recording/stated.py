@@ -90,8 +90,7 @@ def _section(rec: Recording, sizes: dict[str, Array]) -> StatedSection | None:
 
 
 def _thickness(sizes: dict[str, Array]) -> float:
-    """m, in the plane of bending, mean along the beam; of a round or hexagonal beam that of a rectangle that stretches
-    as much. NaN where nobody says it."""
+    """m, mean in the plane of bending; of a round or hexagonal beam that of an equal rectangle. NaN: not stated."""
     s, size = sizes["s"], sizes.get("width_m")
     if "diameter_m" in sizes:  # 12 I / A
         size = ROUND * np.hypot(sizes["diameter_m"], sizes.get("inner_diameter_m", np.zeros(len(s))))
@@ -186,8 +185,7 @@ def _measured(table: Columns, name: str, length: float) -> Array:
 
 
 def _refuse_places(table: Columns, instead: str, *, steps: bool = False) -> None:
-    """Raises `RecordingError` where places lie outside the beam, do not rise, or there is one alone. With `steps`, a
-    place inside may stand twice."""
+    """`RecordingError` where places lie outside the beam, do not rise or are one; with `steps` one may stand twice."""
     s = table.get("s")
     table.refuse(~((s >= 0.0) & (s <= 1.0)), "s must be between 0 at the clamp and 1 at the tip.")
     table.refuse(np.full(len(s), len(s) < 2), f"one place is no profile. Give {instead} in [beam] instead.")

@@ -22,10 +22,6 @@ from onebend.recording.signals import runs
 from onebend.recording.video import FilmFrame, Picture
 from onebend.records import Array, BoolArray
 
-# The cells of a printed tag, from the detector's own table of codes.
-#
-# The detector finds a tag that is printed from them, with the same number and the same upper edge.
-
 
 @dataclass(frozen=True)
 class PrintedTag:
@@ -117,9 +113,7 @@ ROOT = float(np.sqrt(2 * np.pi))
 
 @dataclass(frozen=True)
 class Pattern:
-    """A tag's picture as a model: brightness = dark + contrast * blurred pattern(homography(pixel)).
-
-    Pixels are in tag sizes from the centre. `dark` and `contrast` change linearly over the tag, for uneven light."""
+    """brightness = dark + contrast * blurred pattern(homography(pixel)); pixels in tag sizes from the tag's centre."""
 
     homography: Array  # (8,) pixel to cells, the ninth entry is 1
     dark: Array  # (3,) level, slope along x, slope along y
@@ -254,11 +248,10 @@ def carry(homography: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
 
 def homography_between(source: Array, target: Array) -> Array:
     """The homography (8,) that carries four points (4, 2) to four others."""
-    equations, values = [], []
+    equations = []
     for (x, y), (u, v) in zip(source, target, strict=True):
         equations += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        values += [u, v]
-    return np.linalg.solve(np.array(equations), np.array(values))
+    return np.asarray(np.linalg.solve(np.array(equations), target.ravel()))
 
 
 def homography_inverse(homography: Array) -> Array:

@@ -153,8 +153,7 @@ def uneven(tracks: Array, searched: BoolArray, phase: IntArray, step: int) -> In
 def follow(
     tracks: Array, time: Array, t: int, step: int, picture: Picture, tag_id: Sequence[int], finder: Finder
 ) -> None:
-    """Seek in frame `t` every tag not yet found there, around where its sightings on the side of `step` (-1 the past,
-    1 the future) predict it. `time` (T,) is of the frames, in any unit. Fills `tracks[t]`."""
+    """Seek in frame `t` every tag not yet found, where its sightings on one side (-1 past, 1 future) predict it."""
     for i in np.flatnonzero(np.isnan(tracks[t]).any(axis=(1, 2))).tolist():
         expected, move = predict(tracks[:, i], time, t, step)
         if expected is None:
@@ -213,8 +212,7 @@ class _Window:
 
 @dataclass
 class StillTags:
-    """What was seen of each tag since it last moved. At most one pattern is fitted a picture, as each takes some
-    milliseconds; what is kept does not grow."""
+    """What was seen of each tag since it last moved; of bounded size. At most one pattern is fitted a picture."""
 
     cells: int | None  # along a tag's black square; None for families without a plain rim: nothing is corrected
     shifts: dict[int, Array] = field(default_factory=dict)  # (4, 2) px, by the tag's place in the list
@@ -353,8 +351,8 @@ def detect_tags(
 ) -> Detections:
     """Find every tag of `tags` in the frames of `video`: in as many as follow their motion, `LEAST_RATE` at least.
 
-    A block of frames is followed, each tag by itself, while the next one is read, so the result does not depend on the
-    number of `threads` (default: one per core) nor on their timing. `keep`: see `read_frames`.
+    A block of frames is followed while the next one is read; the result does not depend on `threads` (default: one per
+    core). `keep`: see `read_frames`.
 
     Raises:
         RecordingError: the video cannot be read to its end.
@@ -435,8 +433,7 @@ def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
 def summary(
     video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks], repeats: BoolArray
 ) -> Detections:
-    """The blocks as one record, with remarks; an error where tags are missing or doubled. `repeats` (T,): pictures
-    that are those before."""
+    """The blocks as one record, with remarks; an error where tags are missing or doubled. `repeats` (T,): pictures."""
     time = np.concatenate([block.time for block in blocks])
     corners = np.concatenate([block.corners for block in blocks])
     strangers = Counter(tag for block in blocks for tag in block.strangers)
@@ -671,8 +668,7 @@ class Tracker:
         self._shape = (picture.shape[0], picture.shape[1])
 
     def _look(self, picture: Picture, row: Array) -> list[Sighting] | None:
-        """Sightings in a part of the picture, or in all of it where no tag was seen lately; None where it was not
-        searched this time. `row` (m, 4, 2) px holds what was found near where it was expected."""
+        """Sightings in a part of the picture (in all of it where no tag was seen lately); None where not searched."""
         seen = np.isfinite(row).all(axis=(1, 2))
         lately = np.any([np.isfinite(corners).all(axis=(1, 2)) for _, corners in self._rows] or [~seen & seen], axis=0)
         if not (seen.any() or lately.any()):
@@ -703,8 +699,7 @@ def _places(shape: tuple[int, ...]) -> Array:
 
 
 def _moved_along(then: Array, now: Array, i: int) -> Array | None:
-    """Corners (4, 2) px expected of tag `i`, hidden since all stood as in `then` (m, 4, 2), where the nearest of those
-    seen `now` (m, 4, 2) has taken it along; None where there is none."""
+    """Corners (4, 2) px of the hidden tag `i`, moved with the nearest seen both `then` and `now` (m, 4, 2); or None."""
     both = np.flatnonzero((np.isfinite(then) & np.isfinite(now)).all(axis=(1, 2)))
     if not len(both) or not np.isfinite(then[i]).all():
         return None

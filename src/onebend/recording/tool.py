@@ -15,6 +15,7 @@ from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 
 from onebend.recording.camera import project
 from onebend.recording.entries import Recording
+from onebend.recording.signals import from_clamp
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark, View
 
@@ -95,9 +96,7 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Arra
     tangent = np.full_like(centre, np.nan)
     for at, row in enumerate(rows):
         seen = np.isfinite(markers.xy[row]).all(axis=-1) & np.isfinite(markers.angle[row])
-        s = np.concatenate([[0.0], markers.s[seen]])
-        xy = np.concatenate([np.zeros((1, 2)), markers.xy[row, seen]])
-        angle = np.concatenate([[0.0], markers.angle[row, seen]])
+        s, (xy,), (angle,) = from_clamp(markers.s[seen], markers.xy[None, row, seen], markers.angle[None, row, seen])
         s, first = np.unique(s, return_index=True)
         slopes = grid.length * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         axis = CubicHermiteSpline(s, xy[first], slopes[first])
@@ -111,8 +110,7 @@ def axes_of(markers: Markers, rows: Sequence[int], grid: SideGrid) -> tuple[Arra
 def beside_beam(
     different: Pictures, factor: int, view: View, centre: Array, normal: Array, grid: SideGrid
 ) -> NDArray[np.float32]:
-    """(P, S, D) the shrunk pictures `different` beside the beam, whose axis is at `centre` (P, S, 2) [m] with normals
-    `normal` (P, S, 2); NaN outside the picture."""
+    """(P, S, D) pictures beside the beam with axis `centre` (P, S, 2) [m] and `normal`; NaN outside the picture."""
     out = np.empty((len(different), len(grid.s), len(grid.across)), dtype=np.float32)
     for at, picture in enumerate(different):
         points = centre[at][:, None] + grid.across[:, None] * normal[at][:, None]
@@ -146,8 +144,8 @@ class Meeting:
 
 
 def meetings(covered: BoolArray, grid: SideGrid, reach: float) -> list[Meeting]:
-    """Where things lie against the beam that reach at least `reach` [m] out from its axis, in one picture of what is
-    `covered` (S, D)."""
+    """Where things lie against the beam that reach at least `reach` [m] from its axis, in one picture `covered` (S,
+    D)."""
     holes = np.ones((CLOSES, CLOSES), dtype=bool)
     closed = binary_closing(np.pad(covered, CLOSES), holes)[CLOSES:-CLOSES, CLOSES:-CLOSES]
     out = []
@@ -192,7 +190,8 @@ def strips_in(covered: BoolArray, *, left: bool) -> list[Strip]:
             # Times its usual width: a strip that becomes so wide has run into the beam.
             # Cells of width more, for the same.
             if end - begin > 1.6 * usual + 3:
-                ended.append(Strip(*np.array(strip, dtype=np.int64).T, row))
+                rows_of, first_of, last_of = np.array(strip, dtype=np.int64).T
+                ended.append(Strip(rows_of, first_of, last_of, row))
             else:
                 going.append([*strip, (row, begin, end)])
         # what the edge cuts off has no middle
@@ -298,8 +297,7 @@ def tool_place(
 
 
 def _shows_beam(covered: BoolArray, s: float, grid: SideGrid) -> BoolArray:
-    """(P,) the pictures (P, S, D) in which the beam itself stands out near s: if it does not at rest, nor would what is
-    fixed to it."""
+    """(P,) the pictures (P, S, D) in which the beam itself stands out near s."""
     here = covered[:, np.abs(grid.s - min(s, 1.0 - TOGETHER)) <= TOGETHER]
     # Of the length: so near to its axis is certainly the beam.
     return np.asarray(here[..., np.abs(grid.across) <= 0.02 * grid.length].mean(axis=(1, 2)) >= 0.5)
@@ -321,8 +319,7 @@ def _outermost(markers: Markers) -> int:
 
 
 def far_ones(xy: Array, pushed: BoolArray) -> BoolArray:
-    """(P,) the half of the loaded pictures in which a tag, at `xy` (P, 2) [m], is farthest from where it rests: these
-    show what the beam at rest, and what is fixed to it, lies upon."""
+    """(P,) the half of the loaded pictures in which a tag, at `xy` (P, 2) [m], is farthest from where it rests."""
     away = np.linalg.norm(xy - np.median(xy[~pushed], axis=0), axis=-1)
     return np.asarray(pushed & (away >= np.median(away[pushed])))
 
@@ -442,8 +439,7 @@ def tool_in(
 
 
 def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
-    """Where the pictures that were kept of a stream show the tool. `markers`, `loaded` and `time` [s], by the clock of
-    the pictures, have a row a frame."""
+    """Where the pictures kept of a stream show the tool; `markers`, `loaded` and `time` [s] have a row a frame."""
     rows = np.flatnonzero(np.isin(time, small.time))
     rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
     if not len(rows):
@@ -454,9 +450,7 @@ def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded
 
 
 def rows_to_look_at(xy: Array, loaded: BoolArray, rather: BoolArray | None = None) -> IntArray:
-    """Some rows of the tags' places `xy` (T, m, 2), loaded and at rest, in order: evenly over time and way together, so
-    that a beam that is held still is not taken for the background. Only of those that are `rather` (T,) looked at,
-    where these are enough."""
+    """Some loaded and resting rows of `xy` (T, m, 2), evenly over time and way; only the `rather` (T,) if enough."""
     steps = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0, prepend=xy[:1]), axis=-1)).sum(axis=1)
     chosen = []
     for mask, most in ((loaded, LOADED), (~loaded, AT_REST)):
@@ -475,8 +469,7 @@ def of_rows(markers: Markers, rows: IntArray) -> Markers:
 
 
 def tool_remarks(tool: ToolPlace, rec: Recording) -> tuple[Remark, ...]:
-    """A warning where the tool is seen elsewhere than `at_s` says, farther off than both tolerances allow, in most of
-    the frames under load."""
+    """A warning where most loaded frames show the tool farther from `at_s` than both tolerances allow."""
     # Of the loaded frames: what fewer show at another place is no reason to doubt the stated one.
     if rec.push is None or not _tool_elsewhere(tool, rec) or tool.shown < 0.5:
         return ()
@@ -562,9 +555,8 @@ class KeptSmall:
             return
         middle = corners.mean(axis=1)
         if self._first is None:
-            self._begin(
-                picture, float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen].mean()), middle
-            )
+            sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)[seen]
+            self._begin(picture, float(sides.mean()), middle)
         assert self._first is not None
         self._first = np.where(np.isfinite(self._first), self._first, middle)
         moved = _farthest(middle - self._first) > MOVED * self._side

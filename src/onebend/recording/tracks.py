@@ -14,7 +14,7 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
-from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span
+from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, from_clamp
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
@@ -27,8 +27,7 @@ def chord_angles(xy: Array, s: Array) -> Array:
     small enough for clocks and rests, not for learning. NaN where a marker or a neighbour is missing.
     """
     order = np.argsort(s, kind="stable")
-    places = np.concatenate([[0.0], s[order]])
-    points = np.concatenate([np.zeros((len(xy), 1, 2)), xy[:, order]], axis=1)
+    places, points, _ = from_clamp(s, xy, np.zeros(xy.shape[:2]))
     span = np.maximum(np.diff(places), 1e-9)
     chord = np.diff(points, axis=1)
     turn = np.arctan2(chord[..., 1], chord[..., 0])
@@ -66,8 +65,7 @@ def check_angles(xy: Array, s: Array, angle: Array, name: str) -> None:
 
 
 def angles_per_chord(xy: Array, s: Array, angle: Array) -> float:
-    """How far measured angles (T, m) [rad] turn for each radian that the places (T, m, 2) [m] turn: about 1; NaN where
-    nothing bends, or no angle is measured."""
+    """How far measured angles (T, m) [rad] turn per radian of the places (T, m, 2) [m]: about 1; NaN: nothing bends."""
     chords = unwrap(chord_angles(xy, s), from_zero=False)
     known = np.isfinite(chords) & np.isfinite(angle)
     if not known.any():
@@ -139,8 +137,7 @@ def best_plane(points: Array, seen_from: Sequence[float]) -> Plane:
 
 
 def plane_remarks(plane: Plane, points: Array) -> tuple[Remark, ...]:
-    """How far points (T, m, 3) move out of the plane: their own steady distance from it (a marker's height) is taken
-    off."""
+    """How far points (T, m, 3) move out of the plane, less each marker's own height over it."""
     distance = plane.away(points)
     measured = np.isfinite(distance).any(axis=0)
     distance = distance[:, measured] - np.nanmedian(distance[:, measured], axis=0)

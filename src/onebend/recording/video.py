@@ -41,15 +41,13 @@ class FilmFrame:
 
 
 def read_frames(video: VideoEntry, keep: Keep | None = None) -> Iterator[FilmFrame]:
-    """Every frame in order, one at a time.
+    """Every frame in order, one at a time; `keep` is shown every frame of a video file as it passes.
 
     The times are the presentation times of the container, or those of the CSV file that `recording.toml` names, or in a
-    bag the stamps of its images. A frame's time is taken as the middle of its exposure; a constant delay is part of
-    the clock offset found later. `keep` is shown every frame of a video file as it passes.
+    bag the stamps of its images, taken as the middle of the exposure.
 
     Raises:
-        RecordingError: not a video, no frame, truncated or damaged (with the last good frame), no or falling frame
-            times.
+        RecordingError: not a video, damaged (with the last good frame), no frame, frame times missing or falling.
     """
     for index, time, raw in timed(video):
         if keep is not None and not video.topic:
@@ -275,11 +273,8 @@ def upright(picture: Picture, rotation: int) -> Picture:
     return picture if rotation % 360 == 0 else np.array(np.rot90(picture, rotation // 90), order="C")
 
 
-# Some frames of a film, kept as they pass, so that it is not decoded once more for a few of its pictures.
-#
-# Of every film those frames are kept whose number is a multiple of a power of two: as many as `MOST_PIXELS` allows.
-# Which these are follows from the film's length and size alone, so that what is looked at does not depend on what is
-# kept.
+# Frames whose number is a multiple of a power of two are kept as they pass, so that the film is not decoded again for a
+# few pictures. Which these are follows from the film's length and size alone.
 
 MOST_KEPT_PIXELS = 50_000_000  # of all frames that are kept; a pixel takes 1.5 bytes as a rule
 FEWEST = 24  # frames: where fewer would fit, none is kept
