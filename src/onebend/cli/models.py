@@ -27,7 +27,7 @@ from onebend.cli.common import (
     screen,
 )
 from onebend.errors import ControlError
-from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
+from onebend.export.export import DAMPING_TIME, KINDS, Kind, export
 from onebend.export.rerun_file import write_rerun
 from onebend.files.single_file import fresh_file, write_file
 from onebend.pipeline import compare
@@ -123,7 +123,7 @@ def export_command(
     kind: Kind = to
     with clean_errors():
         stored = read_trusted(model)
-        path = output or Path(f"beam{suffix_of(kind)}")
+        path = output or Path(f"beam{KINDS[kind].suffix}")
         content = export(
             stored.beam,
             kind,
