@@ -54,13 +54,8 @@ def end_jacobian(problem: Problem, q: Array) -> Array:
 
 
 def second_variation(problem: Problem, q: Array, wrench: Array) -> Array:
-    """(T, Q, Q) tangent less what the wrench's own force takes off it."""
-    if problem.compliance is not None:
-        return tangent(with_end_wrench(problem, wrench), q)
-    alpha = node_angles(problem, q)
-    along = wrench[:, :1] * np.cos(alpha) + wrench[:, 1:2] * np.sin(alpha)
-    b = problem.to_nodes
-    return tangent(problem, q) + transposed(b) @ ((problem.length * problem.weights * along)[..., None] * b)
+    """(T, Q, Q) tangent under the wrench as a dead load."""
+    return tangent(with_end_wrench(problem, wrench), q)
 
 
 def with_end_wrench(problem: Problem, wrench: Array) -> Problem:
@@ -95,21 +90,11 @@ def newton(
 
 def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Array:
     """(T, Q + 3): Newton's step of shape and wrench."""
-    nodes = q.shape[1]
-    system = np.zeros((len(q), nodes + 3, nodes + 3))
-    if problem.compliance is not None:
-        loaded = with_end_wrench(problem, wrench)
-        c = end_jacobian(loaded, q)
-        system[:, :nodes, :nodes], system[:, :nodes, nodes:] = tangent(loaded, q), -transposed(c)
-        system[:, nodes:, :nodes], system[:, nodes:, nodes:] = c, _pose_by_wrench(loaded, q)
-        right = np.concatenate([-gradient(loaded, q), goal - end_pose(loaded, q)], axis=1)
-        return solve_batch(system, right)
-    c = end_jacobian(problem, q)
-    system[:, :nodes, :nodes] = second_variation(problem, q, wrench)
-    system[:, :nodes, nodes:] = -transposed(c)
-    system[:, nodes:, :nodes] = c
-    residual = gradient(problem, q) - np.einsum("tcq,tc->tq", c, wrench)
-    return solve_batch(system, np.concatenate([-residual, goal - end_pose(problem, q)], axis=1))
+    loaded, nodes = with_end_wrench(problem, wrench), q.shape[1]
+    system, c = np.zeros((len(q), nodes + 3, nodes + 3)), end_jacobian(loaded, q)
+    system[:, :nodes, :nodes], system[:, :nodes, nodes:] = tangent(loaded, q), -transposed(c)
+    system[:, nodes:, :nodes], system[:, nodes:, nodes:] = c, _pose_by_wrench(loaded, q)
+    return solve_batch(system, np.concatenate([-gradient(loaded, q), goal - end_pose(loaded, q)], axis=1))
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
@@ -141,6 +126,8 @@ def _stands_strained(loaded: Problem, q: Array, scale: Array) -> BoolArray:
 def _pose_by_wrench(loaded: Problem, q: Array) -> Array:
     """(T, 3, 3) of the end's pose with the wrench at fixed q: what it strains."""
     out = np.zeros((len(q), 3, 3))
+    if loaded.compliance is None:
+        return out
     lw = (loaded.length * loaded.weights)[..., None, None]
     out[:, :2, :2] = np.sum(lw * strain_by_force(loaded, nodal_forces(loaded, q)), axis=1)
     return out

@@ -32,16 +32,13 @@ from onebend.errors import MechanicsError
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.records import Array
 
-# Collocation methods for motion: Gauss (symplectic, keeps energy) and Radau IIA (damps what it cannot resolve).
+# Collocation methods for motion. A step of length h seeks stage velocities V_j at the times t + c_j h with the momenta
 #
-# A step of length h seeks stage velocities V_j at the times t + c_j h such that the momenta obey
+#     p_i = p_0 + h sum_j a_ij f_j,   theta_i = theta_0 + h sum_j a_ij V_j.
 #
-# p_i = p_0 + h sum_j a_ij f_j,   theta_i = theta_0 + h sum_j a_ij V_j.
-#
-# Gauss with s stages has order 2 s and is symmetric, symplectic and A-stable; one stage is the implicit midpoint
-# rule, which for mechanics is also the variational integrator of Veselov. Radau IIA has order 2 s - 1 and is
-# L-stable: it takes energy out of motions faster than the step. Reference: Hairer, Lubich, Wanner, Geometric
-# Numerical Integration, II.1.
+# Gauss with s stages has order 2 s and is symmetric, symplectic and A-stable. Radau IIA has order 2 s - 1 and is
+# L-stable: it takes energy out of motions faster than the step (Hairer, Lubich, Wanner, Geometric Numerical
+# Integration, II.1).
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ class Method:
 
 @dataclass(frozen=True)
 class Tableau:
-    """Numbers of a method: checked against the conditions that define collocation when made."""
+    """Numbers of a method."""
 
     c: Array  # (s,) stage times
     a: Array  # (s, s)
@@ -71,18 +68,13 @@ class Tableau:
     to_end: Array  # (s,) d = b a^-1: y_1 = y_0 + sum_i d_i (Y_i - y_0) without amplifying what is stiff
     ahead: Array  # (s, s): values at the stages of the next equal step, by the polynomial through this step's stages
 
-    def __post_init__(self) -> None:
-        power = np.arange(1, len(self.c) + 1)
-        if not (
-            np.allclose(self.a @ (self.c[:, None] ** (power - 1)), self.c[:, None] ** power / power, atol=1e-13)
-            and np.allclose(self.b @ (self.c[:, None] ** (power - 1)), 1.0 / power, atol=1e-13)
-        ):
-            raise MechanicsError("these numbers are not a collocation method")
-
 
 def tableau(method: Method) -> Tableau:
-    """The numbers of a method, from the roots of its polynomial."""
-    c = _places(method)
+    """The numbers of a method: stage times in (0, 1] are roots of P_s for Gauss, of P_s - P_(s-1) for Radau IIA."""
+    polynomial = np.append(np.zeros(method.stages), 1.0)
+    if method.family == "radau":
+        polynomial[-2] = -1.0
+    c = 0.5 * (np.sort(np.real(np.polynomial.legendre.legroots(polynomial))) + 1.0)
     powers = np.arange(1, method.stages + 1)
     values = c[:, None] ** (powers - 1)  # Vandermonde; s <= 6 keeps it harmless
     a = np.linalg.solve(values.T, (c[:, None] ** powers / powers).T).T
@@ -91,31 +83,16 @@ def tableau(method: Method) -> Tableau:
     return Tableau(*(np.asarray(x, dtype=float) for x in (c, a, b, np.linalg.solve(a.T, b), ahead)))
 
 
-def _places(method: Method) -> Array:
-    """Stage times in (0, 1]: roots of P_s for Gauss, of P_s - P_(s-1) for Radau IIA, moved to [0, 1]."""
-    coefficients = np.zeros(method.stages + 1)
-    coefficients[-1] = 1.0
-    if method.family == "radau":
-        coefficients[-2] = -1.0
-    roots = np.sort(np.real(np.polynomial.legendre.legroots(coefficients)))
-    return np.asarray(0.5 * (roots + 1.0))
-
-
-# One step of motion: the stage equations of collocation, solved by a simplified Newton iteration.
+# One step of motion: a simplified Newton iteration on the stage velocities V (n, s). With X, Y the momentum of all that
+# each node carries, the generalised momentum and force come from the Lagrangian without B, C or an acceleration:
 #
-# Unknown are the stage velocities V (n, s). With X, Y the momentum of all that each node carries, the generalised
-# momentum and force come from the Lagrangian without forming B, C or an acceleration:
+#     Y = H (cos alpha o alpha') + lever y_b',   X = -H (sin alpha o alpha') + lever x_b'
+#     p = A^T (pi + D alpha'),                   pi = cos alpha Y - sin alpha X
+#     f = A^T tau - K theta - D_theta theta' + a M,
+#     tau = -alpha' (cos alpha X + sin alpha Y) + cos alpha N_y - sin alpha N_x
 #
-# Y = H (cos alpha o alpha') + lever y_b',   X = -H (sin alpha o alpha') + lever x_b'
-# p = A^T (pi + D alpha'),                   pi = cos alpha Y - sin alpha X
-# f = A^T tau - K theta - D_theta theta' + a M,
-# tau = -alpha' (cos alpha X + sin alpha Y) + cos alpha N_y - sin alpha N_x
-#
-# and the stages obey `p_i = p_0 + h sum_j a_ij f_j`. What is linear in V (K, damping, rotary inertia) is one matrix.
-# The iteration matrix is the exact derivative at the mean of the stages, and is kept over steps while it serves.
-#
-# This is the hot loop: it works in place on arrays made once, since at this size a call costs more than its
-# arithmetic.
+# The iteration matrix is the exact derivative at the mean of the stages, and is kept over steps while it serves. This
+# is the hot loop: it works in place on arrays made once.
 
 _ITERATIONS = 12  # with one iteration matrix
 _REFRESHES = 4  # of that matrix within a step

@@ -7,7 +7,7 @@ with `push`, `twist`, `follow_push`, `weight` and join them with `+`. A force is
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,21 +16,17 @@ from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
 
-def _none(*shape: int) -> Array:
-    return np.zeros(shape)
-
-
 @dataclass(frozen=True)
 class Loads:
     """Loads for a batch of T equilibria; every array leads with T or with 1 (the same in all frames)."""
 
-    force: Array = field(default_factory=lambda: _none(1, 0, 2))  # (T, a, 2) N, beam's frame
-    force_s: Array = field(default_factory=lambda: _none(1, 0))  # (T, a) where each force acts
-    moment: Array = field(default_factory=lambda: _none(1, 0))  # (T, b) N m about z
-    moment_s: Array = field(default_factory=lambda: _none(1, 0))  # (T, b)
-    follower: Array = field(default_factory=lambda: _none(1, 0, 2))  # (T, c, 2) N: along the tangent, and to its left
-    follower_s: Array = field(default_factory=lambda: _none(1, 0))  # (T, c)
-    gravity: Array = field(default_factory=lambda: _none(1, 2))  # (T, 2) m/s^2 in the beam's frame
+    force: Array = field(default_factory=partial(np.zeros, (1, 0, 2)))  # (T, a, 2) N, beam's frame
+    force_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, a) where each force acts
+    moment: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, b) N m about z
+    moment_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, b)
+    follower: Array = field(default_factory=partial(np.zeros, (1, 0, 2)))  # (T, c, 2) N: along the tangent, to its left
+    follower_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, c)
+    gravity: Array = field(default_factory=partial(np.zeros, (1, 2)))  # (T, 2) m/s^2 in the beam's frame
 
     def __post_init__(self) -> None:
         for item in fields(self):

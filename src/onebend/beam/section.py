@@ -13,7 +13,7 @@ measured along z, thickness along y.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, get_args
 
 import numpy as np
@@ -61,16 +61,18 @@ class SectionShape(Protocol):
         """At places (S,): area [m^2], centroid y [m] in the shape's own axes, second moment about it [m^4]."""
 
 
+class _Figure:
+    @property
+    def sizes(self) -> tuple[Profile, ...]:
+        return tuple(getattr(self, size.name) for size in fields(self) if size.name != "corners")  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True)
-class Rectangle:
+class Rectangle(_Figure):
     """A rectangle centred on its own axes."""
 
     width: Profile
     thickness: Profile
-
-    @property
-    def sizes(self) -> tuple[Profile, ...]:
-        return (self.width, self.thickness)
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
         w, t = (_size(profile, s) for profile in self.sizes)
@@ -78,14 +80,10 @@ class Rectangle:
 
 
 @dataclass(frozen=True)
-class Circle:
+class Circle(_Figure):
     """A full circle."""
 
     diameter: Profile
-
-    @property
-    def sizes(self) -> tuple[Profile, ...]:
-        return (self.diameter,)
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
         d = _size(self.diameter, s)
@@ -93,15 +91,11 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class Tube:
+class Tube(_Figure):
     """A circle with a concentric round hole."""
 
     outer: Profile  # diameter
     inner: Profile
-
-    @property
-    def sizes(self) -> tuple[Profile, ...]:
-        return (self.outer, self.inner)
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
         d, hole = _size(self.outer, s), np.asarray(self.inner(s), dtype=float)
@@ -111,7 +105,7 @@ class Tube:
 
 
 @dataclass(frozen=True)
-class Polygon:
+class Polygon(_Figure):
     """A simple polygon of corners (y, z), stretched by `thickness` along y and by `width` along z.
 
     Either order of corners is taken. With corners in metres the two profiles are `Uniform(1.0)`.
@@ -128,10 +122,6 @@ class Polygon:
             raise MechanicsError("the polygon has no area")
         if _crosses_itself(np.asarray(self.corners, dtype=float)):
             raise MechanicsError("the polygon's sides cross: give its corners in order around it")
-
-    @property
-    def sizes(self) -> tuple[Profile, ...]:
-        return (self.width, self.thickness)
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
         area, centroid, second = polygon_moments(self.corners)

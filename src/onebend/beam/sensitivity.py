@@ -18,11 +18,24 @@ from onebend.beam.statics import Equilibrium, internal_force, strain_by_force, t
 from onebend.errors import MechanicsError
 from onebend.records import Array, IntArray
 
-# How parameters enter the balance of moments and, past it, the places of a beam that stretches and shears.
+
+class _Joined:
+    """One or several sets of parameters, one after the other."""
+
+    parts: tuple[Perturbation, ...]
+
+    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
+        return Perturbations(self.parts + other.parts)
+
+    @cached_property
+    def columns(self) -> list[tuple[slice, Perturbation]]:
+        """The parts with their places among all parameters."""
+        ends = [0, *accumulate(len(part.clamp) for part in self.parts)]
+        return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], self.parts, strict=True)]
 
 
 @dataclass(frozen=True)
-class Perturbation:
+class Perturbation(_Joined):
     """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T.
 
     None where nothing of the kind changes.
@@ -36,18 +49,9 @@ class Perturbation:
     compliance: tuple[tuple[Array, Array], Array] | None = None
 
     @property
-    def parts(self) -> tuple[Perturbation, ...]:
+    def parts(self) -> tuple[Perturbation, ...]:  # type: ignore[override]
         """Itself, as `Perturbations` has it."""
         return (self,)
-
-    @property
-    def columns(self) -> list[tuple[slice, Perturbation]]:
-        """Itself with its place, as `Perturbations` has it."""
-        return [(slice(0, len(self.clamp)), self)]
-
-    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
-        """Both sets of parameters, one after the other."""
-        return Perturbations(self.parts + other.parts)
 
     def take(self, chosen: IntArray) -> Perturbation:
         """At some of the frames."""
@@ -71,7 +75,7 @@ class Perturbation:
 
 
 @dataclass(frozen=True)
-class Perturbations:
+class Perturbations(_Joined):
     """Several sets of parameters, one after the other: P in all."""
 
     parts: tuple[Perturbation, ...]
@@ -81,19 +85,9 @@ class Perturbations:
         """(P,) rad per unit."""
         return np.concatenate([part.clamp for part in self.parts])
 
-    def __add__(self, other: Perturbation | Perturbations) -> Perturbations:
-        """Those of `other` after these."""
-        return Perturbations(self.parts + other.parts)
-
     def take(self, chosen: IntArray) -> Perturbations:
         """At some of the frames."""
         return Perturbations(tuple(part.take(chosen) for part in self.parts))
-
-    @cached_property
-    def columns(self) -> list[tuple[slice, Perturbation]]:
-        """The parts with their places among all parameters."""
-        ends = [0, *accumulate(len(part.clamp) for part in self.parts)]
-        return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], self.parts, strict=True)]
 
 
 def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:

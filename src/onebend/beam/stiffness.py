@@ -345,7 +345,7 @@ def profile_from_dict(data: dict[str, Any]) -> Profile:
     try:
         entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
         inner = {key: profile_from_dict(value) for key, value in entries.items() if isinstance(value, dict)}
-        return _KINDS[entries.pop("kind")](**(entries | inner))
+        return _KINDS[data["kind"]](**{key: value for key, value in (entries | inner).items() if key != "kind"})
     except (KeyError, TypeError) as error:
         raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error
 

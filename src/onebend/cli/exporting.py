@@ -10,7 +10,7 @@ import typer
 import onebend
 from onebend.cli import common
 from onebend.cli.models import read_trusted
-from onebend.export.export import DAMPING_TIME, KINDS, Kind, export, suffix_of
+from onebend.export.export import DAMPING_TIME, KINDS, Kind, export
 from onebend.export.rerun_file import write_rerun
 from onebend.files.single_file import fresh_file, write_file
 from onebend.options import Only
@@ -61,7 +61,7 @@ def export_command(
     kind: Kind = to
     with common.clean_errors():
         stored = read_trusted(model)
-        path = output or Path(f"beam{suffix_of(kind)}")
+        path = output or Path(f"beam{KINDS[kind].suffix}")
         content = export(
             stored.beam,
             kind,

@@ -344,11 +344,7 @@ class Exposure:
     pose: Callable[[Array], Array]  # of places (m,): (m, 3) m, m, rad, the beam there
 
 
-class ForceSense(Protocol):
-    """What tells a simulated loop the force in a frame."""
-
-    def __call__(self, seen: Exposure) -> Felt | None:
-        """None: nothing."""
+ForceSense = Callable[[Exposure], Felt | None]  # what tells a simulated loop the force in a frame; None: nothing
 
 
 class LoggedForce:

@@ -144,7 +144,8 @@ def reachable(
         raise ControlError(f"at least 3 directions and 1 size are sampled, got {directions} and {sizes}")
     x, y = np.asarray(gravity, dtype=float).tolist()
     pushed = prepared(beam, push_s, point_s, (x, y), Resolution())
-    turns: Array = np.arange(directions) * (2.0 * np.pi / directions) if direction is None else np.array([direction])
+    even = np.arange(directions) * (2.0 * np.pi / directions)
+    turns = np.asarray(even if direction is None else [direction], dtype=float)
     grow: Array = max_force * np.arange(1, sizes + 1) / sizes
     q, points = _sampled(pushed, turns, grow)
     if max_curvature is not None:
@@ -262,14 +263,8 @@ class ReachMap:
 
     def outline(self) -> list[tuple[Array, Edge]]:
         """Lines (P, 2) m along the edge, each with what limits the beam there."""
-        lines: list[tuple[Array, Edge]] = []
-        kinds: tuple[tuple[Edge, BoolArray], ...] = (
-            ("force", self.edge_is_force),
-            ("stability", ~self.edge_is_force),
-        )
-        for kind, chosen in kinds:
-            lines += [(self.points[chain], kind) for chain in _chains(self.edges[chosen])]
-        return lines
+        kinds: dict[Edge, BoolArray] = {"force": self.edge_is_force, "stability": ~self.edge_is_force}
+        return [(self.points[line], kind) for kind, chosen in kinds.items() for line in _chains(self.edges[chosen])]
 
     def locate(self, goal: Array, now: LoadedState | None = None) -> MapPlace:
         """Where the goal (2,) m lies; of several forces for it that nearest to the one `now` is taken."""

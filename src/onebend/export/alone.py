@@ -33,8 +33,8 @@ def shape(
 ) -> tuple[list[float], list[float], list[float]]:
     """x [m], y [m] and the tangent's angle [rad] at the places `s`, under a force [N] at `at_s` and gravity [m/s^2].
 
-    Raises `ValueError`: a place outside [0, 1], or the branch of equilibria that grows from rest ends before the whole
-    load.
+    Raises:
+        ValueError: a place outside [0, 1], or the branch of equilibria that grows from rest ends before the whole load.
     """
     if not all(0.0 <= place <= 1.0 for place in (at_s, *s)):
         raise ValueError("places along the beam are between 0 (clamp) and 1 (tip)")

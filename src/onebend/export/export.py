@@ -404,11 +404,6 @@ KINDS: dict[Kind, ExportKind] = {
 assert set(KINDS) == set(get_args(Kind))
 
 
-def suffix_of(kind: Kind) -> str:
-    """The usual ending of such a file's name."""
-    return KINDS[kind].suffix
-
-
 @one_blas_thread
 def export(
     beam: Beam,
