@@ -237,6 +237,8 @@ def open_bag(path: Path, *, keep: bool = False) -> Bag:
     bag = scan_bag(path, files)
     if bag.fault and (not keep or not bag.count):
         raise damaged(bag, bag.fault)
+    if not bag.topics and not keep:
+        raise RecordingError(f"{path} cannot be read: it is not indexed, and no message is in it. Copy it again.")
     return replace(bag, scanned=keep or not any(is_packed(file) for file in files))
 
 
