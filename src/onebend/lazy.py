@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,6 +16,13 @@ WINGS = ("live", "many", "lab", "studio")  # folders that may be left out, each 
 def wings() -> list[str]:
     """The wings that are here."""
     return [name for name in WINGS if (Path(__file__).parent / name / "__init__.py").is_file()]
+
+
+def shown_names(file: str) -> dict[str, str]:
+    """Module -> names (with spaces between) of the imports for type checkers at the top of a package's `file`."""
+    first = next(node for node in ast.parse(Path(file).read_text(encoding="utf-8")).body if isinstance(node, ast.If))
+    imports = [node for node in first.body if isinstance(node, ast.ImportFrom)]
+    return {str(node.module): " ".join(name.name for name in node.names) for node in imports}
 
 
 def lazy_names(

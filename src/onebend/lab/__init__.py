@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from onebend.lazy import Place, lazy_names
+from onebend.lazy import Place, lazy_names, shown_names
 
 if TYPE_CHECKING:
     from onebend.lab.bench import (
@@ -87,29 +87,7 @@ if TYPE_CHECKING:
         virtual_recording as virtual_recording,
     )
 else:
-    __getattr__, __dir__, __all__ = lazy_names(
-        __name__,
-        {
-            "onebend.lab.bench": "FRANKA ForceSensor PushProfile RealBench TagNoise WRIST",
-            "onebend.lab.designs": (
-                "DESIGNS Design Expected ModulusEstimate Silicone TipBend design_named expect force_that_bends "
-                "random_stiffness read_design silicone width_table"
-            ),
-            "onebend.lab.fabrication": "Mould MouldSettings PrintedPart TagSeat carriers clamp mould write_mesh",
-            "onebend.lab.filming": "Filming film",
-            "onebend.lab.forecast": "BudgetEntry KnownBeam PredictedBand Setup SetupChange known_beam setup_of",
-            "onebend.lab.random_bench": "FilmRequest filming_of",
-            "onebend.lab.rehearsal": "Obtained Rehearsal SimulatedRun rehearse",
-            "onebend.lab.rendering": "Camera Scene",
-            "onebend.lab.rod": "RodMotion",
-            "onebend.lab.sensed_force": "SensedForce SensedTags drawn_tags felt_by",
-            "onebend.lab.sheet": "Fill Line Page Sheet Text tag_pages write_pages",
-            "onebend.lab.virtual": (
-                "DeclaredValues TrueStiffness VirtualBench VirtualClock VirtualRecording VirtualTag "
-                "observe_from_truth observe_virtual true_stiffness virtual_recording"
-            ),
-        },
-    )
+    __getattr__, __dir__, __all__ = lazy_names(__name__, shown_names(__file__))
 
 COMMANDS = {
     "loop": Place(

@@ -718,25 +718,14 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
             "error_said_minus_true": clock.declared - clock.offset,
         },
         "camera": {
-            "K": view.matrix.tolist(),
-            "dist": view.dist.tolist(),
-            "R": view.rotation.tolist(),
-            "t": view.translation.tolist(),
-            "C": (-view.rotation.T @ view.translation).tolist(),
+            **{"K": view.matrix, "dist": view.dist, "R": view.rotation, "t": view.translation},
+            "C": -view.rotation.T @ view.translation,
             "calibrated_for_user": filming.calibrated,
         },
         "scene": asdict(filming.scene),
         "push": {**asdict(bench.push), "contact": bench.push.contact},
-        "tags": {
-            "base": list(bench.base),
-            "on_beam": [asdict(tag) for tag in bench.tags],
-            "size": filming.tag_size,
-        },
-        "force": {
-            **asdict(bench.sensor),
-            "rotation": filming.log_rotation,
-            "reaction": filming.log_of_robot,
-        },
+        "tags": {"base": bench.base, "on_beam": [asdict(tag) for tag in bench.tags], "size": filming.tag_size},
+        "force": {**asdict(bench.sensor), "rotation": filming.log_rotation, "reaction": filming.log_of_robot},
         "gravity": {"magnitude": filming.gravity, "base_angle": filming.base_angle},
         "tip_angle_max_deg": float(np.degrees(np.max(np.abs(made.shown.shapes.angle[:, -1])))),
         "force_max_N": float(np.max(np.linalg.norm(made.shown.shapes.force, axis=1))),
@@ -934,10 +923,8 @@ TRUTH_PLACES = np.linspace(0.0, 1.0, 201)  # s
 
 def check_trackable(filming: Filming) -> None:
     """Raises `RecordingError` where what is to be filmed needs more than the markers of a beam in equilibrium."""
-    for wrong, what in (
-        (filming.swings, "a push that swings the beam"),
-        (filming.gravity > 0.0, "gravity in the plane of bending"),
-    ):
+    refused = {"a push that swings the beam": filming.swings, "gravity in the plane of bending": filming.gravity > 0.0}
+    for what, wrong in refused.items():
         if wrong:
             raise RecordingError(f"{what} is filmed, not given as markers. Leave out the markers, or take a slow push.")
 
