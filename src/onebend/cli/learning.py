@@ -104,8 +104,7 @@ Epsilon = Annotated[
     ),
 ]
 Verbose = Annotated[
-    bool,
-    typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times."),
+    bool, typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times.")
 ]
 
 
@@ -232,11 +231,7 @@ def validate(
 
 
 def plan(
-    model: common.Model,
-    *,
-    settings: PlanSettings,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    model: common.Model, *, settings: PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
 ) -> None:
     """Say which push to make next: what each would leave of the band on k(s)."""
     with common.clean_errors(), common.progress_of(quiet) as progress:

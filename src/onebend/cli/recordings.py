@@ -88,8 +88,7 @@ Picture = Annotated[
     typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; one of an earlier check is replaced."),
 ]
 Definitions = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds."),
+    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds.")
 ]
 
 PICTURE = "check.png"
@@ -272,9 +271,7 @@ Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board
 BoardOption = Annotated[
     tuple[str, str],
     typer.Option(
-        "--board",
-        metavar="KIND SIZE",
-        help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares).",
+        "--board", metavar="KIND SIZE", help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares)."
     ),
 ]
 SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]

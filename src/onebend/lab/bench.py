@@ -38,18 +38,8 @@ class RealBench:
     length_off: float = 0.0  # share by which the stated length is too large
     # The sensor
     posture_bias: float = 0.0  # share of the peak: largest size of an error that goes with the tool's place
-    posture_shape: tuple[float, ...] = (
-        1.0,
-        0.5,
-        -0.8,
-        0.3,
-        0.6,
-        -0.4,
-        0.9,
-        0.5,
-        -0.7,
-        0.2,
-    )  # x, y, x^2, xy, y^2; twice
+    # x, y, x^2, xy, y^2; twice
+    posture_shape: tuple[float, ...] = (1.0, 0.5, -0.8, 0.3, 0.6, -0.4, 0.9, 0.5, -0.7, 0.2)
     # The picture
     base_height: float = 0.0  # m, of the base tag's face over the plane of the other tags, towards the camera
     tag_heights: tuple[float, ...] = ()  # m, of the tags on the beam; one each, or none

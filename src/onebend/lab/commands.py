@@ -23,14 +23,7 @@ from onebend.files.single_file import check_name_free, write_file
 from onebend.lab import designs, fabrication
 from onebend.lab.bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
-from onebend.lab.random_bench import (
-    LABORATORY,
-    BenchRanges,
-    FilmRequest,
-    design_with_effects,
-    filming_of,
-    random_bench,
-)
+from onebend.lab.random_bench import LABORATORY, BenchRanges, FilmRequest, design_with_effects, filming_of, random_bench
 from onebend.lab.sheet import Sheet, files_of, strip_page, tag_pages
 from onebend.options import option
 from onebend.recording.entries import FAMILIES

@@ -412,17 +412,8 @@ def _marks(axes: Axes, rehearsal: Rehearsal) -> None:
 
 REHEARSE_FORMAT = "onebend-rehearse-1"
 COLUMNS = (
-    "s",
-    "k_N_m",
-    "predicted_sd",
-    "predicted_median",
-    "predicted_90",
-    "predicted_identified",
-    "obtained_sd",
-    "obtained_median",
-    "obtained_90",
-    "obtained_identified",
-    "coverage",
+    *("s", "k_N_m", "predicted_sd", "predicted_median", "predicted_90", "predicted_identified"),
+    *("obtained_sd", "obtained_median", "obtained_90", "obtained_identified", "coverage"),
 )
 
 

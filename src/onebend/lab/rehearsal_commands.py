@@ -255,8 +255,7 @@ Directions = Annotated[
     typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
 ]
 Runs = Annotated[
-    int,
-    typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once."),
+    int, typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")
 ]
 Jobs = Annotated[
     int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes that simulate; default: all cores.")

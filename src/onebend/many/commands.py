@@ -78,11 +78,7 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
 
 
 Source = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FOLDER|LIST.csv",
-        help="A folder with recordings in it, or a CSV with a column path.",
-    ),
+    Path, typer.Argument(metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path.")
 ]
 Results = Annotated[
     Path, typer.Option("--output", "-o", metavar="RESULTS", help="Folder for what comes out; a stopped run goes on.")

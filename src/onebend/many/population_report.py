@@ -38,12 +38,7 @@ class PopulationSettings:
         "--object", None, "That names the object; default: every recording has its own.", metavar="COLUMN"
     )
     wished: float = option(
-        "--band",
-        0.05,
-        "Wished half band of the means, of k.",
-        metavar="PERCENT",
-        within=(0.01, 1e9),
-        scale=0.01,
+        "--band", 0.05, "Wished half band of the means, of k.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
     )
     tolerance: model.Tolerance | None = None
     passes: float = option(
