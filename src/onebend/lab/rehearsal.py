@@ -26,7 +26,6 @@ from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
     VirtualClock,
-    VirtualRecording,
     VirtualTag,
     observe_from_truth,
     observe_virtual,
@@ -128,20 +127,17 @@ def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
 
 
 def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observations:
-    virtual = _axes_missed(virtual_recording(bench, seed=seed), seed)
+    virtual = virtual_recording(bench, seed=seed)
+    turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())  # of the log's axes
+    cos, sin = np.cos(turn), np.sin(turn)
+    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
+    virtual = replace(virtual, log=replace(virtual.log, force=force))
     if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
     return observe_from_truth(
         virtual, clock_error=error, clock_sd=0.5 * setup.clock_sd
     )  # the fit doubles what is stated
-
-
-def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
-    turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
-    cos, sin = np.cos(turn), np.sin(turn)
-    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
-    return replace(virtual, log=replace(virtual.log, force=force))
 
 
 def simulate(

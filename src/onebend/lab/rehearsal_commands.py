@@ -358,22 +358,15 @@ def places_of(text: str | None) -> tuple[float, ...]:
 
 def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
     """The error at the tip of every validation, the tasks, and where the report is."""
-    table = Table(title="RMS error at the tip \\[mm]", title_justify="left", box=None, pad_edge=False)
-    for name in ("beam", "push"):
-        table.add_column(name)
-    for name in ("printed", "paper's method", "fit", "true beam"):
-        table.add_column(name, justify="right")
+    heads = ("<beam", "<push", "printed", "paper's method", "fit", "true beam")
+    table = common.listing("RMS error at the tip [mm]", *heads)
     for beam in outcome.beams:
         for film in beam.films[1:]:
             printed = printed_m3(beam.name, film.strategy.name)
-            table.add_row(
-                beam.name,
-                film.strategy.name,
-                UNKNOWN if printed is None else millimetres(printed),
-                UNKNOWN if film.paper is None else millimetres(film.paper.rms[-1]),
-                f"[bold]{millimetres(film.fit.rms[-1])}[/]",
-                millimetres(film.true.rms[-1]),
-            )
+            paper = None if film.paper is None else film.paper.rms[-1]
+            before = (UNKNOWN if error is None else millimetres(error) for error in (printed, paper))
+            ours = f"[bold]{millimetres(film.fit.rms[-1])}[/]", millimetres(film.true.rms[-1])
+            table.add_row(beam.name, film.strategy.name, *before, *ours)
     console.print(table)
     below, known = study_report.below_printed(outcome)
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]

@@ -51,10 +51,8 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
     """The groups' means, the spread, what is unlike the others, and where the report is."""
     named = outcome.named
     middle = len(named.trial.s) // 2
-    table = Table(title="mean k(s)", title_justify="left", box=None, pad_edge=False)
-    table.add_column("group")
-    for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
-        table.add_column(head, justify="right")
+    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half band", "for the wished band")
+    table = common.listing("mean k(s)", "<group", *heads)
     curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
     for i, row in enumerate(population_report.group_rows(outcome)):
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]

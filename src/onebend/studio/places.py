@@ -62,13 +62,7 @@ class StudioFolder:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
         if any(len(part.encode()) > _LONGEST_PART for part in parts):
             raise StudioError(f"{name[:30]!r}... is too long a name: a folder's has at most {_LONGEST_PART} bytes")
-        try:
-            path = (self.root / name).resolve()
-        except (OSError, RuntimeError) as error:
-            raise StudioError(f"{name[:100]!r} cannot be read") from error
-        if not path.is_relative_to(self.root):
-            raise StudioError(f"{name[:100]!r} leads out of {self.root}")
-        return path
+        return self._inside(self.root / name, name, "")
 
     def beside(self, name: str, file: str) -> Path:
         """A file that is named in the folder `name`, as it leads on from there.
@@ -77,12 +71,15 @@ class StudioFolder:
         """
         if not file or "\0" in file or len(file) > 1000 or not _is_text(file):
             raise StudioError("no file is named")
+        return self._inside(self.path(name) / file, file, ": the page does not look there. A check does")
+
+    def _inside(self, path: Path, name: str, advice: str) -> Path:
         try:
-            path = (self.path(name) / file).resolve()
+            path = path.resolve()
         except (OSError, RuntimeError) as error:
-            raise StudioError(f"{file[:100]!r} cannot be read") from error
+            raise StudioError(f"{name[:100]!r} cannot be read") from error
         if not path.is_relative_to(self.root):
-            raise StudioError(f"{file[:100]!r} leads out of {self.root}: the page does not look there. A check does")
+            raise StudioError(f"{name[:100]!r} leads out of {self.root}{advice}")
         return path
 
     def recording(self, name: str) -> Path:
