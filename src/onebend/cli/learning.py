@@ -36,11 +36,10 @@ from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
 
-# What `onebend plan` says.
+# The screen of `onebend plan`.
 
 
 def plan_table(plan: Plan) -> Table:
-    """The proposals of a plan: what costs nothing first."""
     title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
     table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
@@ -55,7 +54,6 @@ def plan_table(plan: Plan) -> Table:
 
 
 def show_plan(console: Console, plan: Plan) -> None:
-    """All that `onebend plan` says."""
     before = plan.before
     console.print(
         f"Now k(s) is known to {before.mean_words} (95 %) on average over the whole beam, to {before.worst_words} at "

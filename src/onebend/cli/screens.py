@@ -1,4 +1,4 @@
-"""What each command says in the end."""
+"""The screens of the commands."""
 
 from __future__ import annotations
 
@@ -121,7 +121,6 @@ def half_widths(band: Band) -> list[str]:
 def estimate_table(
     uncertain: UncertainStiffness, regression: Learned | None, modulus: confidence.ModulusRows | None = None
 ) -> Table:
-    """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -163,7 +162,6 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
 
 
 def allowance_table(posterior: Posterior) -> Table:
-    """What the fit allows for, and what each costs; what matters stands out."""
     table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", overflow="fold")
     for name in ("widens the band by", "k(s) without it", "sd from nothing"):
@@ -174,7 +172,6 @@ def allowance_table(posterior: Posterior) -> Table:
 
 
 def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
-    """Time of every stage, and its share of the video's length."""
     table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
     *stages, total = wording.stage_rows(seconds)
     for name, value in stages:
@@ -255,13 +252,12 @@ def _numbers(beam: Beam) -> Table:
     return table
 
 
-# What `onebend damp`, `onebend frequencies` and `onebend sense` say.
+# The screens of `onebend damp`, `onebend frequencies` and `onebend sense`.
 
 _AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
 
 
 def damping_words(damping: Damping) -> str:
-    """One sentence."""
     return (
         f"damping d / k = {1000 * damping.loss_time:.3g} ms (sd {1000 * damping.loss_time_sd:.2g}), "
         f"{damping.frequency[0]:.4g} Hz at a damping ratio of {damping.ratio[0]:.3g}, "
@@ -270,7 +266,6 @@ def damping_words(damping: Damping) -> str:
 
 
 def swing_table(fit: SwingFit) -> Table:
-    """What the swing says, one quantity a row."""
     table = listing("From the free swing", "<", "value", "sd")
     damping = fit.damping
     table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
@@ -291,7 +286,6 @@ def swing_table(fit: SwingFit) -> Table:
 
 
 def frequency_table(found: FoundFrequencies) -> Table:
-    """One mode a row."""
     table = listing("Frequencies of the free swing", "Hz", "sd", "damping ratio", "sd", "size", "<")
     for one in found.modes:
         said = f"a multiple of {one.multiple_of:.4g} Hz" if one.multiple_of else ""
@@ -311,7 +305,6 @@ def frequency_entries(found: FoundFrequencies) -> str:
 
 
 def show_frequencies(console: Console, found: FoundFrequencies) -> None:
-    """All that `onebend frequencies` says."""
     console.print(frequency_table(found))
     console.print(
         f"\n{found.samples} samples from {found.begin:.2f} to {found.end:.2f} s at {found.rate:.4g} a second; "
@@ -326,7 +319,6 @@ def show_frequencies(console: Console, found: FoundFrequencies) -> None:
 
 
 def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
-    """All that `onebend damp` says."""
     end = fit.swing.begin + float(fit.swing.time[-1])
     console.print(swing_table(fit))
     rms = ", ".join(f"{1000 * value:.2g}" for value in fit.rms)
@@ -341,7 +333,6 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
 
 
 def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
-    """When something touched the beam, the largest force, and how sure it is in which direction."""
     table, peak = facts_table(), found.peak
     table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
     for one in found.contacts:
@@ -378,7 +369,6 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
-    """The force log as the shape judges it, with 95 % bands."""
     if check is None:
         return []
 
@@ -463,7 +453,6 @@ def show_run(
 
 
 def verdict_rows(run: wording.Findings) -> Table:
-    """The verdict, a row each."""
     verdict = verdict_of(run)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="dim")
@@ -541,7 +530,6 @@ def _fit(run: wording.Findings, posterior: Posterior) -> list[RenderableType]:
 
 
 def show_times(console: Console, run: wording.Findings, seconds: Mapping[str, float]) -> None:
-    """The time that each stage took."""
     console.print()
     console.print(stages_table(seconds, run.video_seconds))
 
@@ -556,7 +544,6 @@ def say_path(console: Console, what: str, path: Path) -> None:
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
-    """All that `onebend validate` says."""
     console.print(comparison_table([comparison for comparison, _ in pairs], "Validation"))
     console.print()
     console.print(
@@ -573,7 +560,6 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
 
 
 def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
-    """What `onebend show` draws."""
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
     measured = confidence.MeasuredBeam(beam, uncertain, stored.section)
     if uncertain is None:

@@ -1,4 +1,4 @@
-"""What a real bench does beyond the ideal one: a record with every effect as an option, none by default."""
+"""Effects of a real set-up beyond the ideal one; pushes; force sensors and tag detectors with errors."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ WRIST = ForceSensor(
 def log_of(
     sensor: ForceSensor, time: Array, force: Array, rng: np.random.Generator, *, offset: float = 0.0
 ) -> ForceLog:
-    """What `sensor` logs of the force (N, 2) [N] at `time` (N,) [s], on a clock that is `offset` [s] ahead.
+    """The log of `sensor` for the force (N, 2) [N] at `time` (N,) [s], on a clock that is `offset` [s] ahead.
 
     The force runs straight between its samples, so that these should be at least as dense as the sensor's. Raises
     `RecordingError`: times that do not rise, or shapes that do not fit.
@@ -314,7 +314,7 @@ def stages(force: Array) -> IntArray:
 
 @dataclass(frozen=True)
 class TagNoise:
-    """White noise plus noise that is correlated in time; what the observer states of it may be wrong."""
+    """White noise plus noise that is correlated in time; the stated covariance may be wrong."""
 
     white_xy: float = 2e-5  # m
     white_angle: float = 1e-3  # rad

@@ -118,11 +118,10 @@ def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, 
     return design_with_effects(filming, np.random.default_rng([seed, 21])) if effects else filming, folder
 
 
-# What `onebend design` and `onebend mould` say.
+# The screens of `onebend design` and `onebend mould`.
 
 
 def show_design(console: Console, expected: designs.Expected) -> None:
-    """The figures of a design."""
     design = expected.design
     console.print(f"[bold]{escape(design.name)}[/]", highlight=False)
     console.print(design_table(expected))
@@ -139,7 +138,6 @@ def show_design(console: Console, expected: designs.Expected) -> None:
 
 
 def design_table(expected: designs.Expected) -> Table:
-    """What the beam is, and what it does by itself."""
     design = expected.design
     width, bending = 1e3 * np.asarray(design.width(designs.DENSE)), design.bending(designs.DENSE)
     droop = f"{1e3 * expected.droop:.1f} mm" if math.isfinite(expected.droop) else "no equilibrium"
@@ -163,7 +161,6 @@ def design_table(expected: designs.Expected) -> Table:
 
 
 def bends_table(expected: designs.Expected) -> Table:
-    """Forces for turns of the tip."""
     title = "To turn the tip, by a push square to the beam at its tip"
     table = common.listing(title, "turn [deg]", "force [N]", "tip x [mm]", "tip y [mm]", "strain [%]")
     for bend in expected.bends:
@@ -174,7 +171,6 @@ def bends_table(expected: designs.Expected) -> Table:
 
 
 def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabrication.PrintedPart], out: Path) -> None:
-    """The parts and what to pour."""
     table = common.listing(f"Parts of {escape(made.design.name)}", "<part", "size [mm]", "plastic [cm^3]")
     for part in parts:
         size = " x ".join(f"{extent:.1f}" for extent in part.mesh.extents)
@@ -223,7 +219,7 @@ ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Repl
 
 @dataclass(frozen=True)
 class Casting:
-    """What a design is cast of: at most one is given."""
+    """The material of a design: at most one field is given."""
 
     silicone: str | None = option("--silicone", None, 'Cast of this product, such as "Dragon Skin 30".', metavar="NAME")
     shore_a: float | None = option("--shore-a", None, "Cast of a silicone of this hardness, scale A.", metavar="A")
@@ -235,7 +231,7 @@ class Casting:
     )
 
     def of(self, design: designs.Design) -> designs.Design:
-        """The design cast of it. Raises `MechanicsError` where more than one is given."""
+        """The design, cast of this material. Raises `MechanicsError` where more than one is given."""
         if sum(value is not None for value in (self.silicone, self.shore_a, self.shore_zero, self.modulus)) > 1:
             raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
         if self.silicone is not None:

@@ -487,7 +487,7 @@ def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] |
     return ModulusEstimate(estimate.modulus, log_sd, estimate.source), density
 
 
-# What a beam of a design will do on the bench: forces, deflections, buckling, vibration, sag. Exact statics.
+# Behaviour of a designed beam: forces, deflections, buckling, vibration, sag. Exact statics.
 
 TURNS_DEG = (30.0, 60.0, 90.0)
 GRAVITY = 9.81  # m/s^2
@@ -550,7 +550,7 @@ class Expected:
 
 @one_blas_thread
 def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
-    """What to expect of a design on the bench. Raises `MechanicsError`: an equilibrium was not found."""
+    """Behaviour of a designed beam. Raises `MechanicsError`: an equilibrium was not found."""
     beam = design.beam()
     still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
     slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency

@@ -212,7 +212,7 @@ MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
 
 @dataclass(frozen=True)
 class Obtained:
-    """What the fits gave, along the 101 places of `PLACES`; R fits succeeded."""
+    """Statistics of the R successful fits, along the 101 places of `PLACES`."""
 
     runs: int
     failed: int
@@ -290,7 +290,7 @@ def rehearse(
 
 
 def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
-    """What the fits gave; None where all failed."""
+    """Statistics of the fits; None where all failed."""
     error, sd, known = errors_of(runs)
     failures = [run.failure for run in runs if run.failure]
     if not len(error):
@@ -323,7 +323,6 @@ def _share(hits: Array, counts: Array) -> tuple[float, float]:
 
 
 def setup_words(setup: forecast.Setup) -> str:
-    """The setup in one line."""
     pushes = "; ".join(f"s = {p.at_s:.2f}, {direction_words(p.direction)}, to {p.peak:.3g} N" for p in setup.pushes)
     return f"{setup.name}: tags at s = {', '.join(f'{s:.3g}' for s in setup.tags)}; pushed at {pushes}"
 
@@ -414,13 +413,10 @@ COLUMNS = (
 
 
 def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
-    """What `--json` prints, and `summary.json` holds."""
     return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
 
 
 def writer_of(rehearsal: Rehearsal, pictures: Pictures, *, written_by: str) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder."""
-
     def write(folder: Path) -> None:
         write_table(folder / "rehearsal.csv", rehearsal)
         pictures.write(folder)

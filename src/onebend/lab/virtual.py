@@ -237,7 +237,7 @@ def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
 
 
 def declared_recording(bench: VirtualBench) -> Recording:
-    """What recording.toml would say."""
+    """The entries of recording.toml."""
     declared, clock, at = bench.declared, bench.clock, Path("virtual") / bench.name
     length = bench.beam.length if isnan(declared.length) else declared.length
     return Recording(

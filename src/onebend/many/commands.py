@@ -21,13 +21,12 @@ from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
 
-# What `onebend reproduce`, `onebend batch` and `onebend population` say in the end.
+# The screens of `onebend batch` and `onebend population`.
 
 MOST_ROWS = 20  # rows of each kind that are shown of a batch
 
 
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
-    """How many were learned, which were not and why, and which are unlike the others."""
     there = len(outcome.items) - outcome.learned_now
     before = f", {there} of them before" if there else ""
     console.print(f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}.", markup=False)
@@ -48,7 +47,6 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
 
 
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
-    """The groups' means, the spread, what is unlike the others, and where the report is."""
     named = outcome.named
     middle = len(named.trial.s) // 2
     heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half band", "for the wished band")

@@ -82,7 +82,7 @@ async def _page_file(request: Request) -> Response:
 
 
 class Asked:
-    """What the page asks for by HTTP."""
+    """Handlers of the page's HTTP requests."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -205,7 +205,7 @@ def _said(data: Any, status: int = 200) -> Response:
 
 
 async def _of_room(room: str, function: str, *arguments: Any) -> Any:
-    """What a room's function gives; the room is loaded when it is first asked, by the thread that asks."""
+    """The result of a room's function; the room is loaded when it is first asked, by the thread that asks."""
     return await run_in_threadpool(lambda: getattr(import_module(f"onebend.studio.{room}"), function)(*arguments))
 
 
