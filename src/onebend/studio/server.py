@@ -178,8 +178,9 @@ class Asked:
         out = asked_text(asked, "out") or f"{Path(recordings[0]).name}-results"
         if self.desk.places.path(out) == self.desk.places.root:
             raise StudioError("results go to a folder of their own")
-        wanted = {"recordings": recordings, "validate": validate, "out": out, "replace": asked.get("replace") is True}
-        command = learn_line(recordings, validate, plain_word(out), wanted["replace"])
+        replace = asked.get("replace") is True
+        wanted = {"recordings": recordings, "validate": validate, "out": out, "replace": replace}
+        command = learn_line(recordings, validate, plain_word(out), replace)
         await self.desk.jobs.start({**wanted, "folder": str(self.desk.places.root), "command": command})
         return _said({"out": out})
 
