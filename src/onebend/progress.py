@@ -1,4 +1,4 @@
-"""What long work reports to. The command line shows it; library calls are silent unless told otherwise."""
+"""Progress of long work, worker processes and threads, and BLAS threads. Library calls are silent by default."""
 
 from __future__ import annotations
 

@@ -76,11 +76,7 @@ COMMANDS = {
         "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
-    "new": Place(
-        "onebend.cli.recordings:new",
-        "Write a recording.toml to fill in.",
-        "my-beam",
-    ),
+    "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam"),
     "topics": Place(
         "onebend.cli.recordings:topics",
         "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
@@ -102,11 +98,7 @@ COMMANDS = {
         "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
-    "show": Place(
-        "onebend.cli.models:show",
-        "Draw the learned k(s) in the terminal.",
-        "out/linear-beam",
-    ),
+    "show": Place("onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam"),
     "export": Place(
         "onebend.cli.exporting:export_command",
         "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",

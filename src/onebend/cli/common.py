@@ -1,4 +1,4 @@
-"""What every command shares: errors in one message, a place to work in, progress, JSON."""
+"""Shared by all commands: errors in one message, a place to work in, progress, JSON."""
 
 from __future__ import annotations
 
@@ -333,7 +333,7 @@ def percent(text: str | None) -> float:
     return share
 
 
-# What several screens share: a list of facts, what looked odd, a force in words, and where the files are.
+# Shared by several screens: a list of facts, remarks, a force in words, and where the files are.
 
 NO_BAND = "not known: the model has no band on k(s)"
 
@@ -381,7 +381,7 @@ def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:
 
 
 def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
-    """What looked odd: warnings in colour, notes in grey."""
+    """Remarks: warnings in colour, notes in grey."""
     if not remarks:
         return Text("Nothing looked odd.", "dim")
     table = Table(box=None, show_header=False, pad_edge=False, title="What looked odd", title_justify="left")

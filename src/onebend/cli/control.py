@@ -34,11 +34,10 @@ from onebend.results import control_files
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
-# What `onebend reach` says.
+# The screen of `onebend reach`.
 
 
 def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
-    """The force, the point and how sure it is."""
     table = common.facts_table()
     table.add_row(f"force at s = {result.push_s:.3g}", common.force_words(result.force))
     if result.settings.moment:
@@ -117,11 +116,10 @@ def _within(found: Reach) -> ReachableSet | None:
     )
 
 
-# What `onebend shape` and `onebend path` say.
+# The screens of `onebend shape` and `onebend path`.
 
 
 def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
-    """The actuators' loads, the residual, the distance from buckling, the uncertainty."""
     table = common.facts_table()
     for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
         table.add_row(f"force at s = {pusher.at_s:.3g}", common.force_words(force))
@@ -345,7 +343,7 @@ def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None
     return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
 
 
-# What `onebend loop` says.
+# The screen of `onebend loop`.
 
 
 def show_loop(
@@ -356,7 +354,6 @@ def show_loop(
     output: Path | None,
     rehearsed: Mapping[str, object],
 ) -> None:
-    """Force, gains, margins, and how the rehearsals went; `rehearsed` as in the summary."""
     table = common.facts_table()
     x, y = control.reference.ends
     table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "

@@ -36,11 +36,10 @@ from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
 
-# What `onebend plan` says.
+# The screen of `onebend plan`.
 
 
 def plan_table(plan: Plan) -> Table:
-    """The proposals of a plan: what costs nothing first."""
     title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
     table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
@@ -55,7 +54,6 @@ def plan_table(plan: Plan) -> Table:
 
 
 def show_plan(console: Console, plan: Plan) -> None:
-    """All that `onebend plan` says."""
     before = plan.before
     console.print(
         f"Now k(s) is known to {before.mean_words} (95 %) on average over the whole beam, to {before.worst_words} at "
@@ -104,8 +102,7 @@ Epsilon = Annotated[
     ),
 ]
 Verbose = Annotated[
-    bool,
-    typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times."),
+    bool, typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times.")
 ]
 
 
@@ -232,11 +229,7 @@ def validate(
 
 
 def plan(
-    model: common.Model,
-    *,
-    settings: PlanSettings,
-    as_json: common.Json = False,
-    quiet: common.Quiet = False,
+    model: common.Model, *, settings: PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
 ) -> None:
     """Say which push to make next: what each would leave of the band on k(s)."""
     with common.clean_errors(), common.progress_of(quiet) as progress:

@@ -103,12 +103,7 @@ def damp(
         with common.progress_of(quiet) as progress:
             seen = _observed(stored, recording, observing, progress)
             fit = learn_damping(
-                stored.beam,
-                seen,
-                uncertain=stored.uncertain,
-                part=part,
-                settings=settings,
-                progress=progress,
+                stored.beam, seen, uncertain=stored.uncertain, part=part, settings=settings, progress=progress
             )
         if output is not None:
             whole = replace(stored, beam=fit.beam, damping=fit.damping)
@@ -144,11 +139,7 @@ def sense(
             with common.progress_of(quiet) as progress:
                 seen = _observed(stored, recording, observing, progress)
             found = sense_force(
-                stored.beam,
-                seen,
-                stiffness=stored.uncertain,
-                instruments=stored.bench,
-                settings=settings,
+                stored.beam, seen, stiffness=stored.uncertain, instruments=stored.bench, settings=settings
             )
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:

@@ -30,11 +30,10 @@ if TYPE_CHECKING:
     from onebend.report.overview import Overview
 
 
-# What `onebend check`, `onebend topics` and `onebend record` say.
+# The screens of `onebend check` and `onebend topics`.
 
 
 def show_bag(console: Console, bag: BagContents) -> None:
-    """A table of the topics, and a warning where the bag breaks off."""
     first = min((row.start for row in bag.rows if not math.isnan(row.start)), default=math.nan)
     console.print(f"[bold]{escape(str(bag.path))}[/]{begins(first)}", soft_wrap=True)
     table = Table()
@@ -70,7 +69,6 @@ def cells(row: TopicRow, first: float) -> tuple[str, ...]:
 
 
 def show_overview(console: Console, overview: Overview) -> None:
-    """What `onebend check` understood."""
     table = Table(title=escape(overview.name), title_justify="left", box=None, show_header=False)
     table.add_column(no_wrap=True, style="dim")
     table.add_column(overflow="fold")
@@ -88,8 +86,7 @@ Picture = Annotated[
     typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; one of an earlier check is replaced."),
 ]
 Definitions = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds."),
+    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds.")
 ]
 
 PICTURE = "check.png"
@@ -109,7 +106,7 @@ BESIDE: dict[Kind, str] = {
     "weights": "put poses.csv and loads.csv beside it",
     "mocap": "put the tracks and the force log beside it",
 }
-# What no bag knows.
+# Keys that no bag holds.
 TO_ADD = (
     'axes = ["x", "y"]  # the two in the plane of bending, in the order of x and y',
     "rotation_deg = 0.0  # the first of them against the beam, counter-clockwise as the camera sees it",
@@ -142,7 +139,7 @@ def new(
 
 
 def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:
-    """What a bag tells of [video] and [force]: its place from `folder` on, the likeliest topics; the axes it cannot."""
+    """Values from a bag for [video] and [force]: its place from `folder` on, and the likeliest topics."""
     found = bag_contents(bag, None)
     file = quoted(os.path.relpath(found.path.resolve(), folder.resolve()))
     video = {"file": file, "topic": quoted(found.image)}
@@ -244,11 +241,10 @@ def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
             )
 
 
-# What `onebend calibrate` says.
+# The screen of `onebend calibrate`.
 
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:
-    """All that `onebend calibrate` says."""
     table = common.listing("The camera", "<", "value", "sd")
     for name, value, sd in zip(NAMES, calibration.values, calibration.sd, strict=True):
         if name != "k3" or value != 0.0:
@@ -272,9 +268,7 @@ Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board
 BoardOption = Annotated[
     tuple[str, str],
     typer.Option(
-        "--board",
-        metavar="KIND SIZE",
-        help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares).",
+        "--board", metavar="KIND SIZE", help="chessboard 9x6 (its inner corners), or charuco 7x5 (its squares)."
     ),
 ]
 SquareMm = Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, measured on the print.")]

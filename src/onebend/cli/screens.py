@@ -1,4 +1,4 @@
-"""What each command says in the end."""
+"""The screens of the commands."""
 
 from __future__ import annotations
 
@@ -117,7 +117,6 @@ def half_widths(band: Band) -> list[str]:
 def estimate_table(
     uncertain: UncertainStiffness, regression: Learned | None, modulus: confidence.ModulusRows | None = None
 ) -> Table:
-    """k at eleven places with its band, the paper's beside it; and Young's modulus there."""
     s = np.linspace(0.0, 1.0, 11)
     band = uncertain.band(s)
     known = ["yes" if one else "no" for one in band.identified]
@@ -157,7 +156,6 @@ def allowance_table(posterior: Posterior) -> Table:
 
 
 def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
-    """Time of every stage, and its share of the video's length."""
     table = listing(f"Time (the video plays {video_seconds:.1f} s)", "<stage", "s", "of the video")
     *stages, total = wording.stage_rows(seconds)
     for name, value in (*stages, total):
@@ -237,7 +235,6 @@ _AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
 
 
 def damping_words(damping: Damping) -> str:
-    """One sentence."""
     return (
         f"damping d / k = {1000 * damping.loss_time:.3g} ms (sd {1000 * damping.loss_time_sd:.2g}), "
         f"{damping.frequency[0]:.4g} Hz at a damping ratio of {damping.ratio[0]:.3g}, "
@@ -246,7 +243,6 @@ def damping_words(damping: Damping) -> str:
 
 
 def swing_table(fit: SwingFit) -> Table:
-    """What the swing says, one quantity a row."""
     table = listing("From the free swing", "<", "value", "sd")
     damping = fit.damping
     table.add_row("loss time d / k \\[ms]", f"{1e3 * damping.loss_time:.4g}", f"{1e3 * damping.loss_time_sd:.2g}")
@@ -288,7 +284,6 @@ def frequency_entries(found: FoundFrequencies) -> str:
 
 
 def show_frequencies(console: Console, found: FoundFrequencies) -> None:
-    """All that `onebend frequencies` says."""
     console.print(frequency_table(found))
     console.print(
         f"\n{found.samples} samples from {found.begin:.2f} to {found.end:.2f} s at {found.rate:.4g} a second; "
@@ -303,7 +298,6 @@ def show_frequencies(console: Console, found: FoundFrequencies) -> None:
 
 
 def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
-    """All that `onebend damp` says."""
     end = fit.swing.begin + float(fit.swing.time[-1])
     console.print(swing_table(fit))
     rms = ", ".join(f"{1000 * value:.2g}" for value in fit.rms)
@@ -318,7 +312,6 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
 
 
 def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
-    """When something touched the beam, the largest force, and how sure it is in which direction."""
     table, peak = facts_table(), found.peak
     table.add_row("frames", f"{len(found.time)}, {int(np.sum(found.touched))} of them show a force")
     for one in found.contacts:
@@ -358,7 +351,6 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
 
 
 def sensor_rows(check: SensorCheck | None) -> list[tuple[str, str]]:
-    """The force log as the shape judges it, with 95 % bands."""
     if check is None:
         return []
 
@@ -517,7 +509,6 @@ def say_path(console: Console, what: str, path: Path) -> None:
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
-    """All that `onebend validate` says."""
     console.print(comparison_table([comparison for comparison, _ in pairs], "Validation"))
     console.print()
     console.print(
@@ -534,7 +525,6 @@ def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observat
 
 
 def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> None:
-    """What `onebend show` draws."""
     beam, origin, uncertain = stored.beam, stored.origin, stored.uncertain
     measured = confidence.MeasuredBeam(beam, uncertain, stored.section)
     if uncertain is None:

@@ -1,4 +1,4 @@
-"""What a real bench does beyond the ideal one: a record with every effect as an option, none by default."""
+"""Effects of a real set-up beyond the ideal one; pushes; force sensors and tag detectors with errors."""
 
 from __future__ import annotations
 
@@ -38,18 +38,8 @@ class RealBench:
     length_off: float = 0.0  # share by which the stated length is too large
     # The sensor
     posture_bias: float = 0.0  # share of the peak: largest size of an error that goes with the tool's place
-    posture_shape: tuple[float, ...] = (
-        1.0,
-        0.5,
-        -0.8,
-        0.3,
-        0.6,
-        -0.4,
-        0.9,
-        0.5,
-        -0.7,
-        0.2,
-    )  # x, y, x^2, xy, y^2; twice
+    # x, y, x^2, xy, y^2; twice
+    posture_shape: tuple[float, ...] = (1.0, 0.5, -0.8, 0.3, 0.6, -0.4, 0.9, 0.5, -0.7, 0.2)
     # The picture
     base_height: float = 0.0  # m, of the base tag's face over the plane of the other tags, towards the camera
     tag_heights: tuple[float, ...] = ()  # m, of the tags on the beam; one each, or none
@@ -264,7 +254,7 @@ WRIST = ForceSensor(
 def log_of(
     sensor: ForceSensor, time: Array, force: Array, rng: np.random.Generator, *, offset: float = 0.0
 ) -> ForceLog:
-    """What `sensor` logs of the force (N, 2) [N] at `time` (N,) [s], on a clock that is `offset` [s] ahead.
+    """The log of `sensor` for the force (N, 2) [N] at `time` (N,) [s], on a clock that is `offset` [s] ahead.
 
     The force runs straight between its samples, so that these should be at least as dense as the sensor's. Raises
     `RecordingError`: times that do not rise, or shapes that do not fit.
@@ -324,7 +314,7 @@ def stages(force: Array) -> IntArray:
 
 @dataclass(frozen=True)
 class TagNoise:
-    """White noise plus noise that is correlated in time; what the observer states of it may be wrong."""
+    """White noise plus noise that is correlated in time; the stated covariance may be wrong."""
 
     white_xy: float = 2e-5  # m
     white_angle: float = 1e-3  # rad

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,15 +23,9 @@ from onebend.files.single_file import check_name_free, write_file
 from onebend.lab import designs, fabrication
 from onebend.lab.bench import PATCH_OVER_TAG, effects_named
 from onebend.lab.filming import Filming, check, check_trackable, film as make_film, marker_recording
-from onebend.lab.random_bench import (
-    LABORATORY,
-    BenchRanges,
-    FilmRequest,
-    design_with_effects,
-    filming_of,
-    random_bench,
-)
+from onebend.lab.random_bench import LABORATORY, BenchRanges, FilmRequest, design_with_effects, filming_of, random_bench
 from onebend.lab.sheet import Sheet, files_of, strip_page, tag_pages
+from onebend.options import option
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
@@ -124,11 +118,10 @@ def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, 
     return design_with_effects(filming, np.random.default_rng([seed, 21])) if effects else filming, folder
 
 
-# What `onebend design` and `onebend mould` say.
+# The screens of `onebend design` and `onebend mould`.
 
 
 def show_design(console: Console, expected: designs.Expected) -> None:
-    """The figures of a design."""
     design = expected.design
     console.print(f"[bold]{escape(design.name)}[/]", highlight=False)
     console.print(design_table(expected))
@@ -145,7 +138,6 @@ def show_design(console: Console, expected: designs.Expected) -> None:
 
 
 def design_table(expected: designs.Expected) -> Table:
-    """What the beam is, and what it does by itself."""
     design = expected.design
     width, bending = 1e3 * np.asarray(design.width(designs.DENSE)), design.bending(designs.DENSE)
     droop = f"{1e3 * expected.droop:.1f} mm" if math.isfinite(expected.droop) else "no equilibrium"
@@ -169,7 +161,6 @@ def design_table(expected: designs.Expected) -> Table:
 
 
 def bends_table(expected: designs.Expected) -> Table:
-    """Forces for turns of the tip."""
     title = "To turn the tip, by a push square to the beam at its tip"
     table = common.listing(title, "turn [deg]", "force [N]", "tip x [mm]", "tip y [mm]", "strain [%]")
     for bend in expected.bends:
@@ -180,7 +171,6 @@ def bends_table(expected: designs.Expected) -> Table:
 
 
 def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabrication.PrintedPart], out: Path) -> None:
-    """The parts and what to pour."""
     table = common.listing(f"Parts of {escape(made.design.name)}", "<part", "size [mm]", "plastic [cm^3]")
     for part in parts:
         size = " x ".join(f"{extent:.1f}" for extent in part.mesh.extents)
@@ -200,19 +190,6 @@ DesignOf = Annotated[
 ]
 NewDesign = Annotated[
     Path | None, typer.Option("--new", metavar="FILE", help="Write a design file to fill in, and nothing else.")
-]
-SiliconeName = Annotated[
-    str | None, typer.Option("--silicone", metavar="NAME", help='Cast of this product, such as "Dragon Skin 30".')
-]
-ShoreA = Annotated[
-    float | None, typer.Option("--shore-a", metavar="A", help="Cast of a silicone of this hardness, scale A.")
-]
-ShoreZero = Annotated[
-    float | None, typer.Option("--shore-zero", metavar="00", help="Cast of a silicone of this hardness, scale 00.")
-]
-Modulus = Annotated[
-    float | None,
-    typer.Option("--modulus-kPa", min=1e-3, max=common.MOST, metavar="E", help="Cast of a material of this modulus."),
 ]
 Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write s, width, EI, k and mass per metre.")]
 Picture = Annotated[Path | None, typer.Option("--picture", metavar="FILE", help="Write a picture (PNG).")]
@@ -239,6 +216,34 @@ NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers o
 SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or an .svg a page.")]
 ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
 
+
+@dataclass(frozen=True)
+class Casting:
+    """The material of a design: at most one field is given."""
+
+    silicone: str | None = option("--silicone", None, 'Cast of this product, such as "Dragon Skin 30".', metavar="NAME")
+    shore_a: float | None = option("--shore-a", None, "Cast of a silicone of this hardness, scale A.", metavar="A")
+    shore_zero: float | None = option(
+        "--shore-zero", None, "Cast of a silicone of this hardness, scale 00.", metavar="00"
+    )
+    modulus: float | None = option(
+        "--modulus-kPa", None, "Cast of a material of this modulus.", metavar="E", within=(1e-3, 1e9)
+    )
+
+    def of(self, design: designs.Design) -> designs.Design:
+        """The design, cast of this material. Raises `MechanicsError` where more than one is given."""
+        if sum(value is not None for value in (self.silicone, self.shore_a, self.shore_zero, self.modulus)) > 1:
+            raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
+        if self.silicone is not None:
+            product = designs.silicone(self.silicone)
+            return design.of(product.stiffness, product.density)
+        if self.shore_a is not None:
+            return design.of(designs.from_shore_a(self.shore_a))
+        if self.shore_zero is not None:
+            return design.of(designs.from_shore_00(self.shore_zero))
+        return design if self.modulus is None else design.of(designs.ModulusEstimate(self.modulus, 0.0, "given"))
+
+
 MOST_TAGS = 1000
 RANGE = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
@@ -247,10 +252,7 @@ def design(
     name: DesignName = None,
     *,
     new: NewDesign = None,
-    silicone: SiliconeName = None,
-    shore_a: ShoreA = None,
-    shore_zero: ShoreZero = None,
-    modulus: Modulus = None,
+    cast: Casting,
     csv_file: Csv = None,
     picture: Picture = None,
     model: ModelFile = None,
@@ -264,7 +266,7 @@ def design(
             return
         if name is None:
             raise MechanicsError("name a design: uniform, linear, quadratic, cubic, or a file (--new FILE writes one)")
-        found = _of_material(designs.find_design(name), silicone, shore_a, shore_zero, modulus)
+        found = cast.of(designs.find_design(name))
         expected = designs.expect(found)
         _write_all(_design_files(found, csv_file, picture, model), overwrite=overwrite)
     common.answer(
@@ -356,22 +358,6 @@ def parse_ids(text: str) -> tuple[int, ...]:
             )
         found += range(first, last + 1)
     return tuple(found)
-
-
-def _of_material(
-    found: designs.Design, named: str | None, shore_a: float | None, shore_zero: float | None, modulus: float | None
-) -> designs.Design:
-    given = [value for value in (named, shore_a, shore_zero, modulus) if value is not None]
-    if len(given) > 1:
-        raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
-    if named is not None:
-        product = designs.silicone(named)
-        return found.of(product.stiffness, product.density)
-    if shore_a is not None:
-        return found.of(designs.from_shore_a(shore_a))
-    if shore_zero is not None:
-        return found.of(designs.from_shore_00(shore_zero))
-    return found if modulus is None else found.of(designs.ModulusEstimate(1e3 * modulus, 0.0, "given"))
 
 
 def _design_files(

@@ -406,30 +406,20 @@ def write_design_template(path: Path | str) -> Path:
 
 def template() -> str:
     """The text of a design file; valid TOML that keeps the schema."""
-    head = [
+    rows = [
         "# A beam to cast, for onebend. Fill in your own values; lines that start with # are another way to say it.",
         "# It bends in the plane of its width; its depth is the size across that plane.",
         "",
         f"format = {FORMAT}",
         '# name = "my beam"',
     ]
-    return "\n".join(
-        [
-            *head,
-            *_section("[beam]", SizeEntry, {"length_m", "depth_m"}),
-            *_section("[width]", WidthEntry, {"s", "width_m", "between"}),
-            *_section("[material]", MaterialEntry, {"shore_a"}),
-            "",
-        ]
-    )
-
-
-def _section(title: str, record: type, written: set[str]) -> list[str]:
-    rows = ["", title]
-    for entry, _ in keys_of(record).values():
-        row = f"{entry.name} = {entry.example}"
-        rows.append(f"{row if entry.name in written else '# ' + row}  # {entry.says}")
-    return rows
+    written = {"length_m", "depth_m", "s", "width_m", "between", "shore_a"}
+    for title, record in zip(TABLES, (SizeEntry, WidthEntry, MaterialEntry), strict=True):
+        rows += ["", f"[{title}]"]
+        for entry, _ in keys_of(record).values():
+            row = f"{entry.name} = {entry.example}"
+            rows.append(f"{row if entry.name in written else '# ' + row}  # {entry.says}")
+    return "\n".join([*rows, ""])
 
 
 def _load(path: Path) -> tuple[str, dict[str, Any]]:
@@ -459,39 +449,29 @@ def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] |
     entry = read_table(MaterialEntry, table, ("material",), mistakes)
     if entry is None:
         return None
-    given = [
-        name
-        for name, there in (
-            ("silicone", entry.silicone != NO_NAME),
-            ("shore_a", math.isfinite(entry.shore_a)),
-            ("shore_00", math.isfinite(entry.shore_00)),
-            ("modulus_Pa", math.isfinite(entry.modulus)),
-        )
-        if there
-    ]
+    ways: dict[str, tuple[bool, Callable[[], ModulusEstimate]]] = {
+        "silicone": (entry.silicone != NO_NAME, lambda: silicone(entry.silicone).stiffness),
+        "shore_a": (math.isfinite(entry.shore_a), lambda: from_shore_a(entry.shore_a)),
+        "shore_00": (math.isfinite(entry.shore_00), lambda: from_shore_00(entry.shore_00)),
+        "modulus_Pa": (math.isfinite(entry.modulus), lambda: ModulusEstimate(entry.modulus, 0.0, "given")),
+    }
+    given = [name for name, (there, _) in ways.items() if there]
     if len(given) != 1:
         said = f"not {' and '.join(given)}" if given else "and has none"
         mistakes.add(("material",), f"[material] needs one of silicone, shore_a, shore_00 or modulus_Pa, {said}.")
         return None
-    ways: dict[str, Callable[[], ModulusEstimate]] = {
-        "silicone": lambda: silicone(entry.silicone).stiffness,
-        "shore_a": lambda: from_shore_a(entry.shore_a),
-        "shore_00": lambda: from_shore_00(entry.shore_00),
-        "modulus_Pa": lambda: ModulusEstimate(entry.modulus, 0.0, "given"),
-    }
     try:
-        estimate = ways[given[0]]()
+        estimate = ways[given[0]][1]()
     except MechanicsError as wrong:
         mistakes.add(("material", given[0]), f"[material] {wrong}.")
         return None
     log_sd = entry.modulus_log_sd if math.isfinite(entry.modulus_log_sd) else estimate.log_sd
     usual = silicone(entry.silicone).density if entry.silicone else TYPICAL_DENSITY
-    return ModulusEstimate(estimate.modulus, log_sd, estimate.source), entry.density if math.isfinite(
-        entry.density
-    ) else usual
+    density = entry.density if math.isfinite(entry.density) else usual
+    return ModulusEstimate(estimate.modulus, log_sd, estimate.source), density
 
 
-# What a beam of a design will do on the bench: forces, deflections, buckling, vibration, sag. Exact statics.
+# Behaviour of a designed beam: forces, deflections, buckling, vibration, sag. Exact statics.
 
 TURNS_DEG = (30.0, 60.0, 90.0)
 GRAVITY = 9.81  # m/s^2
@@ -554,7 +534,7 @@ class Expected:
 
 @one_blas_thread
 def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
-    """What to expect of a design on the bench. Raises `MechanicsError`: an equilibrium was not found."""
+    """Behaviour of a designed beam. Raises `MechanicsError`: an equilibrium was not found."""
     beam = design.beam()
     still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
     slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency

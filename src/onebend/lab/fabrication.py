@@ -1,4 +1,4 @@
-"""What is made for the bench: moulds, clamps, and printed sheets of tags."""
+"""Moulds, clamps and carriers of tags, as parts to print."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class PrintedPart:
 
 @dataclass(frozen=True)
 class Mould:
-    """A mould and what comes out of it."""
+    """A mould, and the cast beam."""
 
     design: Design
     settings: MouldSettings
@@ -207,7 +207,7 @@ def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
 
 
 def cast_body(design: Design, settings: MouldSettings = MouldSettings(), over: float = 0.0) -> Manifold:
-    """What is cast and cured: the beam from x = 0 to L, behind it the neck and the foot.
+    """The cast and cured body: the beam from x = 0 to L, behind it the neck and the foot.
 
     `over`: mm by which it goes on above its upper face, to cut a mould open there.
     """
@@ -358,7 +358,7 @@ def _screws(back: float, half: float, depth: float) -> list[Manifold]:
     return [upright(x, y, -FLOOR - 1.0, depth + CAP + 1.0, SCREW) for x in (aft, fore) for y in (-aside, aside)]
 
 
-# What `onebend design` and `onebend mould` leave: the design along the beam as CSV, and a folder of parts to print.
+# Files of `onebend design` and `onebend mould`.
 
 DESIGN_FORMAT = "onebend-design-1"
 MOULD_FORMAT = "onebend-mould-1"
@@ -376,7 +376,7 @@ def design_csv(design: Design) -> str:
 
 
 def parts_summary(made: Mould, parts: tuple[PrintedPart, ...], *, written_by: str) -> dict[str, Any]:
-    """What `onebend mould --json` prints and `summary.json` holds (there with `files`)."""
+    """Contents of `onebend mould --json` and of `summary.json` (there with `files`)."""
     return {
         "format": MOULD_FORMAT,
         "written_by": written_by,
@@ -389,7 +389,7 @@ def parts_summary(made: Mould, parts: tuple[PrintedPart, ...], *, written_by: st
 
 
 def parts_writer(parts: tuple[PrintedPart, ...], shape: str, summary: dict[str, Any]) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder with parts as files of the ending `shape`."""
+    """A function that fills a folder with parts as files of the ending `shape`."""
 
     def write(folder: Path) -> None:
         for part in parts:

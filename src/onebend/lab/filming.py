@@ -94,7 +94,7 @@ ORDER = 12  # curvature nodes of a moving beam
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """What moves the beam apart from the push: its own weight and, if it `swings`, its inertia."""
+    """Causes of motion apart from the push: weight and, if the beam `swings`, inertia."""
 
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the clamp's frame
     swings: bool = False
@@ -176,7 +176,7 @@ def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettin
     return BeamShapes(time, pushing.force(time), xy, angle)
 
 
-# What is filmed and how: a bench, and all that a film shows of it.
+# The set-up of a film.
 
 DOWN = -0.5 * pi  # rad, of gravity in the room
 
@@ -236,7 +236,7 @@ def frame_times(filming: Filming, rng: np.random.Generator) -> Array:
 
 
 def motive_of(filming: Filming) -> MotionSettings:
-    """What moves the beam apart from the push, in the clamp's frame."""
+    """Causes of motion apart from the push, in the clamp's frame."""
     pull = filming.gravity * np.array([np.cos(DOWN - filming.base_angle), np.sin(DOWN - filming.base_angle)])
     return MotionSettings((float(pull[0]), float(pull[1])), filming.swings, filming.damping, filming.rotary_inertia)
 
@@ -254,7 +254,7 @@ class TagOutlines:
 
 @cache
 def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
-    """What is drawn of a tag on paper that is at least `margin` cells wider on every side than the detected square.
+    """Outlines of a tag on paper that is at least `margin` cells wider on every side than the detected square.
     Raises `RecordingError`: a family that is not known, or a number that it does not have."""
     tag = printed_tag(tag_id, family)
     count = len(tag.cells)
@@ -287,7 +287,7 @@ def placed(loops: Array, pose: Array) -> Array:
     return np.asarray(loops @ np.array([[cos, sin], [-sin, cos]]) + pose[:2])
 
 
-# What moves before the camera, as polygons on the table: beam, tags, the tool that pushes, a hand.
+# Moving things as polygons on the table: beam, tags, the tool that pushes, a hand.
 
 SHADOW = np.array([0.0025, -0.003])  # m, from the thing that casts it
 STRIPS = ((1.0, 0.92), (0.75, 1.0))  # of the beam: share of its width, brightness
@@ -651,7 +651,7 @@ MEANING = (
 
 @dataclass(frozen=True)
 class FilmTruth:
-    """What was filmed, as it truly was."""
+    """The truth of a film."""
 
     filming: Filming
     shown: Filmed  # at the frames, as their first rows are exposed
@@ -701,7 +701,7 @@ def write_truth(folder: Path, made: FilmTruth) -> None:
 
 
 def facts_of(made: FilmTruth) -> dict[str, Any]:
-    """What stands in `truth.json`."""
+    """Contents of `truth.json`."""
     filming, view = made.filming, made.view
     bench = filming.bench
     clock = bench.clock
@@ -718,25 +718,14 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
             "error_said_minus_true": clock.declared - clock.offset,
         },
         "camera": {
-            "K": view.matrix.tolist(),
-            "dist": view.dist.tolist(),
-            "R": view.rotation.tolist(),
-            "t": view.translation.tolist(),
-            "C": (-view.rotation.T @ view.translation).tolist(),
+            **{"K": view.matrix, "dist": view.dist, "R": view.rotation, "t": view.translation},
+            "C": -view.rotation.T @ view.translation,
             "calibrated_for_user": filming.calibrated,
         },
         "scene": asdict(filming.scene),
         "push": {**asdict(bench.push), "contact": bench.push.contact},
-        "tags": {
-            "base": list(bench.base),
-            "on_beam": [asdict(tag) for tag in bench.tags],
-            "size": filming.tag_size,
-        },
-        "force": {
-            **asdict(bench.sensor),
-            "rotation": filming.log_rotation,
-            "reaction": filming.log_of_robot,
-        },
+        "tags": {"base": bench.base, "on_beam": [asdict(tag) for tag in bench.tags], "size": filming.tag_size},
+        "force": {**asdict(bench.sensor), "rotation": filming.log_rotation, "reaction": filming.log_of_robot},
         "gravity": {"magnitude": filming.gravity, "base_angle": filming.base_angle},
         "tip_angle_max_deg": float(np.degrees(np.max(np.abs(made.shown.shapes.angle[:, -1])))),
         "force_max_N": float(np.max(np.linalg.norm(made.shown.shapes.force, axis=1))),
@@ -817,7 +806,7 @@ def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
 
 
 def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
-    """What moves, but for its motion. Where each tag falls on the printer's grid of dots is drawn."""
+    """Shapes and colours of the moving things. Where each tag falls on the printer's dots is drawn."""
     told = declared_recording(filming.bench).tags
     ids = [tag.id for tag in (*told.on_base, *told.on_beam)]
     made = [outlines(tag, told.family) for tag in ids]
@@ -885,7 +874,7 @@ def drawn(shot: Shot, time: float, u: float) -> Drawing:
 
 
 def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
-    """What the sensor logs, and the true force on the log's clock; both in the log's axes and with its sign."""
+    """The sensor's log, and the true force on the log's clock; both in the log's axes and with its sign."""
     bench, margin = filming.bench, filming.log_before
     step = min(DENSE, 0.5 / bench.sensor.rate)
     dense = np.arange(-margin, bench.push.duration + margin, step)
@@ -898,7 +887,7 @@ def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generat
 
 
 def entries(filming: Filming, folder: Path) -> Recording:
-    """What `recording.toml` says."""
+    """The entries of `recording.toml`."""
     bench, told = filming.bench, declared_recording(filming.bench)
     assert told.video is not None
     assert told.force is not None
@@ -934,10 +923,8 @@ TRUTH_PLACES = np.linspace(0.0, 1.0, 201)  # s
 
 def check_trackable(filming: Filming) -> None:
     """Raises `RecordingError` where what is to be filmed needs more than the markers of a beam in equilibrium."""
-    for wrong, what in (
-        (filming.swings, "a push that swings the beam"),
-        (filming.gravity > 0.0, "gravity in the plane of bending"),
-    ):
+    refused = {"a push that swings the beam": filming.swings, "gravity in the plane of bending": filming.gravity > 0.0}
+    for what, wrong in refused.items():
         if wrong:
             raise RecordingError(f"{what} is filmed, not given as markers. Leave out the markers, or take a slow push.")
 

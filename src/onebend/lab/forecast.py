@@ -51,7 +51,7 @@ from onebend.recording.signals import runs
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray, Rest
 from onebend.results.model import FILE_NAME, read_model
 
-# What is rehearsed: a beam, pushes, tags and instruments, and their tolerances.
+# The setup: a beam, pushes, tags and instruments, and their tolerances.
 
 THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 CORNER_SD = 0.1  # px, of a tag's corner: the centre is good to half of it
@@ -108,7 +108,7 @@ class Setup:
 
     @property
     def rest(self) -> Rest:
-        """What the recording would say of the shape at rest."""
+        """The shape at rest as `recording.toml` states it."""
         s = np.linspace(0.0, 1.0, 101)
         return "unknown" if np.any(np.asarray(self.beam.rest_curvature(s)) != 0.0) else "straight"
 
@@ -229,7 +229,7 @@ def check_bending(setup: Setup) -> None:
 
 
 def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
-    """What a camera that shows the whole push makes of a tag's corners: `CORNER_SD` in its pixels.
+    """Noise of a tag's pose for a camera that shows the whole push: `CORNER_SD` in its pixels.
 
     A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal. Raises `MechanicsError`:
     the beam snaps through under a push.
@@ -488,7 +488,7 @@ def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple
 
 
 def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -> PredictedBand:
-    """What the fit's prior makes of data with this information (p, p), that show the setup's k without noise."""
+    """The posterior for data with this information (p, p) that show the setup's k without noise."""
     k = np.asarray(setup.beam.stiffness(PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
     posterior = stiffness_mixture(
@@ -543,7 +543,7 @@ def ranges(known: BoolArray) -> list[tuple[float, float]]:
     return [(float(PLACES[first]), float(PLACES[end - 1])) for first, end in runs(known)]
 
 
-# What to change before filming: each change gives another setup; they are ranked by how much they narrow the band.
+# Changes before filming: each gives another setup; they are ranked by how much they narrow the band.
 
 AT_S = (0.5, 0.65, 0.8, 1.0)
 DIRECTIONS_DEG = (70.0, 100.0, 130.0)

@@ -223,10 +223,7 @@ def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
         share = request.seconds / (end - begin)
         sudden = request.push == "free"
         push = replace(
-            push,
-            rise=share * push.rise,
-            hold=share * push.hold,
-            fall=push.fall if sudden else share * push.fall,
+            push, rise=share * push.rise, hold=share * push.hold, fall=push.fall if sudden else share * push.fall
         )
     if not isnan(request.force):
         if not request.force > 0.0:

@@ -26,7 +26,6 @@ from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
     VirtualClock,
-    VirtualRecording,
     VirtualTag,
     observe_from_truth,
     observe_virtual,
@@ -128,20 +127,17 @@ def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
 
 
 def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observations:
-    virtual = _axes_missed(virtual_recording(bench, seed=seed), seed)
+    virtual = virtual_recording(bench, seed=seed)
+    turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())  # of the log's axes
+    cos, sin = np.cos(turn), np.sin(turn)
+    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
+    virtual = replace(virtual, log=replace(virtual.log, force=force))
     if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
     return observe_from_truth(
         virtual, clock_error=error, clock_sd=0.5 * setup.clock_sd
     )  # the fit doubles what is stated
-
-
-def _axes_missed(virtual: VirtualRecording, seed: int) -> VirtualRecording:
-    turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())
-    cos, sin = np.cos(turn), np.sin(turn)
-    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
-    return replace(virtual, log=replace(virtual.log, force=force))
 
 
 def simulate(
@@ -216,7 +212,7 @@ MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
 
 @dataclass(frozen=True)
 class Obtained:
-    """What the fits gave, along the 101 places of `PLACES`; R fits succeeded."""
+    """Statistics of the R successful fits, along the 101 places of `PLACES`."""
 
     runs: int
     failed: int
@@ -294,7 +290,7 @@ def rehearse(
 
 
 def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
-    """What the fits gave; None where all failed."""
+    """Statistics of the fits; None where all failed."""
     error, sd, known = errors_of(runs)
     failures = [run.failure for run in runs if run.failure]
     if not len(error):
@@ -327,7 +323,6 @@ def _share(hits: Array, counts: Array) -> tuple[float, float]:
 
 
 def setup_words(setup: forecast.Setup) -> str:
-    """The setup in one line."""
     pushes = "; ".join(f"s = {p.at_s:.2f}, {direction_words(p.direction)}, to {p.peak:.3g} N" for p in setup.pushes)
     return f"{setup.name}: tags at s = {', '.join(f'{s:.3g}' for s in setup.tags)}; pushed at {pushes}"
 
@@ -412,28 +407,16 @@ def _marks(axes: Axes, rehearsal: Rehearsal) -> None:
 
 REHEARSE_FORMAT = "onebend-rehearse-1"
 COLUMNS = (
-    "s",
-    "k_N_m",
-    "predicted_sd",
-    "predicted_median",
-    "predicted_90",
-    "predicted_identified",
-    "obtained_sd",
-    "obtained_median",
-    "obtained_90",
-    "obtained_identified",
-    "coverage",
+    *("s", "k_N_m", "predicted_sd", "predicted_median", "predicted_90", "predicted_identified"),
+    *("obtained_sd", "obtained_median", "obtained_90", "obtained_identified", "coverage"),
 )
 
 
 def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
-    """What `--json` prints, and `summary.json` holds."""
     return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
 
 
 def writer_of(rehearsal: Rehearsal, pictures: Pictures, *, written_by: str) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder."""
-
     def write(folder: Path) -> None:
         write_table(folder / "rehearsal.csv", rehearsal)
         pictures.write(folder)

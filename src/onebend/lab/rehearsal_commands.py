@@ -142,14 +142,13 @@ def loop(
     )
 
 
-# What `onebend rehearse` says.
+# The screen of `onebend rehearse`.
 
 EVERY = 10  # of the 101 places
 FEW = 12  # runs: with fewer, nine in ten mean little
 
 
 def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
-    """All that `onebend rehearse` says."""
     p, o = rehearsal.predicted, rehearsal.obtained
     console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]", highlight=False)
     console.print(
@@ -173,7 +172,6 @@ def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
 
 
 def errors_table(rehearsal: Rehearsal) -> Table:
-    """The error of k along the beam, in percent."""
     p, o = rehearsal.predicted, rehearsal.obtained
     title = "Error of k [%]: median, and nine in ten are below"
     title += "" if np.all(p.identified) else " (*: not identified)"
@@ -189,7 +187,6 @@ def errors_table(rehearsal: Rehearsal) -> Table:
 
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Table:
-    """The band if one nuisance were known exactly."""
     title = "What costs most: how well k(s) would be known if one thing were known exactly"
     table = common.listing(title, "<known exactly", "k(s) then", "removes")
     for entry in budget:
@@ -198,7 +195,6 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
 
 
 def advice_table(rehearsal: Rehearsal) -> Table:
-    """Changes, best first."""
     title = "What to change, by how much it narrows the band"
     table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
@@ -207,7 +203,6 @@ def advice_table(rehearsal: Rehearsal) -> Table:
 
 
 def obtained_words(o: Obtained) -> str:
-    """The simulated recordings in a few sentences."""
     came = f"{o.runs} simulated recordings" if o.runs > 1 else "One simulated recording"
     text = f"{came}: the 95 % band held the truth at {100.0 * o.covered:.0f} %"
     text += f" (± {100.0 * o.covered_error:.0f})" if o.covered_error > 0.0 else ""
@@ -222,7 +217,6 @@ def obtained_words(o: Obtained) -> str:
 
 
 def share_words(share: float) -> str:
-    """A share of the band."""
     return f"{100.0 * share:.0f} %" if share >= 0.005 else "-"
 
 
@@ -255,8 +249,7 @@ Directions = Annotated[
     typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
 ]
 Runs = Annotated[
-    int,
-    typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once."),
+    int, typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")
 ]
 Jobs = Annotated[
     int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes that simulate; default: all cores.")
@@ -354,27 +347,19 @@ def places_of(text: str | None) -> tuple[float, ...]:
     return places
 
 
-# What `onebend reproduce`, `onebend batch` and `onebend population` say in the end.
+# The screen of `onebend reproduce`.
 
 
 def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
-    """The error at the tip of every validation, the tasks, and where the report is."""
-    table = Table(title="RMS error at the tip \\[mm]", title_justify="left", box=None, pad_edge=False)
-    for name in ("beam", "push"):
-        table.add_column(name)
-    for name in ("printed", "paper's method", "fit", "true beam"):
-        table.add_column(name, justify="right")
+    heads = ("<beam", "<push", "printed", "paper's method", "fit", "true beam")
+    table = common.listing("RMS error at the tip [mm]", *heads)
     for beam in outcome.beams:
         for film in beam.films[1:]:
             printed = printed_m3(beam.name, film.strategy.name)
-            table.add_row(
-                beam.name,
-                film.strategy.name,
-                UNKNOWN if printed is None else millimetres(printed),
-                UNKNOWN if film.paper is None else millimetres(film.paper.rms[-1]),
-                f"[bold]{millimetres(film.fit.rms[-1])}[/]",
-                millimetres(film.true.rms[-1]),
-            )
+            paper = None if film.paper is None else film.paper.rms[-1]
+            before = (UNKNOWN if error is None else millimetres(error) for error in (printed, paper))
+            ours = f"[bold]{millimetres(film.fit.rms[-1])}[/]", millimetres(film.true.rms[-1])
+            table.add_row(beam.name, film.strategy.name, *before, *ours)
     console.print(table)
     below, known = study_report.below_printed(outcome)
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]

@@ -93,7 +93,7 @@ def coverage(loops: Array, box: PixelBox) -> Image:
     return np.asarray(np.minimum(np.abs(sums), np.float32(1.0)))
 
 
-# What is in the picture apart from beam and tags: table, light, tool, hand; and the camera's noise.
+# The scene apart from beam and tags: table, light, tool, hand; and the camera's noise.
 
 Colour = tuple[float, float, float]  # 0 to 1
 Backdrop = Literal["wood", "mat", "cloth", "plain"]
@@ -144,7 +144,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Picture:
-    """What the table reflects: brightness (H, W), and the two colour differences at half the size."""
+    """Reflectance of the table: brightness (H, W), and the two colour differences at half the size."""
 
     y: Image
     u: Image
@@ -340,7 +340,7 @@ def all_seen(camera: Camera, view: View, points: Array, margin: float) -> bool:
 
 
 def calibration(camera: Camera) -> CameraEntry:
-    """What a perfect calibration of it says, to the digits that are written."""
+    """The camera's exact calibration, to the digits that are written."""
     matrix = camera.matrix
     return CameraEntry(
         width=camera.width,
@@ -421,7 +421,7 @@ class ColourLayer:
 
 @dataclass(frozen=True)
 class Shadow:
-    """What polygons (..., corners, 2) [m] keep from the light."""
+    """The shadow of polygons (..., corners, 2) [m]."""
 
     loops: Array
     density: float = 0.35
@@ -431,7 +431,7 @@ class Shadow:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn of one moment, the nearest to the camera last."""
+    """Shadows and layers of one moment, the layer nearest to the camera last."""
 
     shadows: list[Shadow]
     layers: list[ColourLayer]
@@ -450,7 +450,7 @@ class YuvFrame:
 
 @dataclass(frozen=True)
 class StaticScene:
-    """What does not change over a film."""
+    """The parts of a film that do not change."""
 
     scene: Scene
     view: View

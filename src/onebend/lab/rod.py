@@ -39,7 +39,7 @@ WEIGHT_STEPS = 16
 
 @dataclass(frozen=True)
 class RodTask:
-    """What is followed."""
+    """The beam, its effects and its load through one push."""
 
     beam: Beam
     effects: RealBench
@@ -52,7 +52,7 @@ class RodTask:
 
 @dataclass(frozen=True)
 class RodMotion:
-    """What came out, at T even times from 0 and at the N + 1 ends of the cells."""
+    """The motion at T even times from 0 and at the N + 1 ends of the cells."""
 
     time: Array  # (T,) s
     s: Array  # (N + 1,)

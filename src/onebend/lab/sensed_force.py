@@ -100,7 +100,7 @@ class SensedForce:
         instruments: Instruments | None = None,
         seed: int = 0,
     ) -> None:
-        """`truth` is the beam that moves, `model` what is thought of it, with its band `stiffness`. Raises
+        """`truth` is the beam that moves, `model` the learned beam with the band `stiffness`. Raises
         `LearningError`: as `sense`."""
         self._bench = VirtualBench(truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base)
         self._seen, self._rng = seen, np.random.default_rng(seed)
@@ -125,7 +125,7 @@ class SensedForce:
         return np.clip(tag_places(self._bench), 0.0, 1.0)
 
     def _markers(self, time: Array, beam: Array) -> Markers:
-        """What the camera makes of the tags, the beam at their places being `beam` (T, m, 3)."""
+        """Detected tags on a beam whose poses at their places are `beam` (T, m, 3)."""
         pose = from_base(tag_poses_on(self._bench, beam[..., :2], beam[..., 2]), self._seen.base)
         poses, covariance = filmed(self._seen.noise, pose, _STEP, self._rng)
         return Markers(

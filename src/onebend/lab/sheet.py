@@ -80,7 +80,7 @@ def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Pa
 
 
 def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, bytes]:
-    """What `write_pages` writes: the files' contents by their paths. Raises `MechanicsError` as it does."""
+    """Contents of the files of `write_pages`, by path. Raises `MechanicsError` as that does."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise MechanicsError(f"{path}: sheets are written as {' or '.join(SUFFIXES)}. Name the file so.")
@@ -165,7 +165,7 @@ LEAST_RIM = 1.0  # cells
 
 @dataclass(frozen=True)
 class Sheet:
-    """What is to be printed."""
+    """The tags of a sheet and their layout."""
 
     ids: tuple[int, ...]
     size: float = 0.012  # m, side of the black square (`size_m` of a recording)

@@ -165,7 +165,7 @@ class PrintedTrial:
 
 @dataclass(frozen=True)
 class PrintedBeam:
-    """What the paper says of one beam."""
+    """The paper's printed results of one beam."""
 
     selection_table: str
     trials: tuple[PrintedTrial, ...] | None
@@ -294,7 +294,7 @@ FIT_FILE, PAPER_FILE, FACTS_FILE = "model.json", "paper-model.json", "facts.json
 
 @dataclass(frozen=True)
 class LearnedBeam:
-    """What was learned from one training push."""
+    """A beam learned from one training push."""
 
     trials: tuple[Trial, ...]  # Tables I to III
     chosen: int | None  # index in `trials`; None where no (n, m) gave a beam
@@ -337,7 +337,7 @@ def by_paper(observations: Observations) -> tuple[tuple[Trial, ...], int | None,
 
 
 def by_fit(observations: Observations) -> Posterior:
-    """What `onebend learn` does: the regression with the tags' angles, and the fit from there."""
+    """As `onebend learn`: the regression with the tags' angles, and the fit from there."""
     try:
         start = regress(observations)
     except LearningError:
@@ -375,7 +375,7 @@ def _save(
 
 
 def load_learned(folder: Path) -> LearnedBeam:
-    """What was learned. Raises `ResultsError` where its files are damaged."""
+    """The learned beam. Raises `ResultsError` where its files are damaged."""
     try:
         facts = json.loads((folder / FACTS_FILE).read_text(encoding="utf-8"))
         stored = read_model(folder / FIT_FILE)
@@ -651,7 +651,7 @@ def run_jobs(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stag
             pass
 
 
-# What the paper does not say, and what is assumed instead.
+# Assumptions where the paper gives no numbers.
 
 
 def assumed(outcome: StudyOutcome) -> list[str]:
@@ -686,7 +686,7 @@ def assumed(outcome: StudyOutcome) -> list[str]:
 
 
 def quick_words(setting: StudySettings) -> str:
-    """What a quick study leaves out; empty of a whole one."""
+    """The limits of a quick study; empty for a whole one."""
     if not setting.quick:
         return ""
     return (
@@ -696,7 +696,7 @@ def quick_words(setting: StudySettings) -> str:
 
 
 def slow_error(outcome: StudyOutcome) -> str:
-    """What the slow errors of the force are."""
+    """The slow errors of the force, in words."""
     if outcome.setting.sensor == "franka":
         return "the slow errors that were measured on such a robot at 3 to 7 N"
     return (

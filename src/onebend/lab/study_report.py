@@ -441,7 +441,6 @@ def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: 
 
 
 def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
-    """The outcome in four figures."""
     below, known = below_printed(outcome)
     films = [film for beam in outcome.beams for film in beam.films[1:]]
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
@@ -471,7 +470,6 @@ def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
 
 
 def shown(table: ResultTable) -> dict[str, Any]:
-    """A table as the page shows it: lengths in mm, groups of columns above."""
     groups: list[dict[str, Any]] = []
     alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: said once, above
     for name in table.columns:
@@ -534,7 +532,6 @@ REPRODUCE_FORMAT = "onebend-reproduce-1"
 
 
 def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any]:
-    """What `--json` prints and `summary.json` holds; SI."""
     below, known = below_printed(outcome)
     return {
         "format": REPRODUCE_FORMAT,
@@ -550,8 +547,6 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
 def writer(
     outcome: study.StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
 ) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder; recordings and models come there from `work`."""
-
     def write(folder: Path) -> None:
         (folder / "report.html").write_text(page(outcome, pictures.drawn, version=version), encoding="utf-8")
         for name in ("tables", "figures"):

@@ -237,7 +237,7 @@ def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
 
 
 def declared_recording(bench: VirtualBench) -> Recording:
-    """What recording.toml would say."""
+    """The entries of recording.toml."""
     declared, clock, at = bench.declared, bench.clock, Path("virtual") / bench.name
     length = bench.beam.length if isnan(declared.length) else declared.length
     return Recording(
@@ -287,12 +287,14 @@ def observe_from_truth(
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
-    still = _untouched(bench, markers.time)
+    begin, end = bench.push.contact
+    still: BoolArray = (markers.time < begin) | (markers.time > end)  # nothing pushes
+    offset = ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.declared, True)
     in_frame, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
     known = np.all(np.isfinite(force), axis=1)
     return Observations(
-        source=Source(rec.name, clock=_clock(bench, clock_error, clock_sd), clean_force=clean),
+        source=Source(rec.name, clock=offset if clock_sd > 0.0 else None, clean_force=clean),
         stated=Stated(
             rest=rec.beam.rest,
             mass=rec.beam.mass,
@@ -321,16 +323,6 @@ def observe_from_truth(
         rest_covariance=rest.covariance,
         gravity=np.zeros_like(force)[known],
     )
-
-
-def _untouched(bench: VirtualBench, time: Array) -> BoolArray:
-    """(T,) film times [s] at which nothing pushes."""
-    begin, end = bench.push.contact
-    return np.asarray((time < begin) | (time > end))
-
-
-def _clock(bench: VirtualBench, error: float, sd: float) -> ClockOffset | None:
-    return ClockOffset(bench.clock.offset + error, sd, bench.clock.declared, True) if sd > 0.0 else None
 
 
 def _force_seen(

@@ -112,7 +112,7 @@ def _reason(level: float, shape: float, there: tuple[float, float], less: float,
     return "; ".join(said)
 
 
-# What a batch found: a record for every recording that was asked for.
+# The outcome of a batch: a record for every recording.
 
 
 @dataclass(frozen=True)
@@ -361,7 +361,6 @@ STEP = 4  # of PLACES: points of a small picture
 
 
 def page(outcome: BatchOutcome, *, version: str) -> str:
-    """The page as HTML, which carries everything in itself."""
     least, most = _range(outcome.records)
     names = sorted({item.group for item in outcome.items})
     content = {
@@ -442,7 +441,6 @@ SUMMARY = "summary.json"
 
 
 def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
-    """What `--json` prints and `summary.json` holds."""
     return {
         "format": BATCH_FORMAT,
         "written_by": written_by,

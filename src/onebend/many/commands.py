@@ -21,13 +21,12 @@ from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
 
-# What `onebend reproduce`, `onebend batch` and `onebend population` say in the end.
+# The screens of `onebend batch` and `onebend population`.
 
 MOST_ROWS = 20  # rows of each kind that are shown of a batch
 
 
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
-    """How many were learned, which were not and why, and which are unlike the others."""
     there = len(outcome.items) - outcome.learned_now
     before = f", {there} of them before" if there else ""
     console.print(f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}.", markup=False)
@@ -48,13 +47,10 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
 
 
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
-    """The groups' means, the spread, what is unlike the others, and where the report is."""
     named = outcome.named
     middle = len(named.trial.s) // 2
-    table = Table(title="mean k(s)", title_justify="left", box=None, pad_edge=False)
-    table.add_column("group")
-    for head in ("objects", "k(0.5) \\[N m]", "95 % from", "to", "half band", "for the wished band"):
-        table.add_column(head, justify="right")
+    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half band", "for the wished band")
+    table = common.listing("mean k(s)", "<group", *heads)
     curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
     for i, row in enumerate(population_report.group_rows(outcome)):
         values = [significant(float(np.exp(one[i, middle]))) for one in curves]
@@ -78,11 +74,7 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
 
 
 Source = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FOLDER|LIST.csv",
-        help="A folder with recordings in it, or a CSV with a column path.",
-    ),
+    Path, typer.Argument(metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path.")
 ]
 Results = Annotated[
     Path, typer.Option("--output", "-o", metavar="RESULTS", help="Folder for what comes out; a stopped run goes on.")

@@ -27,7 +27,7 @@ from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 from onebend.text_files import csv_rows, quoted
 
-# What the model is given: log k(s) of every recording with its covariance, its object, and the object's group.
+# Input: log k(s) of every recording with its covariance, its object, and the object's group.
 
 JITTER = 1e-4  # sd of log k that a fit leaves at each place by itself: a hundredth of a percent
 
@@ -251,7 +251,7 @@ def _given(trial: PopulationTrial, spreads: Spreads) -> tuple[Means, Array]:
 
 
 def objects_of(trial: PopulationTrial, spreads: Spreads) -> Means:
-    """What the recordings of each object say of it, without the other objects; (1, O, ...) where none has two."""
+    """Means of each object from its own recordings; (1, O, ...) where none has two."""
     if not trial.repeated:
         rows = np.argsort(trial.object_of)
         return Means(trial.log_k[None, rows], trial.noise[None, rows], np.zeros((1, trial.objects)))
@@ -674,7 +674,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What passes, how sure that is, and how often it is wrong."""
+    """Probabilities of passing, and expected shares of errors."""
 
     inside: Array  # (O,) probability that k(s) lies inside everywhere
     passes: float  # probability from which an object passes

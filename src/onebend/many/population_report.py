@@ -31,19 +31,14 @@ MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with th
 
 @dataclass(frozen=True)
 class PopulationSettings:
-    """What is asked."""
+    """Settings of a population."""
 
     by: str = option("--by", "group", "Of recordings.parquet, that names the group.", metavar="COLUMN")
     same: str | None = option(
         "--object", None, "That names the object; default: every recording has its own.", metavar="COLUMN"
     )
     wished: float = option(
-        "--band",
-        0.05,
-        "Wished half band of the means, of k.",
-        metavar="PERCENT",
-        within=(0.01, 1e9),
-        scale=0.01,
+        "--band", 0.05, "Wished half band of the means, of k.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
     )
     tolerance: model.Tolerance | None = None
     passes: float = option(
@@ -128,7 +123,6 @@ AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, where the table of objects has k
 
 
 def tables(outcome: PopulationOutcome) -> dict[str, pa.Table]:
-    """All of `TABLES`, by name."""
     made = (_groups, _means, _ratios, _spread, _objects, _curves, _needed, _left_out)
     return {name: pa.table(one(outcome)) for name, one in zip(TABLES, made, strict=True)}
 
@@ -323,7 +317,6 @@ MOST_JUDGED = 200  # rows of objects on the page; the table has all
 
 
 def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
-    """The page as HTML, which carries everything in itself."""
     named = outcome.named
     content = {
         "version": version,
@@ -361,7 +354,6 @@ def percent(share: float) -> str:
 
 
 def count_words(number: float) -> str:
-    """A number of objects."""
     return f"{number:.0f} objects" if np.isfinite(number) else "no number of them"
 
 
@@ -371,7 +363,6 @@ def group_name(name: str) -> str:
 
 
 def judged_words(outcome: PopulationOutcome) -> str:
-    """What passes, and the errors to be expected; empty where no tolerance was given."""
     judged = outcome.judgement
     if judged is None:
         return ""
@@ -395,12 +386,10 @@ def _cards(outcome: PopulationOutcome) -> list[dict[str, str]]:
 
 
 def group_rows(outcome: PopulationOutcome) -> list[dict[str, Any]]:
-    """The rows of the table `groups`."""
     return [dict(one) for one in pa.table(_groups(outcome)).to_pylist()]
 
 
 def spread_rows(outcome: PopulationOutcome) -> list[tuple[str, list[float]]]:
-    """Each spread in words, with its value and the ends of its band, as shares."""
     rows = []
     for key, (what, of_log_k) in SPREAD.items():
         one: model.Estimate = getattr(outcome.shares, key)
@@ -427,7 +416,6 @@ POPULATION_FORMAT = "onebend-population-1"
 
 
 def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]:
-    """What `--json` prints and `summary.json` holds."""
     named, judged = outcome.named, outcome.judgement
     told = ("group", "objects", "half_band", "objects_needed", "next_object_inside")
     return {
@@ -456,8 +444,6 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
 def writer(
     outcome: PopulationOutcome, pictures: Pictures, summary: Mapping[str, Any], *, name: str, version: str
 ) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder."""
-
     def write(folder: Path) -> None:
         for key, table in tables(outcome).items():
             (folder / f"{key}.parquet").write_bytes(as_parquet(table))

@@ -150,7 +150,7 @@ def _value(cell: str) -> Any:
     return cell
 
 
-# What is kept of one recording: a small JSON file, whole or not there, under the hash of all that it was made from.
+# Records: one small JSON file for each recording, under the hash of all that it was made from.
 
 FORMAT = "onebend-batch-record-4"
 RECORDS = ".records"  # in the results folder
@@ -192,7 +192,7 @@ def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
 
 
 def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record:
-    """What is kept of a learned recording."""
+    """The record of a learned recording."""
     assert run.posterior is not None  # a batch learns with the fit
     verdict, band = verdict_of(run), run.posterior.stiffness.band(PLACES)
     return Record(
@@ -249,7 +249,7 @@ FOLDERS = "recordings"  # in the results folder: a folder of each, where asked f
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What all recordings of a batch are learned with."""
+    """Settings of all tasks of a batch."""
 
     out: Path  # absolute
     version: str  # of the onebend that asks
@@ -261,7 +261,7 @@ class TaskSettings:
 
 @dataclass(frozen=True)
 class ItemResult:
-    """What a task says to who asked: the record itself stands in the results folder."""
+    """The answer of a task; the record itself stands in the results folder."""
 
     hash: str  # empty: there is no record
     learned_now: bool  # False: the record was there

@@ -9,5 +9,5 @@ COMMANDS = {
         "onebend.studio.commands:studio",
         "Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.",
         "out",
-    ),
+    )
 }

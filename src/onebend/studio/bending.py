@@ -25,7 +25,7 @@ from onebend.results.model import StoredModel, read_model
 from onebend.studio.jobs import asked_number
 from onebend.studio.places import hand_line, reach_line
 
-# What takes longer than a frame, in a process of its own: the map of the reachable set, the hand's edge, the ellipse.
+# Work that takes longer than a frame, in a process of its own: the reachable set, the hand's edge, the ellipse.
 #
 # The functions here run there. A beam goes over as plain data, and is kept until another one comes.
 
@@ -143,7 +143,7 @@ class Bending:
         return self.point.state if self.hand is None else self.hand.state
 
     def opened(self) -> dict[str, Any]:
-        """What the page draws beside the answers: the beam itself, and how it is held."""
+        """The beam itself, and how it is held, for the page."""
         beam, known = self.stored.beam, self.stored.uncertain
         return {
             **{name: getattr(self, name) for name in ("model", "push_s", "point_s", "mode", "version")},
@@ -225,7 +225,7 @@ class Bending:
         }
 
     def _command(self, pose: list[float]) -> str:
-        """What gives the same load; empty where there is none, or where no goal says it: along a straight beam."""
+        """The command that gives the same load; empty where there is none, as along a straight beam."""
         size = float(np.hypot(*self.state.load[:2]))
         if size == 0.0 and self.state.load[2] == 0.0:
             return ""

@@ -1,4 +1,4 @@
-"""What the pages share: the beams that are bent, the work that runs, and everybody who looks on.
+"""The state that all tabs share: the beams that are bent, the work that runs, and everybody who looks on.
 
 All tabs see the same: each answer goes to all of them. Of drags that come faster than they are answered, the last
 counts.
@@ -316,7 +316,7 @@ class Desk:
 
 
 def request_of(text: str) -> dict[str, Any] | None:
-    """What a tab asks for; None where it is no message of the page."""
+    """The request of a tab; None where it is no message of the page."""
     try:
         message = json.loads(text)
         return {

@@ -145,7 +145,7 @@ class RecorderProcess:
 
 
 def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page asked for, as the recorder takes it.
+    """The request of the page, as the recorder takes it.
 
     Raises `StudioError` where something is missing, has no meaning, or leads out of the studio's folder.
     """

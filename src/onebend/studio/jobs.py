@@ -129,7 +129,7 @@ async def begun(module: str) -> asyncio.subprocess.Process:
 
 
 async def lines_of(process: asyncio.subprocess.Process) -> AsyncIterator[dict[str, Any]]:
-    """What the process says, line by line; what is no JSON is left out."""
+    """JSON objects that the process writes, one a line; other lines are left out."""
     assert process.stdout is not None
     async for line in process.stdout:
         with contextlib.suppress(ValueError):
@@ -187,7 +187,7 @@ def tell(data: Mapping[str, Any]) -> None:
 
 
 def process(work: Callable[[Mapping[str, Any]], None], *, alone: bool = True) -> int:
-    """What a process of `Jobs` does: `work` on the JSON object on standard input, in the folder that it names.
+    """Main function of a process of `Jobs`: `work` on the JSON object on standard input, in the folder that it names.
 
     Args:
         alone: it goes on when the studio is gone; else it ends then.

@@ -101,7 +101,7 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 
 def _object(value: Any) -> dict[str, Any]:
-    """What stands there as onebend writes it: an object; an empty one where another hand wrote something else."""
+    """The value where it is an object; else an empty one."""
     return value if isinstance(value, dict) else {}
 
 

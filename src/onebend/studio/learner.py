@@ -39,7 +39,7 @@ def work(wanted: Mapping[str, Any]) -> None:
         detect = detection_cache(onebend.__version__, place.work).detect
         run = learn(recordings[0], *recordings[1:], validate_on=validate, detect=detect, progress=progress)
         settings = {"fit": FitSettings(), "regression": RegressionSettings(), "observing": ObserveSettings()}
-        made_from = provenance(inputs, dict(wanted), settings)
+        made_from = provenance(inputs, wanted, settings)
         _put(place, run, Pictures(), made_from)  # the fit is safe before a picture is drawn
         tell({"published": True})
         from onebend.report.figures import draw_all  # here: Matplotlib is for pictures alone

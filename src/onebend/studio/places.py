@@ -62,13 +62,7 @@ class StudioFolder:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
         if any(len(part.encode()) > _LONGEST_PART for part in parts):
             raise StudioError(f"{name[:30]!r}... is too long a name: a folder's has at most {_LONGEST_PART} bytes")
-        try:
-            path = (self.root / name).resolve()
-        except (OSError, RuntimeError) as error:
-            raise StudioError(f"{name[:100]!r} cannot be read") from error
-        if not path.is_relative_to(self.root):
-            raise StudioError(f"{name[:100]!r} leads out of {self.root}")
-        return path
+        return self._inside(self.root / name, name, "")
 
     def beside(self, name: str, file: str) -> Path:
         """A file that is named in the folder `name`, as it leads on from there.
@@ -77,12 +71,15 @@ class StudioFolder:
         """
         if not file or "\0" in file or len(file) > 1000 or not _is_text(file):
             raise StudioError("no file is named")
+        return self._inside(self.path(name) / file, file, ": the page does not look there. A check does")
+
+    def _inside(self, path: Path, name: str, advice: str) -> Path:
         try:
-            path = (self.path(name) / file).resolve()
+            path = path.resolve()
         except (OSError, RuntimeError) as error:
-            raise StudioError(f"{file[:100]!r} cannot be read") from error
+            raise StudioError(f"{name[:100]!r} cannot be read") from error
         if not path.is_relative_to(self.root):
-            raise StudioError(f"{file[:100]!r} leads out of {self.root}: the page does not look there. A check does")
+            raise StudioError(f"{name[:100]!r} leads out of {self.root}{advice}")
         return path
 
     def recording(self, name: str) -> Path:
@@ -208,7 +205,7 @@ class Guard:
         await self._bounded(scope, receive, with_headers)
 
     def _refusal(self, scope: Scope, headers: Headers) -> PlainTextResponse | RedirectResponse | None:
-        """What is answered instead; None where the request may go on."""
+        """The refusal; None where the request may go on."""
         host = headers.getlist("host")
         if len(host) != 1 or host[0] not in self.hosts:
             return PlainTextResponse("This host is not known here.\n", 403)
@@ -318,7 +315,7 @@ def rounded(value: float, digits: int) -> str:
 
 
 def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
-    """What gives the force of a dragged point; `digits` of the goal in metres."""
+    """The command that gives the force of a dragged point; `digits` of the goal in metres."""
     places = [] if push_s == 1.0 else ["--push-at", number(push_s)]
     places += [] if point_s == 1.0 else ["--point", number(point_s)]
     goals = [rounded(one, digits) for one in goal[:2]]
@@ -326,25 +323,25 @@ def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, po
 
 
 def hand_line(model: str, goal: Sequence[float]) -> str:
-    """What gives the wrench of a hand at the beam's end."""
+    """The command that gives the wrench of a hand at the beam's end."""
     angle = rounded(math.degrees(goal[2]), MOST_DIGITS - 2)
     goals = [rounded(one, MOST_DIGITS) for one in goal[:2]]
     return line("reach", model, "--goal", *goals, "--goal-angle-deg", angle, "--moment")
 
 
 def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, replace: bool) -> str:
-    """What learns the same."""
+    """The command that learns the same."""
     checks = [word for one in validate for word in ("--validate", one)]
     return line("learn", *recordings, "--output", out, *checks, *(["--force"] if replace else []))
 
 
 def check_line(name: str) -> str:
-    """What checks the same."""
+    """The command that checks the same."""
     return line("check", plain_word(name), "--output", f"{plain_word(name)}/check.png")
 
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
-    """What rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
+    """The command that rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
     places = [] if wanted["push_s"] == 1.0 else ["--push-at", number(wanted["push_s"])]
     places += [] if wanted["point_s"] == 1.0 else ["--point", number(wanted["point_s"])]
     beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
@@ -361,7 +358,7 @@ def plain_word(name: str) -> str:
 
 
 def record_line(wanted: Mapping[str, Any]) -> str:
-    """What records the same; `wanted` as from `filming.wanted_recording`."""
+    """The command that records the same; `wanted` as from `filming.wanted_recording`."""
     given = [(f"--{key}", wanted[key]) for key in ("camera", "force", "like") if wanted[key]]
     if wanted["until_percent"] is not None:
         given.append(("--until", f"{number(wanted['until_percent'])}%"))

@@ -60,7 +60,7 @@ class Talk:
             self._out.flush()
 
     def watch(self, state: live.CaptureState) -> None:
-        """What is known now; of states that come faster than they are told, the newest counts."""
+        """Take a state; of states that come faster than they are sent, the newest counts."""
         self._newest = state
         self._new.set()
 
@@ -95,7 +95,7 @@ def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[st
 
 
 def state_data(state: live.CaptureState) -> dict[str, Any]:
-    """What is known while a push is recorded, for the page."""
+    """The state of a recording, for the page."""
     order = list(STAGE_NAMES)
     tags = [
         {"id": tag.id, "side_px": tag.side_px, "corners_px": tag.corners.round(1) if tag.seen else None}
@@ -153,7 +153,7 @@ def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: th
 
 
 def check_data(folder: Path) -> dict[str, Any]:
-    """What `onebend check` says of a recording."""
+    """Findings of `onebend check`."""
     try:
         found = overview(folder)
     except OnebendError as error:

@@ -39,7 +39,7 @@ _saving = threading.Lock()  # of this studio's tabs; other programs are met by `
 
 
 def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page asks of this room. Raises an `OnebendError` where it cannot be had."""
+    """The answer to a request of the page. Raises an `OnebendError` where it cannot be had."""
     name = str(asked.get("name", ""))
     try:
         if what == "read":
@@ -104,12 +104,12 @@ def as_bytes(text: str, before: bytes) -> bytes:
 
 
 def version_of(data: bytes) -> str:
-    """What tells one content of a file from another."""
+    """A checksum of a file's content."""
     return hashlib.sha256(data).hexdigest()
 
 
 def checked(folder: Path, text: str) -> dict[str, Any]:
-    """What is wrong with the text, line by line, and what the page needs to draw of it."""
+    """The mistakes in the text, line by line, and its tags and film for the page."""
     found = check_text(folder, text)
     tags, video = _table(found.data, "tags"), _table(found.data, "video")
     return {
@@ -214,7 +214,7 @@ def check_picture_of(places: StudioFolder, name: str) -> bytes:
 
 
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What the process is told. Raises `StudioError` where there is no such recording."""
+    """The work as the process takes it. Raises `StudioError` where there is no such recording."""
     name = str(asked.get("name", ""))
     places.recording(name)
     return {"folder": str(places.root), "name": name, "command": check_line(name)}

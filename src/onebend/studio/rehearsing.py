@@ -40,7 +40,7 @@ NUMBERS = {  # what may be asked for: least, most, and what is taken where nothi
 
 
 def beam_data(name: str, folder: Path) -> dict[str, Any]:
-    """What the page draws before anything is rehearsed: the beam at rest, and a goal to begin with.
+    """The first picture of the page: the beam at rest, and a goal to begin with.
 
     Raises `ResultsError` where the model cannot be read.
     """
@@ -71,7 +71,7 @@ def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, fl
 
 
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What the process is told. Raises `StudioError` where the page asked for what has no meaning."""
+    """The work as the process takes it. Raises `StudioError` where the page asked for what has no meaning."""
     model = str(asked.get("model", ""))
     places.result(model)
     goal = asked.get("goal_m")

@@ -82,7 +82,7 @@ async def _page_file(request: Request) -> Response:
 
 
 class Asked:
-    """What the page asks for by HTTP."""
+    """Handlers of the page's HTTP requests."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -178,8 +178,9 @@ class Asked:
         out = asked_text(asked, "out") or f"{Path(recordings[0]).name}-results"
         if self.desk.places.path(out) == self.desk.places.root:
             raise StudioError("results go to a folder of their own")
-        wanted = {"recordings": recordings, "validate": validate, "out": out, "replace": asked.get("replace") is True}
-        command = learn_line(recordings, validate, plain_word(out), wanted["replace"])
+        replace = asked.get("replace") is True
+        wanted = {"recordings": recordings, "validate": validate, "out": out, "replace": replace}
+        command = learn_line(recordings, validate, plain_word(out), replace)
         await self.desk.jobs.start({**wanted, "folder": str(self.desk.places.root), "command": command})
         return _said({"out": out})
 
@@ -205,7 +206,7 @@ def _said(data: Any, status: int = 200) -> Response:
 
 
 async def _of_room(room: str, function: str, *arguments: Any) -> Any:
-    """What a room's function gives; the room is loaded when it is first asked, by the thread that asks."""
+    """The result of a room's function; the room is loaded when it is first asked, by the thread that asks."""
     return await run_in_threadpool(lambda: getattr(import_module(f"onebend.studio.{room}"), function)(*arguments))
 
 

@@ -114,7 +114,7 @@ def test_one_effect_alone_is_alone() -> None:
     assert drawn(7, "slide").effects.slide != 0.0
     assert drawn(7, "slide").tags == BENCH.tags
     for name in OF_THE_PICTURE:
-        assert drawn(7, name).effects.pictured
+        assert drawn(7, name).effects != drawn(7, "inertia").effects  # which does nothing: the mass is not known
         assert not drawn(7, name).effects.moves_otherwise
     with pytest.raises(RecordingError, match="no effect"):
         only("magic")
