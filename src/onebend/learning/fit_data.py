@@ -103,7 +103,7 @@ POWERS = {"even": 0.0, "width": 1.0 / 3.0, "thickness": 1.0, "both": 0.5}  # p o
 
 @dataclass(frozen=True)
 class OwnWeight:
-    """The weight of one film's frames: F frames, Q nodes, the four parts of the mass (`parameters.layout`)."""
+    """The weight of one film's frames: F frames, Q nodes, the four parts of the mass (`make_layout`)."""
 
     gravity: Array  # (F, 2) m/s^2
     modes: Array  # (Q, 4) or (F, Q, 4) kg/m per unit of each part

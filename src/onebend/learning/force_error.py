@@ -135,7 +135,7 @@ def _below(upper: Array, more: Array) -> Array:
 
 
 def expected_noise(observations: Observations, largest: float) -> ForceNoise:
-    """What the clock search found; a stated share of the largest force where it found nothing."""
+    """Noise found by the clock search; a share of the largest force where it found none."""
     clean = observations.source.clean_force
     if clean is not None and clean.noise is not None:
         return replace(clean.noise, coloured=max(clean.noise.coloured, _LEAST * largest))

@@ -157,7 +157,7 @@ def loads_of(observations: Observations, frames: BoolArray) -> Loads:
 
 
 def known_loads(observations: Observations, frames: BoolArray) -> Loads:
-    """What acts in those frames besides the logged force and the weight."""
+    """The loads in those frames besides the logged force and the weight."""
     known = observations.known_loads
     if known is None:
         return Loads()

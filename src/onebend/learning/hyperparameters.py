@@ -79,7 +79,7 @@ class Evidence:
         return solved(self.data, prior(self.problem, hyperparameters))
 
     def stiffness_form(self, posterior: Solved, weight: float = 1.0) -> InformationForm:
-        """What is known of log k beside its prior, all else integrated out at the hyperparameters of a posterior."""
+        """Likelihood of log k, all else integrated out at the hyperparameters of a posterior."""
         layout, before = self.problem.layout, posterior.before
         mean, p = before.mean[before.parts[0]], np.arange(layout.spline.count)
         return replace(marginal(posterior.left, mean, before.roots[0], p), weight=weight)

@@ -60,7 +60,7 @@ class Hyperparameters:
     load: float  # sd of the force error that comes with the load, likewise
     noise: tuple[RecordingNoise, ...]
     sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
-    chains: Array | None = None  # where the sampler's chains stand, see `stiffness_prior.mean_part_variances`
+    chains: Array | None = None  # where the sampler's chains stand, see `normal.mean_part_variances`
 
 
 @dataclass(frozen=True)

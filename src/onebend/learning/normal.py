@@ -116,7 +116,7 @@ def unit_root(count: int) -> BlockRoot:
 
 @dataclass(frozen=True)
 class InformationForm:
-    """What is known of n parameters: `-2 log p = x' H x - 2 b' x + c + 2 log_noise`, but for a common constant."""
+    """A density of n parameters: `-2 log p = x' H x - 2 b' x + c + 2 log_noise`, up to a constant."""
 
     matrix: Array  # (n, n) H
     vector: Array  # (n,) b
@@ -148,7 +148,7 @@ _LEAST_EIGENVALUE = 1e-9  # of the largest eigenvalue of correlations: direction
 
 @dataclass(frozen=True)
 class Conditioning:
-    """What numbers k, correlated with parameters b, would be, were these known."""
+    """Numbers k conditioned on parameters b."""
 
     explained: Array  # (S,) part of the variance of k
     change: Array  # (S,) of k, where b goes by `away`
@@ -408,7 +408,7 @@ def mean_part_variances(
 def stiffness_mixture(
     spline: Spline, forms: Sequence[InformationForm], level: float, draws: Draws, start: Array | None = None
 ) -> StiffnessMixture:
-    """What is known of log k around `level`; `start` as for `mean_part_variances`."""
+    """Posterior of log k around `level`; `start` as for `mean_part_variances`."""
     target, p = _Target(spline, forms, level, draws.chains), spline.count
     mean, second, marginals = np.zeros(p), np.zeros((p, p)), []
     parts = np.zeros(target.weights.shape[1])
@@ -435,18 +435,15 @@ def stiffness_mixture(
 def _drawn_chains(target: _Target, draws: Draws, start: Array | None) -> Iterator[_Chains]:
     """The kept draws; every run is the same."""
     rng, count = np.random.default_rng(0), len(target.share)
-    begin = _anywhere(count, target.spline.count, rng) if start is None else start[np.arange(count) % len(start)]
+    if start is None:  # draws from the prior
+        logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
+        start = np.concatenate([logs, np.ones((count, 2 * target.spline.count - 1))], axis=1)
+    begin = start[np.arange(count) % len(start)]
     now = target.at(begin[:, :2], begin[:, 2:])
     for i in range(draws.burn + draws.kept):
         now = target.moved(now, rng)
         if i >= draws.burn:
             yield now
-
-
-def _anywhere(count: int, p: int, rng: np.random.Generator) -> Array:
-    """(B, 2 p + 1) chains before any data."""
-    logs = np.log([TAU, RHO]) + 0.7 * SPREAD * rng.standard_normal((count, 2))
-    return np.concatenate([logs, np.ones((count, 2 * p - 1))], axis=1)
 
 
 def _shape(means: Array, sds: Array, weight: Array) -> Array:

@@ -321,7 +321,7 @@ class Miss:
 
     @property
     def words(self) -> str:
-        """What is wrong."""
+        """A description of the misfit."""
         return (
             f"the fit misses tag {self.tag} by {1000 * self.rms:.3g} mm RMS where it moves by "
             f"{1000 * self.motion:.3g} mm"

@@ -552,7 +552,7 @@ def regress(
 
 
 def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
-    """What was assumed about the beam at rest."""
+    """Assumptions about the beam at rest."""
     if not rest.seen:
         text = "no frame shows the beam at rest: it is taken as straight, its tags as perfectly placed"
         return (Remark("warning", text, about="no rest"),)

@@ -258,7 +258,7 @@ class LearnedMass:
 
 
 def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
-    """What the fit says of the mass."""
+    """Remarks on the learned mass."""
     if mass is None:
         return ()
     size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
@@ -290,7 +290,7 @@ def needs_mass(observations: Observations) -> bool:
 
 
 def _alike(recordings: Sequence[Observations]) -> Sequence[Observations]:
-    """What one recording says of how the mass is spread holds for all."""
+    """The recordings, each with the spread of the mass that one of them states."""
     said = sorted({o.stated.mass_along for o in recordings} - {"unknown"})
     if len(said) > 1:
         names = ", ".join(o.source.name for o in recordings)
@@ -346,7 +346,7 @@ END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around
 _REST = ("mean", "slope", "bow")  # of the curvature at rest
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
 _EXACT = 1e-6  # of the mass, where it is said to be exact
-_STATED = 1e-4  # of the mass: what is left of its parts where somebody knows how it is spread
+_STATED = 1e-4  # of the mass: sd of its uneven parts where its spread is stated
 _CLOCK_DOUBT = 2.0  # the clock search's sd: over simulated recordings its errors are about twice as large
 
 
@@ -399,7 +399,7 @@ class Layout:
     blocks: tuple[Block, ...]
     size: int
     index: dict[tuple[str, int], Block] = field(default_factory=dict)
-    known: KnownShape | None = None  # how k varies, where somebody states it
+    known: KnownShape | None = None  # stated shape of k
 
     @cached_property
     def stiffness_parts(self) -> Array:
@@ -480,8 +480,8 @@ def make_layout(
     shared = {a.name: a for own in allowances for a in own if a.shared}
     first = recordings[0]
     tags = [f"tag {i}" for i in first.tag_id]
-    placement = first.stated.placement_sd if priors.placement is None else priors.placement
-    mounting = first.stated.turn_sd if priors.mounting is None else priors.mounting
+    placement = _or(priors.placement, first.stated.placement_sd)
+    mounting = _or(priors.mounting, first.stated.turn_sd)
     curvature = max(curvature_sd(r, priors) for r in recordings)
     heavy = any(needs_mass(r) for r in recordings)
     guessed = [r.stated.mass_sd for r in recordings if np.isfinite(r.stated.mass_sd)]
@@ -498,7 +498,7 @@ def make_layout(
     for r, one in enumerate(recordings):
         name = one.source.name
         own = [a for a in allowances[r] if not a.shared] if allowances else []
-        origin = one.stated.placement_sd if priors.origin is None else priors.origin
+        origin = _or(priors.origin, one.stated.placement_sd)
         wanted += [
             ("clamp", r, "rad", clamp_sd(one, priors), (f"{name}: clamp angle",)),
             ("origin", r, "m", origin, (f"{name}: origin x", f"{name}: origin y")),
@@ -531,22 +531,20 @@ def clamp_sd(one: Observations, priors: Priors) -> float:
     The frame's x axis is the line through the tags at rest, so twice the spread of their places is added. Where the
     beam is curved at rest, or rest was not seen, the mounting of a base tag is added instead. Poses have the stated sd.
     """
-    stated = one.stated.clamp_sd if priors.clamp is None else priors.clamp
+    stated = _or(priors.clamp, one.stated.clamp_sd)
     if stated == 0.0 or (one.static and np.isfinite(stated)):
         return stated
     own = stated if np.isfinite(stated) else CLAMP_SD
     reach = one.length * one.marker_s[np.isfinite(one.rest_xy).all(axis=1)]
     if curvature_sd(one, priors) > 0.0 or not np.any(reach > 0.0):
         return float(np.hypot(own, MOUNTING_SD))
-    placement = one.stated.placement_sd if priors.placement is None else priors.placement
+    placement = _or(priors.placement, one.stated.placement_sd)
     return float(np.hypot(own, 2.0 * placement / np.linalg.norm(reach)))
 
 
 def curvature_sd(one: Observations, priors: Priors) -> float:
     """rad, of the Legendre states of q0 before the data; 0 where the beam is straight at rest."""
-    if one.stated.rest == "straight":
-        return 0.0
-    return one.stated.curvature_sd if priors.curvature is None else priors.curvature
+    return 0.0 if one.stated.rest == "straight" else _or(priors.curvature, one.stated.curvature_sd)
 
 
 def rest_change_sd(recordings: Sequence[Observations], r: int) -> float:
@@ -594,8 +592,12 @@ def _clock_sd(one: Observations, priors: Priors) -> float:
     return _CLOCK_DOUBT * float(one.source.clock.sd) if np.isfinite(one.source.clock.sd) else 1.0
 
 
-def _pushed(one: Observations, said: float, wanted: float | None) -> float:
-    """One sd of what a push may be off by; 0 where nothing pushed, or where loads were hung on at marks."""
+def _pushed(one: Observations, stated: float, prior: float | None) -> float:
+    """One sd of an error of a push; 0 without a push, or for loads at marks."""
     if one.static or not np.any(one.force != 0.0):
         return 0.0
-    return said if wanted is None else wanted
+    return _or(prior, stated)
+
+
+def _or(prior: float | None, stated: float) -> float:
+    return stated if prior is None else prior

@@ -700,7 +700,7 @@ def _tag_motion(now: Prediction, ride: TagRide, s: Array) -> TagMotion:
 
 
 def _bent(now: Prediction) -> BentBeam:
-    """What the parameters change in the balance of the fitted shapes."""
+    """Effects of the parameters on the balance of the fitted shapes."""
     data, k, by_mass, weight_by_k, shift = now.data, now.solved.problem.k, None, None, None
     if data.mass is not None:
         by_mass = data.mass.by_mass(data.problem, k)
