@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Learned, Run, Trial
+from onebend.learning.outcome import Comparison, Learned, Run
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
@@ -457,20 +457,19 @@ def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
 
 
 def _trials(learned: Learned) -> list[dict[str, Any]]:
-    return [_trial_row(trial, i == learned.chosen) for i, trial in enumerate(learned.trials)]
-
-
-def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
-    return {
-        "kind": "chosen" if chosen else "out" if trial.why_out else "",
-        "n": trial.n,
-        "m": trial.m,
-        "rms": [millimetres(value) for value in trial.rms],
-        "bic": wording.bic_words(trial.bic),
-        "lowest": significant(trial.lowest_k),
-        "condition": significant(trial.condition, 2),
-        "why_out": trial.why_out,
-    }
+    return [
+        {
+            "kind": "chosen" if i == learned.chosen else "out" if trial.why_out else "",
+            "n": trial.n,
+            "m": trial.m,
+            "rms": [millimetres(value) for value in trial.rms],
+            "bic": wording.bic_words(trial.bic),
+            "lowest": significant(trial.lowest_k),
+            "condition": significant(trial.condition, 2),
+            "why_out": trial.why_out,
+        }
+        for i, trial in enumerate(learned.trials)
+    ]
 
 
 def _comparison_row(comparison: Comparison) -> dict[str, Any]:
