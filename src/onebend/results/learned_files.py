@@ -278,7 +278,6 @@ def _trial(learned: Learned, index: int) -> dict[str, Any]:
 def _stiffness(
     beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
 ) -> dict[str, Any]:
-    """k at eleven places; with its 95 % band where one was learned, and Young's modulus where the section is known."""
     s = np.linspace(0.0, 1.0, 11)
     found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
     if uncertain is not None:
