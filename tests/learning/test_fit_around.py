@@ -14,7 +14,7 @@ from onebend import pipeline
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.errors import LearningError
-from onebend.learning import posterior
+from onebend.learning import optimizer
 from onebend.learning.frames import nothing_moves
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings, regress
@@ -252,7 +252,7 @@ def test_equations_that_cannot_be_solved_are_an_error_with_advice(monkeypatch: p
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(posterior, "laplace_posterior", singular)
+    monkeypatch.setattr(optimizer, "laplace_posterior", singular)
     monkeypatch.setattr(pipeline, "observe", lambda *_, **__: made())
     with pytest.raises(LearningError, match=r"made: .*Singular.*--method regression"):
         pipeline.learn(EXAMPLE / "train")

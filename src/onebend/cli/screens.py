@@ -53,7 +53,6 @@ def selection_table(learned: Learned) -> Table:
 
 
 def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
-    """Headings, and cells of every trial: the RMS of each tag, or of the worst if there are many."""
     if len(learned.training.tag_id) <= FEW:
         cells = [list(map(millimetres, trial.rms)) for trial in learned.trials]
         return [f"tag {tag}\n[mm]" for tag in learned.training.tag_id], cells
@@ -439,7 +438,6 @@ def _stiffness(console: Console, run: Run, *, log: bool) -> list[RenderableType]
 
 
 def _everything(run: Run) -> list[RenderableType]:
-    """What the answer does not need: it stands in the report as well."""
     parts: list[RenderableType] = []
     if run.learned is not None:
         parts.append(selection_table(run.learned))
@@ -467,7 +465,6 @@ def _as_logged_words(run: Run, posterior: Posterior) -> list[str]:
 
 
 def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
-    """The estimate beside the paper's, where it is blind, and what else was fitted."""
     uncertain = posterior.stiffness
     blind = confidence.unidentified_words(uncertain, len(run.recordings))
     found: list[RenderableType] = [

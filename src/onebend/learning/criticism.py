@@ -422,7 +422,6 @@ def _moved(data: FitData, rows: linear.ResidualRows, change: Array) -> float:
 
 
 def _log10(chance: float) -> float:
-    """Its logarithm; minus infinity where it is too small for a number."""
     return float(np.log10(chance)) if chance > 0.0 else -np.inf
 
 

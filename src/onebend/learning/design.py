@@ -318,7 +318,6 @@ def _reach_at(beam: Beam, bench: Instruments, at_s: float, directions: Array, li
 def _first_break(
     beam: Beam, bench: Instruments, at_s: float, direction: float, sizes: Array, limits: Limits
 ) -> tuple[float, float, str]:
-    """Largest force within the limits, the next one, and what that one breaks ("" if none does)."""
     unit = np.array([np.cos(direction), np.sin(direction)])
     forces = np.vstack([sizes[:, None] * unit, np.zeros(2)])
     solved = follow(make_problem(beam, loads_of(bench, at_s, forces), RESOLUTION))

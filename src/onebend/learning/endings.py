@@ -310,7 +310,6 @@ def find_swing(time: Array, value: Array, noise: float, first: int, last: int) -
 
 
 def _checked(time: Array, before: _Lobe, after: _Lobe, found: HalfSwings) -> HalfSwings | None:
-    """None where the beam came to rest between the two."""
     return found if time[after.first] - time[before.last] <= found.half else None
 
 
@@ -342,7 +341,6 @@ def _lobes(value: Array, least: float) -> list[_Lobe]:
 
 
 def _passage(time: Array, value: Array, before: _Lobe, after: _Lobe) -> float:
-    """s, of the passage through rest between two."""
     i, j = before.last, after.first
     return float(time[i] + (time[j] - time[i]) * value[i] / (value[i] - value[j]))
 

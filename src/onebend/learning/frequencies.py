@@ -188,7 +188,6 @@ def _stiffness(data: FrequencyData, layout: Layout, x: Array) -> Array:
 
 
 def _vibration(on: Body, posture: Posture) -> Vibration | None:
-    """About rest in one posture; None where the beam does not stand there, or its mass is nonsense."""
     if not on.mass > 0.0:
         return None
     actions, count = Actions(gravity=posture.gravity), int(np.max(posture.modes)) + 1

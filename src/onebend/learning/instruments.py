@@ -247,7 +247,6 @@ def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDo
 
 
 def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
-    """One sd of a kind of nuisance before the data; 0 where it is frozen."""
     blocks = [at.index[name, number] for number in ([-1] if shared else [f.number for f in films])]
     return float(np.median([b.prior_sd[part] if b.start >= 0 else 0.0 for b in blocks]))
 

@@ -4,7 +4,7 @@ without a push. Hyperparameters are chosen by evidence; the band is Laplace's ap
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -355,17 +355,18 @@ class Posterior:
         pairs = [(size, size / force) for size, force in zip(sizes, forces, strict=True)]
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))
 
+    def reported(self) -> Iterator[tuple[slice, Quantities]]:
+        """Where each block but k's and the discrepancy's stands among the parameters, and its quantities."""
+        sized = {a.name for one in self.recordings for a in one.allowances if a.enters == "poses" and a.sized}
+        for block in self.layout.blocks:
+            if block.start >= 0 and block.name not in {"stiffness"} | sized:
+                yield block.where, quantities(block, self.recordings)
+
     def nuisances(self) -> list[Nuisance]:
         """Every parameter but k's and the discrepancy's, before and after the data; of a slow force error mean and
         drift."""
         out = []
-        left_out = {"stiffness"} | {
-            a.name for recording in self.recordings for a in recording.allowances if a.enters == "poses" and a.sized
-        }
-        for block in self.layout.blocks:
-            if block.start < 0 or block.name in left_out:
-                continue
-            these, where = quantities(block, self.recordings), block.where
+        for where, these in self.reported():
             after = np.sqrt(np.diag(these.weights @ self.covariance.among(where) @ these.weights.T))
             value = these.weights @ self.mean[where]
             values = zip(these.labels, these.units, value, after, these.prior_sd, strict=True)
@@ -498,15 +499,9 @@ def with_level(posterior: Posterior, *, most: int = 3, least: float = 0.1) -> tu
 def correlations(posterior: Posterior) -> tuple[list[str], Array]:
     """Names (N,) and correlations (N, N) of the quantities; the mean of log k(s) comes first."""
     names, rows = [LEVEL], [(slice(0, posterior.layout.shared), _level(posterior)[None])]
-    left_out = {"stiffness"} | {
-        a.name for one in posterior.recordings for a in one.allowances if a.enters == "poses" and a.sized
-    }
-    for block in posterior.layout.blocks:
-        if block.start < 0 or block.name in left_out:
-            continue
-        these = quantities(block, posterior.recordings)
+    for where, these in posterior.reported():
         names += these.labels
-        rows.append((block.where, these.weights))
+        rows.append((where, these.weights))
     covariance = posterior.covariance.of_functionals(rows)
     sd = np.sqrt(np.diag(covariance))
     return names, np.asarray(covariance / np.outer(sd, sd))

@@ -221,7 +221,6 @@ def _as_near(off: Array, least: Array, seen: SeenPoses) -> BoolArray:
 
 
 def _solved(problem: Problem, q: Array, well: BoolArray) -> Equilibrium:
-    """A record of stable equilibria; a frame without any has not converged."""
     nothing, count = np.full(len(q), np.nan), len(q)
     factor = np.where(well, 1.0, np.nan)
     return Equilibrium(problem, q, well, well.copy(), factor, nothing, np.zeros(count, dtype=bool), 0)

@@ -341,7 +341,6 @@ def fit_swing(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
 
 
 def _search(problem: SwingProblem, x: Array, progress: Progress) -> Fitted:
-    """Least squares with Huber's weights, a step halved where it does not lower the cost."""
     left = _residual(problem, predict(problem, x))
     moved = True
     for _ in range(_ROUNDS):
@@ -377,14 +376,12 @@ def _stepped(problem: SwingProblem, x: Array, step: Array, left: Array, scale: f
 
 
 def _cost(left: Array, x: Array, scale: float) -> float:
-    """Huber's, with the prior of the start."""
     size = np.abs(left) / scale
     spread = np.where(size < _HUBER, 0.5 * size**2, _HUBER * size - 0.5 * _HUBER**2)
     return float(np.sum(spread) + 0.5 * np.sum(x[2:] ** 2))
 
 
 def _prior_rows(problem: SwingProblem, scale: float) -> Array:
-    """Each mode starts with no more than the whole swing (one sd)."""
     rows = scale * np.eye(problem.unknown)
     return rows[2:]
 
@@ -555,7 +552,6 @@ def _with_mass(beam: Beam, recording: Observations, settings: DampingSettings) -
 
 
 def _body(beam: Beam, settings: DampingSettings) -> Body:
-    """In modes where everything is smooth, else node by node."""
     smooth = not (beam.stiffness.jumps or beam.rest_curvature.jumps or beam.mass_per_length.jumps)
     return body(beam, Modes(settings.modes) if smooth else None)
 

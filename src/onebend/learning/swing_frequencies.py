@@ -200,7 +200,6 @@ def _pairs(x: Array) -> list[tuple[float, float]]:
 
 
 def _is_mode(modes: list[tuple[float, float]], covariance: Array) -> bool:
-    """Whether all of them swing, at frequencies that are known, and are no drift."""
     sd = np.sqrt(np.diag(covariance)).reshape(-1, 2)[:, 0]
     pairs = zip(modes, sd, strict=True)
     return all(decay < _DEADEST * omega and away < _VAGUEST * omega for (omega, decay), away in pairs)

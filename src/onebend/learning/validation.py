@@ -184,7 +184,6 @@ def _notices(stable: BoolArray, converged: BoolArray) -> tuple[Notice, ...]:
 def _pose_notices(
     o: Observations, frames: BoolArray, seen: static_poses.SeenPoses, solved: Equilibrium, predicted: Array
 ) -> tuple[Notice, ...]:
-    """Warnings on single poses: no stable equilibrium near the points, or another one than the history leads to."""
     names = static_poses.pose_names(o, frames)
     free = np.ones(int(np.sum(frames)), dtype=bool) if o.held is None else ~o.held[frames]
     rms = static_poses.pose_rms(o.xy[frames] - predicted)

@@ -190,7 +190,6 @@ def _push_elsewhere(posterior: Posterior) -> list[Notice]:
 
 
 def _left_out(posterior: Posterior) -> list[Notice]:
-    """The poses on which k(s) does not rest."""
     out = []
     for data, left_out in zip(posterior.recordings, posterior.left_out, strict=True):
         names = pose_names(data.observations, left_out)

@@ -165,7 +165,6 @@ def _acting(way: FollowedPath) -> str:
 
 
 def _spread(axes: Axes, result: ShapeResult) -> None:
-    """Two standard deviations, where positions are wanted, by the band on k(s)."""
     assert result.spread is not None
     at, sd = MM * result.xy(result.targets.s), 2.0 * MM * result.spread.xy
     label = "2 sd by the band on k(s)"

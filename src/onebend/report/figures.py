@@ -98,7 +98,6 @@ def _plain(axes: Axes, k: Array) -> tuple[float, float]:
 
 
 def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
-    """The curve with its bands; returns the highest value to show: what is not known may leave the picture."""
     wide = _bands(axes, uncertain, np.asarray)
     known, k = wide.identified, wide.k
     axes.plot(_S, np.where(known, k, np.nan), color=BLUE, label="k(s)")
@@ -111,7 +110,6 @@ def _banded(axes: Axes, uncertain: UncertainStiffness) -> float:
 
 
 def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | None) -> None:
-    """The bands, and the regression, in per cent of k(s)."""
     k = uncertain.profile(_S)
     wide = _bands(axes, uncertain, lambda value: 100.0 * (value / k - 1.0))
     axes.plot(_S, np.where(wide.identified, 0.0, np.nan), color=BLUE)
@@ -358,14 +356,12 @@ def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
 
 
 def _unbroken(time: Array, values: Array) -> tuple[Array, Array]:
-    """A line that is not drawn across gaps in time (frames that were not simulated)."""
     steps = np.diff(time)
     gaps = np.flatnonzero(steps > 5.0 * np.median(steps)) + 1 if len(time) > 2 else np.array([], dtype=int)
     return np.insert(time, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def _marked(i: int, time: Array) -> dict[str, Any]:
-    """The i-th tag's symbol now and then on its line, which its colour alone would not tell from the others."""
     return {"marker": shape(i), "markevery": max(1, len(time) // 9), "markersize": 4.5}
 
 
@@ -533,7 +529,6 @@ def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFr
 
 
 def _with_film(findings: Run, pictures: Pictures, fitted: Explained | None, kept: KeptFrames) -> Pictures:
-    """The film's frames beside the pictures, where there are any; why not, where they could not be made."""
     if fitted is None or findings.posterior is None or "fit" not in pictures.drawn:
         return pictures
     try:
@@ -545,7 +540,6 @@ def _with_film(findings: Run, pictures: Pictures, fitted: Explained | None, kept
 
 
 def _stiffness(findings: Run) -> Figure:
-    """k(s) with its band, and the regression's beside it where it is not the result itself."""
     posterior, learned, first = findings.posterior, findings.learned, findings.trainings[0]
     pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in findings.trainings])
     return stiffness(
@@ -649,7 +643,6 @@ def _frame(axes: Axes, description: Recording, preview: Preview, log: ForceLog |
 
 
 def _axis(axes: Axes, description: Recording, preview: Preview, view: View, at: int, log: ForceLog | None) -> None:
-    """The beam's x axis and y axis at the base, the line of its tags, and the largest force where it is said to act."""
     assert preview.markers is not None
     markers, length = preview.markers, description.beam.length
     ends = project(view, np.array([[0.0, 0.0], [length, 0.0], [0.0, 0.25 * length]]))

@@ -132,7 +132,6 @@ def _faults(description: Recording, preview: Preview, film: FilmInfo | None, log
 
 
 def _words(check: Callable[[], None]) -> str:
-    """The words of the error that a check raises; "" where it passes."""
     try:
         check()
     except OnebendError as wrong:
@@ -164,7 +163,6 @@ def _force_remarks(description: Recording, log: ForceLog | None) -> tuple[Remark
 
 
 def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None:
-    """Raise where no start that is possible by what is written lets film and log overlap."""
     start, doubt = description.start
     if not np.isfinite(start + doubt):
         return
@@ -255,7 +253,6 @@ def _film_rows(description: Recording, film: FilmInfo | None) -> list[tuple[str,
 
 
 def _pose_rows(description: Recording) -> list[tuple[str, str]]:
-    """Poses and loads; photos are not searched for tags."""
     source = description.poses or description.photos
     assert source is not None
     loads = read_loads(source.loads, description, source.axes)

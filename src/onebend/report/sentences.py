@@ -92,7 +92,6 @@ def remedy(cause: Notice) -> str:
 
 
 def _more(notice: Notice) -> str:
-    """The warning that the model does not hold: symptoms, causes and their effect on k(s)."""
     values = notice.values
     parts = [say(notice.code)]
     if values["symptoms"]:

@@ -148,7 +148,6 @@ def _stand_out(count: int) -> str:
 
 
 def _error(findings: Run) -> _Error:
-    """Of the validations, where there are any; else of the fit; else under the force as logged."""
     seen = [one for one in findings.validations if np.isfinite(one.rms).any()]  # not of frequencies alone
     if seen:
         return _worst("validation", seen, [one.rms for one in seen])

@@ -177,7 +177,6 @@ def path_writer(
 
 
 def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
-    """A CSV; blank where a number is not known."""
     rows = np.stack(columns, axis=1)
     write_csv(file, names, ([f"{value:.9g}" if np.isfinite(value) else "" for value in row] for row in rows))
 

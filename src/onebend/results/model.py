@@ -192,14 +192,12 @@ def read_model(path: Path | str) -> StoredModel:
 
 
 def _changed(data: dict[str, Any]) -> str:
-    """What is to be said where the content is not what onebend wrote (files before version 4 do not tell)."""
     if (data["version"] < 4 and OWN_CHECKSUM not in data) or is_unchanged(data):
         return ""
     return "was changed after onebend wrote it, so what it says of k(s) is not what was learned"
 
 
 def _swapped(file: Path) -> str:
-    """What is to be said where the summary beside the file lists another."""
     if not is_listed_otherwise(file):
         return ""
     return f"is not the file that the run of this folder wrote ({SUMMARY} lists another checksum)"

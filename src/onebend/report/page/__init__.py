@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Learned, Run, Trial
+from onebend.learning.outcome import Comparison, Learned, Run
 from onebend.learning.posterior import Posterior
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
@@ -110,7 +110,6 @@ def verdict_card(verdict: Verdict) -> dict[str, str]:
 
 
 def _training_card(findings: Run) -> dict[str, str]:
-    """The residual at the tags that the beam was learned from: of the fit, where there is one."""
     if findings.posterior is not None and wording.only_frequencies(findings.recordings):
         swings = findings.posterior.frequencies
         note = f"of {len(compared_frequencies(swings))} measured, from those of the fit"
@@ -135,7 +134,6 @@ def _stiffness_card(findings: Run) -> dict[str, str]:
 
 
 def _modulus_card(findings: Run) -> list[dict[str, str]]:
-    """Young's modulus, where the section was measured."""
     measured = confidence.measured_beam(findings)
     found, one = confidence.modulus_range(measured), confidence.one_modulus_words(measured)
     if one:
@@ -207,7 +205,6 @@ def _bands(uncertain: UncertainStiffness, s: Array) -> list[dict[str, Any]]:
 
 
 def _bend(findings: Run) -> dict[str, Any] | None:
-    """The beam and how hard it was loaded; None where there is no beam to bend, or nothing is known of the load."""
     beam, s = findings.beam, np.linspace(0.0, 1.0, PLACES)
     k, first = np.asarray(beam.stiffness(s)), findings.recordings[0]
     if np.min(k) <= 0.0:
@@ -323,7 +320,6 @@ def size_words(count: int) -> str:
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Every setting by its full name; what was left at "not given" is left out."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{before}{name}: ")
@@ -457,20 +453,19 @@ def _frequency_rows(posterior: Posterior | None) -> list[dict[str, str]]:
 
 
 def _trials(learned: Learned) -> list[dict[str, Any]]:
-    return [_trial_row(trial, i == learned.chosen) for i, trial in enumerate(learned.trials)]
-
-
-def _trial_row(trial: Trial, chosen: bool) -> dict[str, Any]:
-    return {
-        "kind": "chosen" if chosen else "out" if trial.why_out else "",
-        "n": trial.n,
-        "m": trial.m,
-        "rms": [millimetres(value) for value in trial.rms],
-        "bic": wording.bic_words(trial.bic),
-        "lowest": significant(trial.lowest_k),
-        "condition": significant(trial.condition, 2),
-        "why_out": trial.why_out,
-    }
+    return [
+        {
+            "kind": "chosen" if i == learned.chosen else "out" if trial.why_out else "",
+            "n": trial.n,
+            "m": trial.m,
+            "rms": [millimetres(value) for value in trial.rms],
+            "bic": wording.bic_words(trial.bic),
+            "lowest": significant(trial.lowest_k),
+            "condition": significant(trial.condition, 2),
+            "why_out": trial.why_out,
+        }
+        for i, trial in enumerate(learned.trials)
+    ]
 
 
 def _comparison_row(comparison: Comparison) -> dict[str, Any]:
