@@ -601,3 +601,9 @@ def _pushed(one: Observations, stated: float, prior: float | None) -> float:
 
 def _or(prior: float | None, stated: float) -> float:
     return stated if prior is None else prior
+
+
+def log_axes(direction: Array) -> Array:
+    """(2, 2) rotation of the logged force, by its direction (1,) [rad]."""
+    cos, sin = np.cos(direction[0]), np.sin(direction[0])
+    return np.array([[cos, -sin], [sin, cos]])

@@ -40,7 +40,7 @@ from onebend.learning.allowances import (
 from onebend.learning.fit_data import FitData
 from onebend.learning.frames import evenly_spread, push_places, ruler_places, steepness, whitened, zeroed_coordinates
 from onebend.learning.normal import in_own_pages
-from onebend.learning.parameters import Layout
+from onebend.learning.parameters import Layout, log_axes
 from onebend.learning.static_poses import free_ends, moved, put_ends, solve, with_ends_held
 from onebend.records import Array, BoolArray, IntArray, Observations
 
@@ -352,9 +352,7 @@ class State:
     @property
     def log_axes(self) -> Array:
         """(2, 2) rotation of the logged force."""
-        turn = float(self.value("direction")[0])
-        cos, sin = np.cos(turn), np.sin(turn)
-        return np.array([[cos, -sin], [sin, cos]])
+        return log_axes(self.value("direction"))
 
     @property
     def push_beyond(self) -> Array:

@@ -483,7 +483,7 @@ def _beam_of(session: LiveSession, push_s: float, parameters: bytes) -> PointBea
     last = session.layout.spline.count
     columns |= {"stiffness": slice(0, last), "patches": slice(last, p)}
     elastic, compliant = prediction.joined_functions(changes, size)
-    stiff, axes = push_grid.weights * problem.k, log_axes(layout, x, -1)
+    stiff, axes = push_grid.weights * problem.k, log_axes(layout.get(x, "direction", -1))
     return PointBeam(x, push_grid, problem, stiff, axes, columns, elastic, compliant)
 
 
