@@ -12,8 +12,9 @@ import numpy as np
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Gaussians, equidistant
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import Comparison, Learned, Run, Trial
+from onebend.learning.outcome import Comparison, Learned, Trial
 from onebend.learning.posterior import Posterior, fit
+from onebend.learning.run import Run
 from onebend.records import Array, CleanForce, ClockOffset, Observations, Remark, Source, Stated, View
 from onebend.report.sentences import worded
 

@@ -18,7 +18,7 @@ from onebend import __version__, cli
 from onebend.cli import learning as learning_commands, recordings as recording_commands
 from onebend.errors import LearningError, ObservationError
 from onebend.files.kept import users_folder
-from onebend.learning.outcome import Run
+from onebend.learning.run import Run
 from onebend.recording.bag_topics import BagContents
 from onebend.recording.folder import folder_of, read_recording
 from onebend.report.pictures import Pictures, draw

@@ -44,8 +44,8 @@ class Runs(NamedTuple):
     out: Path
 
 
-def learn_with(fitting: FitSettings, *recordings: Path, **options: Any) -> Run:
-    return learn(*recordings, **(options | {"fitting": fitting}))
+def learn_with(quick: FitSettings, *recordings: Path, **options: Any) -> Run:
+    return learn(*recordings, **(options | {"fitting": quick}))
 
 
 def interrupted(*_: object, **__: object) -> None:

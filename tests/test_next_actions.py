@@ -37,8 +37,17 @@ def test_every_warning_on_what_was_learned_names_what_to_do() -> None:
 def warnings_of(path: Path) -> list[tuple[str, str]]:
     """The functions that make a warning, and all that they may say."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = [one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)]
-    return [(one.name, _sentences(one)) for one in functions if any(_is_warning(node) for node in ast.walk(one))]
+    outermost = [one for top in tree.body for one in (top.body if isinstance(top, ast.ClassDef) else [top])]
+    functions = {one.name: one for one in outermost if isinstance(one, ast.FunctionDef)}
+
+    def said(one: ast.FunctionDef) -> str:
+        """Its own sentences, and those of the functions beside it that it calls."""
+        called = {
+            node.func.id for node in ast.walk(one) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+        return " ".join([_sentences(one), *(_sentences(functions[name]) for name in sorted(called & set(functions)))])
+
+    return [(name, said(one)) for name, one in functions.items() if any(_is_warning(node) for node in ast.walk(one))]
 
 
 def _is_warning(node: ast.AST) -> bool:

@@ -15,10 +15,11 @@ from onebend.learning.design import Plan, PlanSettings, plan
 from onebend.learning.frames import with_seen_tags
 from onebend.learning.frequencies import frequency_notices
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import Comparison, Learned, Notice, Run as Run, modulus_notices
+from onebend.learning.outcome import Comparison, Learned, Notice, modulus_notices
 from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
 from onebend.learning.parameters import mass_remarks
 from onebend.learning.posterior import Posterior, fit
+from onebend.learning.run import Run as Run
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.static_poses import stated_notices
 from onebend.learning.validation import validate

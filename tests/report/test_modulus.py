@@ -12,7 +12,7 @@ from rich.console import Console
 
 from onebend.beam.section import modulus_band, one_modulus, relative_moment
 from onebend.cli.screens import estimate_table, show_model, show_run
-from onebend.learning.outcome import Run
+from onebend.learning.run import Run
 from onebend.records import StatedSection
 from onebend.report.confidence import (
     MeasuredBeam,

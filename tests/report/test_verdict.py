@@ -13,8 +13,9 @@ from rich.console import Console
 
 from onebend.cli.screens import show_run
 from onebend.learning.criticism import Finding
-from onebend.learning.outcome import Run, another_beam
+from onebend.learning.outcome import another_beam
 from onebend.learning.posterior import Posterior
+from onebend.learning.run import Run
 from onebend.learning.verdict import fit_notices, fitted_rms, possible
 from onebend.records import MassLine, Remark, StatedSection
 from onebend.report.confidence import model_test_rows

@@ -37,7 +37,7 @@ class Profile(Protocol):
         """Plain data from which `profile_from_dict` makes an equal profile."""
 
 
-class _Family:
+class _Kind:
     """A frozen record that is smooth, unless it says otherwise, and is written as its `kind` and its fields."""
 
     kind: ClassVar[str]
@@ -68,7 +68,7 @@ def _plain_fields(record: Any) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Polyline(_Family):
+class Polyline(_Kind):
     """Straight between places, constant beyond the first and the last. A place that stands twice is a step: there the
     second value holds."""
 
@@ -104,7 +104,7 @@ _NARROWEST = 2.0**-12  # in s: a piece is not cut further
 
 
 @dataclass(frozen=True)
-class Pieces(_Family):
+class Pieces(_Kind):
     """On each piece between `edges` a Legendre series of the given degree, in x from -1 to 1 across the piece."""
 
     kind = "pieces"
@@ -187,7 +187,7 @@ def in_pieces(
 
 
 @dataclass(frozen=True)
-class Uniform(_Family):
+class Uniform(_Kind):
     """The same value everywhere."""
 
     kind = "uniform"
@@ -198,7 +198,7 @@ class Uniform(_Family):
 
 
 @dataclass(frozen=True)
-class Gaussians(_Family):
+class Gaussians(_Kind):
     """`k(s) = sum_w gamma_w Pi_w(s)` with the paper's normalised Gaussians (15) at fixed centres."""
 
     kind = "gaussians"
@@ -217,7 +217,7 @@ class Gaussians(_Family):
 
 
 @dataclass(frozen=True)
-class Powers(_Family):
+class Powers(_Kind):
     """`k(s) = sum_w gamma_w s^w`, the paper's polynomial family (12)."""
 
     kind = "powers"
@@ -228,7 +228,7 @@ class Powers(_Family):
 
 
 @dataclass(frozen=True)
-class Table(_Family):
+class Table(_Kind):
     """Values at given places: monotone cubic between them, constant beyond. For measured or computed profiles."""
 
     kind = "table"
@@ -251,7 +251,7 @@ class Table(_Family):
 
 
 @dataclass(frozen=True)
-class Steps(_Family):
+class Steps(_Kind):
     """Constant pieces: `values[i]` between `edges[i]` and `edges[i + 1]`; edges run from 0 to 1."""
 
     kind = "steps"
@@ -274,7 +274,7 @@ class Steps(_Family):
 
 
 @dataclass(frozen=True)
-class LogSpline(_Family):
+class LogSpline(_Kind):
     """`log k(s)` as a B-spline, positive whatever the coefficients; beside a known part of log k where there is one."""
 
     kind = "log-spline"
@@ -297,7 +297,7 @@ class LogSpline(_Family):
 
 
 @dataclass(frozen=True)
-class Scaled(_Family):
+class Scaled(_Kind):
     """Another profile times a constant, e.g. E times the second moment of area over L."""
 
     kind = "scaled"

@@ -16,8 +16,9 @@ from rich.text import Text
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
 from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written, warnings_list
-from onebend.learning.outcome import Comparison, Learned, Run
+from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
+from onebend.learning.run import Run
 from onebend.learning.swing import Damping, SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms

@@ -38,6 +38,7 @@ from .forecast import (
     PredictedBand as PredictedBand,
     Setup as Setup,
     SetupChange as SetupChange,
+    Tolerances as Tolerances,
     known_beam as known_beam,
     setup_of as setup_of,
 )

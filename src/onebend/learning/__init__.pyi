@@ -44,8 +44,8 @@ from .parameters import (
     Priors as Priors,
     Spline as Spline,
 )
-from .posterior import Nuisance as Nuisance
-from .prediction import Prediction as Prediction, Slopes as Slopes
+from .posterior import Nuisance as Nuisance, Quantities as Quantities
+from .prediction import Prediction as Prediction, Slopes as Slopes, TagRide as TagRide
 from .push_place import PlaceSearch as PlaceSearch
 from .sensing.contacts import Smoothed as Smoothed
 from .sensing.forces import Misfit as Misfit

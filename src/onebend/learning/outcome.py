@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from onebend.beam.model import Beam
-from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section_as_dict
+from onebend.beam.section import ModulusBand, modulus_band, section_as_dict
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.records import Array, BoolArray, IntArray, Observations, Remark, StatedSection
 
 if TYPE_CHECKING:  # the fit itself takes long to load
-    from onebend.learning.posterior import Posterior
+    pass
 
 
 @dataclass(frozen=True)
@@ -144,33 +144,6 @@ def modulus_along(
 def shown_places(band: ModulusBand) -> BoolArray:
     """(S,) where E is identified; if it is identified nowhere, where it is known."""
     return np.asarray(band.identified if np.any(band.identified) else np.isfinite(band.modulus))
-
-
-@dataclass(frozen=True)
-class Run:
-    """Everything that came out of learning from recordings and validating on others."""
-
-    beam: Beam  # what was learned: the fit's, where there is one
-    learned: Learned | None  # the paper's regression on the first recording; None where no (n, m) gave a beam
-    posterior: Posterior | None  # the fit over all recordings; None where only the regression was asked for
-    recordings: tuple[Observations, ...]  # learned from
-    trainings: tuple[Comparison, ...]  # the beam against each of them
-    validations: tuple[Comparison, ...]
-    validation_observations: tuple[Observations, ...]
-    remarks: tuple[Remark, ...]  # on the learning itself
-    stage_seconds: dict[str, float]
-    video_seconds: float  # length of all videos together, to compare the stages with
-
-    def modulus(self, s: Array, level: float = 0.95) -> ModulusBand | None:
-        """Young's modulus E(s) [Pa] at places s (S,), with its band if k(s) has one; None if no section is stated."""
-        uncertain = None if self.posterior is None else self.posterior.stiffness
-        return modulus_along(self.beam, uncertain, stated_section(self.recordings), s, level)
-
-    def one_modulus(self, level: float = 0.95) -> tuple[float, float, float] | None:
-        """Young's modulus [Pa] as one number, and its band; None if `stiffness_along` is not "section"."""
-        if self.posterior is None:
-            return None
-        return one_modulus(self.posterior.stiffness, self.beam.length, stated_section(self.recordings), level)
 
 
 def modulus_notices(

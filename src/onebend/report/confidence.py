@@ -13,8 +13,9 @@ from onebend.beam.section import ModulusBand, one_modulus
 from onebend.beam.stiffness import IDENTIFIED_SD, UncertainStiffness, half_width, half_width_words
 from onebend.learning.attribution import FORCE_SCALE, SHIFTS, WIDENS, Attribution, hidden_by
 from onebend.learning.criticism import ALARM_WRITTEN
-from onebend.learning.outcome import Run, modulus_along, shown_places, stated_section
+from onebend.learning.outcome import modulus_along, shown_places, stated_section
 from onebend.learning.posterior import Nuisance, Posterior, tradeoffs, with_level
+from onebend.learning.run import Run
 from onebend.learning.verdict import possible, what_is_tested
 from onebend.recording.signals import runs
 from onebend.records import GAIN_SD, PLACE_SD, Array, Observations, StatedSection

@@ -20,8 +20,9 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, Profile, UncertainStiffness
 from onebend.errors import MechanicsError, OnebendError
 from onebend.learning.frames import distances
-from onebend.learning.outcome import Comparison, Explained, Learned, Run, Trial
+from onebend.learning.outcome import Comparison, Explained, Learned, Trial
 from onebend.learning.posterior import Nuisance
+from onebend.learning.run import Run
 from onebend.learning.validation import solved_frames
 from onebend.learning.verdict import explained
 from onebend.progress import Progress, Silent

@@ -13,7 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from onebend.learning.frequencies import ComparedFrequency, Posture
-from onebend.learning.outcome import Comparison, Notice, Run, another_beam, poor_fit
+from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
+from onebend.learning.run import Run
 from onebend.records import Array, Observations, Remark, StatedSection
 from onebend.report.wording import name_of
 

@@ -12,8 +12,9 @@ import numpy as np
 from onebend.beam.stiffness import half_width_words
 from onebend.errors import section
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Run, another_beam, poor_fit
+from onebend.learning.outcome import Comparison, another_beam, poor_fit
 from onebend.learning.posterior import Grade, Posterior
+from onebend.learning.run import Run
 from onebend.learning.verdict import cause, fitted_rms, possible
 from onebend.records import Array
 from onebend.report import confidence

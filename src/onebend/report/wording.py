@@ -11,7 +11,8 @@ import numpy as np
 
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.learning.attribution import GROUPS
-from onebend.learning.outcome import Comparison, Run
+from onebend.learning.outcome import Comparison
+from onebend.learning.run import Run
 from onebend.records import CleanForce, ClockOffset, Observations
 
 if TYPE_CHECKING:

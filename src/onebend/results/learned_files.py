@@ -11,8 +11,9 @@ import numpy as np
 
 from onebend.files.publish import write_summary
 from onebend.learning.instruments import instruments_if_pushed
-from onebend.learning.outcome import Comparison, Learned, Run, stated_section
+from onebend.learning.outcome import Comparison, Learned, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
+from onebend.learning.run import Run
 from onebend.learning.swing import SwingFit
 from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms, possible

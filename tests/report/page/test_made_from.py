@@ -14,7 +14,7 @@ from onebend import cli
 from onebend.cli import learning as learning_commands
 from onebend.files.publish import sha256_of
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.outcome import Run
+from onebend.learning.run import Run
 from onebend.report.page import page, shown_made_from, size_words
 from onebend.report.pictures import Pictures
 from onebend.results.provenance import inputs_of, provenance
@@ -100,5 +100,5 @@ def test_the_report_and_the_summary_say_the_same(tmp_path: Path, monkeypatch: py
     for one in source["inputs"]:
         assert one["sha256"] in text
         assert one["file"] in text
-    assert "options: clamp_sd0.7" in text
+    assert "options: clamp_sd_deg0.7" in text
     assert "fit: optimizer: rounds" in text

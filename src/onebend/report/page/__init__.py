@@ -20,8 +20,9 @@ from markupsafe import Markup, escape
 
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.frequencies import compared_frequencies, worst_off
-from onebend.learning.outcome import Comparison, Learned, Run
+from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Posterior
+from onebend.learning.run import Run
 from onebend.learning.verdict import fitted_rms, possible, unseen_place
 from onebend.records import Array, Observations
 from onebend.report import confidence, wording
