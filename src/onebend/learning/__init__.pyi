@@ -45,7 +45,7 @@ from .parameters import (
     Spline as Spline,
 )
 from .posterior import Nuisance as Nuisance, Quantities as Quantities
-from .prediction import Prediction as Prediction, Slopes as Slopes, TagRide as TagRide
+from .prediction import Prediction as Prediction, Slopes as Slopes, TagMotion as TagMotion, TagRide as TagRide
 from .push_place import PlaceSearch as PlaceSearch
 from .sensing.contacts import Smoothed as Smoothed
 from .sensing.forces import Misfit as Misfit
