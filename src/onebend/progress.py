@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, wraps
-from multiprocessing import resource_tracker
-from multiprocessing.process import BaseProcess
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
 
 Item = TypeVar("Item")
 
@@ -117,6 +116,8 @@ def each(work: Callable[..., Result], *arguments: Iterable[object]) -> tuple[Res
     cores = available_cores()
     if len(rows) < _WORTH_THREADS or cores == 1:
         return tuple(work(*row) for row in rows)
+    from concurrent.futures import ThreadPoolExecutor  # here, as below: `--version` starts no thread
+
     with ThreadPoolExecutor(cores) as pool:
         return tuple(pool.map(lambda row: work(*row), rows))
 
@@ -130,6 +131,8 @@ def interrupts_held() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
+    from multiprocessing import resource_tracker
+
     resource_tracker.ensure_running()  # begun later, with the first process, it would let interrupts in again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -146,7 +149,9 @@ def leave_interrupts_to_parent() -> None:
 def end_with_parent() -> None:
     """Initialiser of a worker process: interrupts are its parent's, and it ends when the parent is gone, however."""
     leave_interrupts_to_parent()
-    threading.Thread(target=_end_after, args=(multiprocessing.parent_process(),), daemon=True).start()
+    from multiprocessing import parent_process
+
+    threading.Thread(target=_end_after, args=(parent_process(),), daemon=True).start()
 
 
 def _end_after(parent: BaseProcess | None) -> None:
