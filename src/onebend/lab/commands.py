@@ -29,6 +29,7 @@ from onebend.options import option
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
+from onebend.report.sentences import worded
 from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_text
 from onebend.results.provenance import inputs_of
@@ -133,7 +134,7 @@ def show_design(console: Console, expected: designs.Expected) -> None:
             "the frequencies. Turns and shapes do not depend on it.",
             highlight=False,
         )
-    for remark in design.remarks:
+    for remark in worded(design.remarks):
         console.print(f"[yellow]![/] {escape(remark.text)}\n[dim]{reference(remark.about)}[/]", highlight=False)
 
 

@@ -31,8 +31,8 @@ class Sentence:
 
 _FILE = files("onebend.report").joinpath("sentences.toml").read_text(encoding="utf-8")
 SENTENCES = {code: Sentence(**entry) for code, entry in tomllib.loads(_FILE).items()}
-_UNITS = {"mm": 1e3, "g": 1e3, "ms": 1e3, "deg": 180.0 / np.pi, "percent": 1e2}
-_UNIT = re.compile(r"(mm|g|ms|deg|percent)((?=$|[.+]).*)")
+_UNITS = {"mm": 1e3, "mN": 1e3, "g": 1e3, "ms": 1e3, "deg": 180.0 / np.pi, "percent": 1e2}
+_UNIT = re.compile(rf"({'|'.join(_UNITS)})((?=$|[.+]).*)")
 MODULUS_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
 _MOST_POSES = 6  # that are named
 # The power with which a section's sizes count in k(s).
