@@ -392,14 +392,14 @@ class Proposal:
     """One push, what it needs, and what it would leave of the band."""
 
     push: PlannedPush
-    added_tag: float | None  # place of one more tag
-    better_sensor: float | None  # times smaller errors than today's; None: today's sensor
     repeats: bool  # a push made before, once more
     tip_moves: float  # m
     tip_turns: float  # rad
     before: Quality
     after: Quality
     sd: Array  # (101,) of log k at `PLACES` after it
+    added_tag: float | None = None  # place of one more tag
+    better_sensor: float | None = None  # times smaller errors than today's; None: today's sensor
 
     @property
     def needs(self) -> Notice | None:
@@ -574,25 +574,9 @@ def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: Pla
     yield _proposal(thought, now, after, better_sensor=settings.better_sensor)
 
 
-def _proposal(
-    thought: _Thought,
-    now: _Known,
-    after: _Known,
-    *,
-    added_tag: float | None = None,
-    better_sensor: float | None = None,
-) -> Proposal:
-    return Proposal(
-        push=thought.push,
-        added_tag=added_tag,
-        better_sensor=better_sensor,
-        repeats=thought.repeats,
-        tip_moves=thought.tip_moves,
-        tip_turns=thought.tip_turns,
-        before=now.quality(),
-        after=after.quality(),
-        sd=after.sd(),
-    )
+def _proposal(thought: _Thought, now: _Known, after: _Known, **needs: float) -> Proposal:
+    made = {name: value for name, value in vars(thought).items() if name != "seen"}
+    return Proposal(**made, before=now.quality(), after=after.quality(), sd=after.sd(), **needs)
 
 
 def _left(proposal: Proposal) -> float:
