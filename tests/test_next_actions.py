@@ -34,10 +34,22 @@ def test_every_warning_on_what_was_learned_names_what_to_do() -> None:
 
 
 def warnings_of(path: Path) -> list[tuple[str, str]]:
-    """The functions that make a warning, and all that they may say."""
+    """The functions that make a warning, and all that they and the functions they call in the same file may say."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = [one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)]
-    return [(one.name, _sentences(one)) for one in functions if any(_is_warning(node) for node in ast.walk(one))]
+    every = [one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)]
+    inner = {id(node) for one in every for node in ast.walk(one) if node is not one}
+    functions = [one for one in every if id(one) not in inner]
+    said = {one.name: _sentences(one) for one in functions}
+    return [
+        (one.name, " ".join([_sentences(one), *(said.get(called, "") for called in _called(one))]))
+        for one in functions
+        if any(_is_warning(node) for node in ast.walk(one))
+    ]
+
+
+def _called(function: ast.FunctionDef) -> set[str]:
+    calls = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
+    return {one.id for one in calls if isinstance(one, ast.Name)}
 
 
 def _is_warning(node: ast.AST) -> bool:

@@ -568,15 +568,15 @@ def _propose(thought: _Thought, now: _Known, bench: Instruments) -> Proposal:
 def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
     for i in range(len(bench.tags), len(thought.seen.tags)):
         after = now.after(_told(thought, bench, i))
-        yield _proposal(thought, now, after, added_tag=float(thought.seen.tags[i]))
+        yield replace(_proposal(thought, now, after), added_tag=float(thought.seen.tags[i]))
     better = with_better_sensor(bench, settings.better_sensor)
     after = now.after_other_sensor(_told(thought, better), better.gain_sd)
-    yield _proposal(thought, now, after, better_sensor=settings.better_sensor)
+    yield replace(_proposal(thought, now, after), better_sensor=settings.better_sensor)
 
 
-def _proposal(thought: _Thought, now: _Known, after: _Known, **needs: float) -> Proposal:
+def _proposal(thought: _Thought, now: _Known, after: _Known) -> Proposal:
     made = {name: value for name, value in vars(thought).items() if name != "seen"}
-    return Proposal(**made, before=now.quality(), after=after.quality(), sd=after.sd(), **needs)
+    return Proposal(**made, before=now.quality(), after=after.quality(), sd=after.sd())
 
 
 def _left(proposal: Proposal) -> float:
