@@ -26,28 +26,30 @@ def test_every_warning_names_what_to_do() -> None:
 
 
 def test_every_warning_on_what_was_learned_names_what_to_do() -> None:
-    """A cause does so in its remedy, and the verdict in its line *next*."""
-    warnings = {
-        code: one for code, one in SENTENCES.items() if one.about and not code.startswith(("verdict", "known", "more"))
-    }
+    """A cause does so in its remedy, and the verdict in its line *next*; a rest that was not seen only says so."""
+    others = ("verdict", "known", "more", "rest not seen")
+    warnings = {code: one for code, one in SENTENCES.items() if one.about and not code.startswith(others)}
     assert len(warnings) > 50
     assert [code for code, one in warnings.items() if not ACTION.search(one.do or one.text)] == []
 
 
 def warnings_of(path: Path) -> list[tuple[str, str]]:
-    """The functions that make a warning, and all that they may say."""
+    """The functions that make a warning, and all that they and the functions they call in the same file may say."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    outermost = [one for top in tree.body for one in (top.body if isinstance(top, ast.ClassDef) else [top])]
-    functions = {one.name: one for one in outermost if isinstance(one, ast.FunctionDef)}
+    every = [one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef)]
+    inner = {id(node) for one in every for node in ast.walk(one) if node is not one}
+    functions = [one for one in every if id(one) not in inner]
+    said = {one.name: _sentences(one) for one in functions}
+    return [
+        (one.name, " ".join([_sentences(one), *(said.get(called, "") for called in _called(one))]))
+        for one in functions
+        if any(_is_warning(node) for node in ast.walk(one))
+    ]
 
-    def said(one: ast.FunctionDef) -> str:
-        """Its own sentences, and those of the functions beside it that it calls."""
-        called = {
-            node.func.id for node in ast.walk(one) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-        }
-        return " ".join([_sentences(one), *(_sentences(functions[name]) for name in sorted(called & set(functions)))])
 
-    return [(name, said(one)) for name, one in functions.items() if any(_is_warning(node) for node in ast.walk(one))]
+def _called(function: ast.FunctionDef) -> set[str]:
+    calls = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
+    return {one.id for one in calls if isinstance(one, ast.Name)}
 
 
 def _is_warning(node: ast.AST) -> bool:

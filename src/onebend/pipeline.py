@@ -17,13 +17,12 @@ from onebend.learning.frequencies import frequency_notices
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.outcome import Comparison, Learned, Notice, modulus_notices
 from onebend.learning.paper import MOST_FRAMES, RegressionSettings, pairs as trials, regress
-from onebend.learning.parameters import mass_remarks
 from onebend.learning.posterior import Posterior, fit
 from onebend.learning.run import Run as Run
 from onebend.learning.start import start_of, with_mass
 from onebend.learning.static_poses import stated_notices
 from onebend.learning.validation import validate
-from onebend.learning.verdict import fit_notices
+from onebend.learning.verdict import fit_notices, mass_notices
 from onebend.progress import Progress, Silent, Stopwatch, one_blas_thread
 from onebend.recording.entries import Recording
 from onebend.recording.folder import check_same_beam, check_same_length, read_recording
@@ -185,7 +184,7 @@ def _fit(
             "k(s) agree"
         )
     notices: tuple[Notice | Remark, ...] = fit_notices(posterior) + frequency_notices(posterior.frequencies)
-    notices += mass_remarks(posterior.mass)
+    notices += mass_notices(posterior.mass)
     notices += stated_notices(seen, posterior.stiffness)
     if len({one.stated.gain_sd for one in seen if one.source.clean_force is not None}) > 1:
         notices += (Notice("several gains", {"sd": gain_sd}),)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 from string import Formatter
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,11 +13,17 @@ import pytest
 import onebend
 from onebend.errors import SECTIONS
 from onebend.learning.outcome import Notice
-from onebend.records import Remark
+from onebend.records import MassAlong, Remark
 from onebend.report.sentences import SENTENCES, odds, remedy, say, worded, words
 from tests.lab.core.test_criticism import suspects
 
 PARTS = (" backwards", ": longer", ": shorter", ": unknown", ": far", ": x", ": y", " a section")  # of causes
+MASSES = {
+    f"mass: {'' if written else 'not '}written, {'' if learned else 'not '}learned{', spread' if spread else ''}"
+    for written in (True, False)
+    for learned in (True, False)
+    for spread in (True, False)
+} | {f"spread: {along}" for along in get_args(MassAlong) if along != "unknown"}
 ENDS = ("", " in poses", " by another beam", " by another beam in poses")  # of a missed tag
 
 
@@ -36,15 +43,16 @@ def codes_in_the_package() -> set[str]:
 
 def test_every_code_has_a_sentence() -> None:
     assert codes_in_the_package() - SENTENCES.keys() == set()
-    assert {f"tag missed{end}" for end in ENDS} < SENTENCES.keys()
+    assert {f"tag missed{end}" for end in ENDS} | MASSES < SENTENCES.keys()
     assert {one.name for one in suspects() if one.kind != "trend"} - SENTENCES.keys() == {"length"}
     assert {one.about for one in SENTENCES.values()} - {""} < SECTIONS.keys()
 
 
 def test_every_sentence_is_said_somewhere() -> None:
     source = "".join(path.read_text(encoding="utf-8") for path in Path(onebend.__file__).parent.rglob("*.py"))
-    causes = {one.name + part for one in suspects() for part in ("", *PARTS)} | {f"tag missed{end}" for end in ENDS}
-    assert [code for code in SENTENCES if f'"{code}"' not in source and code not in causes] == []
+    causes = {one.name + part for one in suspects() for part in ("", *PARTS)}
+    composed = {*causes, *MASSES, *(f"tag missed{end}" for end in ENDS)}
+    assert [code for code in SENTENCES if f'"{code}"' not in source and code not in composed] == []
 
 
 @pytest.mark.parametrize("code", SENTENCES)
@@ -52,7 +60,7 @@ def test_every_template_can_be_filled(code: str) -> None:
     one = SENTENCES[code]
     for text in (one.text, one.do, one.do_for_poses, one.do_without_camera):
         for _, name, spec, conversion in Formatter().parse(text):
-            assert name is None or (name.isidentifier() and not conversion), text
+            assert name is None or (all(map(str.isidentifier, name.split("."))) and not conversion), text
             assert spec is None or "{" not in spec
 
 

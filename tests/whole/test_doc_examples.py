@@ -158,9 +158,7 @@ def assert_sound(page: str, number: int, there: dict[str, Any]) -> None:
         assert np.all(there["k"] > there["sd"])
         assert np.all(there["error_m"] < 0.05)
     else:
-        proposals = there["found"].advice if number else there["found"].proposals
-        assert all(one.text for one in proposals)
-        assert proposals
+        assert there["found"].advice if number else there["found"].proposals
 
 
 def assert_reached(number: int, there: dict[str, Any]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ import onebend
 from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_run, show_times, show_validation
-from onebend.learning.design import Plan, PlanSettings, Proposal, direction_words, identified_words
+from onebend.learning.design import Plan, PlanSettings
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.paper import RegressionSettings
 from onebend.options import Only
@@ -29,7 +28,8 @@ from onebend.recording.folder import folder_of
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import KeptFrames
 from onebend.report.pictures import Pictures, draw
-from onebend.report.wording import significant
+from onebend.report.sentences import say, words
+from onebend.report.wording import direction_words, significant, width_words
 from onebend.results import learned_files
 from onebend.results.detection_cache import detection_cache
 from onebend.results.model import model_file
@@ -43,33 +43,27 @@ def plan_table(plan: Plan) -> Table:
     title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
     table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
-        needs = proposal.needs or ("the same once more" if proposal.repeats else "nothing new")
-        cells = (
+        needs = "the same once more" if proposal.repeats else "nothing new"
+        table.add_row(
+            str(i + 1),
             f"{proposal.push.at_s:.2f}",
             direction_words(proposal.push.direction),
             significant(proposal.push.largest),
+            f"{1e3 * proposal.tip_moves:.0f}",
+            words(proposal.needs) if proposal.needs else needs,
+            width_words(proposal.after.mean_width),
         )
-        table.add_row(str(i + 1), *cells, f"{1e3 * proposal.tip_moves:.0f}", needs, proposal.after.mean_words)
     return table
 
 
 def show_plan(console: Console, plan: Plan) -> None:
-    before = plan.before
-    console.print(
-        f"Now k(s) is known to {before.mean_words} (95 %) on average over the whole beam, to {before.worst_words} at "
-        "worst "
-        f"(s = {before.worst_s:.2f}); {identified_words(before)}.\n",
-        highlight=False,
-    )
+    console.print(say("known now", **vars(plan)), highlight=False)
     console.print(plan_table(plan))
-    console.print("\n[bold]best:[/]", Text(plan.proposals[0].text))
-    console.print("[bold]best two with what there is:[/]", Text(_pair(plan.pair)))
+    console.print("\n[bold]best:[/]", Text(words(plan.proposals[0].notice)))
+    pair = "; then ".join(words(proposal.notice) for proposal in plan.pair)
+    console.print("[bold]best two with what there is:[/]", Text(pair))
     for reason in plan.left_out:
         console.print(f"[yellow]![/] {escape(reason)}")
-
-
-def _pair(pair: Sequence[Proposal]) -> str:
-    return "; then ".join(proposal.text for proposal in pair)
 
 
 Recordings = Annotated[
@@ -236,9 +230,7 @@ def plan(
         read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
     if as_json:
-        common.print_json(
-            {"format": learned_files.PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()}
-        )
+        common.print_json(learned_files.plan_summary(str(model), found, written_by=BY))
     else:
         show_plan(common.screen(), found)
 

@@ -24,7 +24,7 @@ from onebend.learning.swing_frequencies import FoundFrequencies
 from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
 from onebend.report import confidence, wording
-from onebend.report.sentences import all_remarks, pair_remarks, worded
+from onebend.report.sentences import all_remarks, pair_remarks, say, worded
 from onebend.report.verdict import hopeless, verdict_of
 from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
@@ -235,11 +235,8 @@ _AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
 
 
 def damping_words(damping: Damping) -> str:
-    return (
-        f"damping d / k = {1000 * damping.loss_time:.3g} ms (sd {1000 * damping.loss_time_sd:.2g}), "
-        f"{damping.frequency[0]:.4g} Hz at a damping ratio of {damping.ratio[0]:.3g}, "
-        f"from the swing in {damping.recording}"
-    )
+    first = {"hz": damping.frequency[0], "first_ratio": damping.ratio[0]}  # of the slowest mode
+    return say("damping", **vars(damping), **first)
 
 
 def swing_table(fit: SwingFit) -> Table:
@@ -285,11 +282,7 @@ def frequency_entries(found: FoundFrequencies) -> str:
 
 def show_frequencies(console: Console, found: FoundFrequencies) -> None:
     console.print(frequency_table(found))
-    console.print(
-        f"\n{found.samples} samples from {found.begin:.2f} to {found.end:.2f} s at {found.rate:.4g} a second; "
-        f"{100 * found.left:.2g} % of the motion is in no mode.\n",
-        highlight=False,
-    )
+    console.print(say("swing's modes", **vars(found)), highlight=False)
     if found.remarks:
         console.print(remarks_list([(found.name, remark) for remark in worded(found.remarks)]))
         console.print()
@@ -301,11 +294,8 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
     end = fit.swing.begin + float(fit.swing.time[-1])
     console.print(swing_table(fit))
     rms = ", ".join(f"{1000 * value:.2g}" for value in fit.rms)
-    console.print(
-        f"\n{len(fit.swing.time)} frames from {fit.swing.begin:.2f} to {end:.2f} s of the film; the tags are {rms} mm "
-        "(RMS) from the fitted motion.\n",
-        highlight=False,
-    )
+    values = {"frames": len(fit.swing.time), "begin": fit.swing.begin, "end": end, "rms": rms}
+    console.print(say("swing's frames", **values), highlight=False)
     console.print(remarks_list([(fit.swing.name, remark) for remark in worded(fit.remarks)]))
     if out is not None:
         console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
@@ -346,7 +336,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
     for row in sensor_rows(found.sensor):
         table.add_row(*row)
     console.print(table, highlight=False)
-    console.print(remarks_list([(found.name, one) for one in found.remarks]))
+    console.print(remarks_list([(found.name, one) for one in worded(found.remarks)]))
     say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
 
 

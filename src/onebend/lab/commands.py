@@ -29,6 +29,7 @@ from onebend.options import option
 from onebend.recording.entries import FAMILIES
 from onebend.recording.folder import read_recording
 from onebend.report.pictures import Draw, draw
+from onebend.report.sentences import say, worded
 from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_text
 from onebend.results.provenance import inputs_of
@@ -128,12 +129,8 @@ def show_design(console: Console, expected: designs.Expected) -> None:
     console.print(bends_table(expected))
     if design.modulus_log_sd > 0.0:
         factor = math.exp(half_width(design.modulus_log_sd))
-        console.print(
-            f"E is known to a factor of {factor:.2g} either way (95 %), and so are all forces, k and, to its root, "
-            "the frequencies. Turns and shapes do not depend on it.",
-            highlight=False,
-        )
-    for remark in design.remarks:
+        console.print(say("modulus roughly known", factor=factor), highlight=False)
+    for remark in worded(design.remarks):
         console.print(f"[yellow]![/] {escape(remark.text)}\n[dim]{reference(remark.about)}[/]", highlight=False)
 
 

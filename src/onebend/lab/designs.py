@@ -31,9 +31,10 @@ from onebend.beam.stiffness import Powers, Profile, Steps, Table, UncertainStiff
 from onebend.beam.vibration import vibration
 from onebend.errors import MechanicsError, ResultsError
 from onebend.files.single_file import write_file
+from onebend.learning.outcome import Notice
 from onebend.progress import one_blas_thread
 from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_of, read_table, report_unknown, text
-from onebend.records import Array, Remark
+from onebend.records import Array
 from onebend.text_files import read_toml
 
 # Young's modulus of castable silicones: from a hardness, or from what the maker measured.
@@ -211,19 +212,10 @@ class Design:
         return float(self.length * np.sum(0.5 * np.diff(edges)[:, None] * w * self.along.mass_per_length(s)))
 
     @property
-    def remarks(self) -> tuple[Remark, ...]:
+    def remarks(self) -> tuple[Notice, ...]:
         """Where the design leaves what a slender beam's mechanics cover."""
         widest = float(np.max(np.asarray(self.width(np.linspace(0.0, 1.0, PLACES)))))
-        if self.length < SLENDER * widest:
-            return (
-                Remark(
-                    "warning",
-                    f"the beam is only {self.length / widest:.1f} widths long: it shears as well as bends, and is "
-                    "softer than said here. Make it longer, or narrower.",
-                    about="shear",
-                ),
-            )
-        return ()
+        return (Notice("not slender", {"widths": self.length / widest}),) if self.length < SLENDER * widest else ()
 
     def bending(self, s: Array | float) -> Array:
         """EI [N m^2] at `s`."""

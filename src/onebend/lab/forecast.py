@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from onebend.beam.model import Beam
-from onebend.beam.stiffness import IDENTIFIED_SD, half_width
+from onebend.beam.stiffness import IDENTIFIED_SD
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench import FRANKA, WRIST, ForceSensor, PushProfile, TagNoise
 from onebend.lab.designs import find_design
@@ -31,11 +31,11 @@ from onebend.learning.design import (
     Quality,
     TagDerivatives,
     alone,
-    direction_words,
     eliminate,
     joint_information,
     largest_pushes,
     mass_of,
+    quality_of,
     solve_push,
     tag_derivatives,
 )
@@ -49,6 +49,7 @@ from onebend.recording.beam_frame import MOUNTING_SD
 from onebend.recording.camera import project
 from onebend.recording.signals import runs
 from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN_SD, Array, BoolArray, Rest
+from onebend.report.wording import direction_words
 from onebend.results.model import FILE_NAME, read_model
 
 # The setup: a beam, pushes, tags and instruments, and their tolerances.
@@ -529,15 +530,6 @@ def _sd_along(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.einsum("si,ij,sj->s", BASIS, covariance, BASIS), 0.0)))
 
 
-def quality_of(sd: Array, own_sd: Array) -> Quality:
-    """Figures of a band of log k whose sd (101,) is `own_sd` without the gain; as `plan` reads them."""
-    width, known = 2.0 * half_width(sd), own_sd < IDENTIFIED_SD
-    worst = int(np.argmax(width))
-    to = 0.0 if not known[0] else 1.0 if np.all(known) else float(PLACES[max(int(np.argmin(known)) - 1, 0)])
-    share = float(np.mean(known))
-    return Quality(float(np.mean(width)), float(width[worst]), float(PLACES[worst]), share, round(to, 2))
-
-
 def ranges(known: BoolArray) -> list[tuple[float, float]]:
     """Stretches of s where `known` (101,) holds."""
     return [(float(PLACES[first]), float(PLACES[end - 1])) for first, end in runs(known)]
@@ -616,7 +608,7 @@ def _pushes(setup: Setup) -> Iterator[Candidate]:
     for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
         for size in SIZES if not reach.why_not else ():
             push = replace(first, at_s=reach.at_s, direction=reach.direction, peak=size * reach.largest)
-            words = push_words(push)
+            words = f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
             try:
                 yield "push", f"push {words} instead", replace(setup, pushes=(push, *setup.pushes[1:]))
                 yield "second push", f"a second push {words}", replace(setup, pushes=(*setup.pushes, push))
@@ -656,11 +648,6 @@ def _instruments(setup: Setup) -> Iterator[Candidate]:
 def better(sensor: ForceSensor) -> ForceSensor:
     """A sensor whose every error is `BETTER` times smaller."""
     return replace(sensor, **{name: getattr(sensor, name) / BETTER for name in _SENSOR_SIZES})
-
-
-def push_words(push: PushProfile) -> str:
-    """Where, which way, how hard."""
-    return f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
 
 
 def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:

@@ -31,7 +31,7 @@ from onebend.lab.virtual import (
     observe_virtual,
     virtual_recording,
 )
-from onebend.learning.design import PLACES, direction_words
+from onebend.learning.design import PLACES
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
@@ -39,6 +39,7 @@ from onebend.progress import Progress, Silent, interrupts_held, leave_interrupts
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
 from onebend.report.pictures import Pictures
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
+from onebend.report.wording import direction_words
 from onebend.results.tables import write_csv
 from onebend.text_files import figure_text
 

@@ -16,7 +16,6 @@ from rich.markup import escape
 from rich.table import Table
 
 import onebend
-from onebend.beam.stiffness import half_width_words
 from onebend.cli import BY, common
 from onebend.cli.control import show_loop
 from onebend.cli.models import gravity_on, read_trusted
@@ -40,11 +39,12 @@ from onebend.lab.rehearsal import (
 )
 from onebend.lab.sensed_force import FeltBy, felt_by
 from onebend.lab.study import StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
-from onebend.learning.design import PLACES, identified_words
+from onebend.learning.design import PLACES
 from onebend.options import POSITIVE, Only, option
 from onebend.progress import available_cores
 from onebend.report.pictures import draw
-from onebend.report.wording import UNKNOWN, millimetres, significant
+from onebend.report.sentences import say
+from onebend.report.wording import UNKNOWN, millimetres, significant, width_words
 from onebend.results.control_files import LOOP_FORMAT, loop_summary, loop_writer
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
@@ -151,12 +151,7 @@ FEW = 12  # runs: with fewer, nine in ten mean little
 def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
     console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]", highlight=False)
-    console.print(
-        f"k(s) would be known to {p.quality.mean_words} (95 %) on average over the whole beam, to "
-        f"{p.quality.worst_words} "
-        f"at worst (s = {p.quality.worst_s:.2f}); {identified_words(p.quality)}.\n",
-        highlight=False,
-    )
+    console.print(say("would be known", quality=p.quality), highlight=False)
     console.print(errors_table(rehearsal))
     if o is not None:
         console.print(f"\n{obtained_words(o)}", highlight=False)
@@ -190,7 +185,7 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
     title = "What costs most: how well k(s) would be known if one thing were known exactly"
     table = common.listing(title, "<known exactly", "k(s) then", "removes")
     for entry in budget:
-        table.add_row(escape(entry.name), half_width_words(0.5 * entry.mean_width), share_words(entry.share))
+        table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
     return table
 
 
@@ -198,7 +193,7 @@ def advice_table(rehearsal: Rehearsal) -> Table:
     title = "What to change, by how much it narrows the band"
     table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
-        table.add_row(str(i), escape(change.text), change.quality.mean_words, share_words(change.share))
+        table.add_row(str(i), escape(change.text), width_words(change.quality.mean_width), share_words(change.share))
     return table
 
 

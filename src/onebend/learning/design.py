@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -17,11 +16,12 @@ from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.sensitivity import of_mass
 from onebend.beam.statics import Equilibrium
-from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, UncertainStiffness, half_width, half_width_words
+from onebend.beam.stiffness import IDENTIFIED_SD, LogSpline, UncertainStiffness, half_width
 from onebend.errors import LearningError, MechanicsError
 from onebend.learning import prediction
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
 from onebend.learning.instruments import ForceDoubt, Instruments, PlannedPush
+from onebend.learning.outcome import Notice
 from onebend.options import POSITIVE, option
 from onebend.progress import Progress, Silent, one_blas_thread, track
 from onebend.records import Array, BoolArray, IntArray
@@ -378,15 +378,13 @@ class Quality:
     identified: float  # share of the beam
     identified_to: float  # k is identified from the clamp to here
 
-    @property
-    def mean_words(self) -> str:
-        """How well k is known, on average over the whole beam."""
-        return half_width_words(0.5 * self.mean_width)
 
-    @property
-    def worst_words(self) -> str:
-        """How well k is known where it is known least."""
-        return half_width_words(0.5 * self.worst_width)
+def quality_of(sd: Array, own_sd: Array) -> Quality:
+    """Figures of a band of log k whose sd (101,) is `own_sd` without the gain."""
+    width, known = 2.0 * half_width(sd), own_sd < IDENTIFIED_SD
+    worst, share = int(np.argmax(width)), float(np.mean(known))
+    to = 0.0 if not known[0] else 1.0 if np.all(known) else float(PLACES[max(int(np.argmin(known)) - 1, 0)])
+    return Quality(float(np.mean(width)), float(width[worst]), float(PLACES[worst]), share, round(to, 2))
 
 
 @dataclass(frozen=True)
@@ -394,49 +392,26 @@ class Proposal:
     """One push, what it needs, and what it would leave of the band."""
 
     push: PlannedPush
-    added_tag: float | None  # place of one more tag
-    better_sensor: float | None  # times smaller errors than today's; None: today's sensor
     repeats: bool  # a push made before, once more
     tip_moves: float  # m
     tip_turns: float  # rad
     before: Quality
     after: Quality
     sd: Array  # (101,) of log k at `PLACES` after it
+    added_tag: float | None = None  # place of one more tag
+    better_sensor: float | None = None  # times smaller errors than today's; None: today's sensor
 
     @property
-    def needs(self) -> str:
-        """What is not on the bench yet."""
+    def needs(self) -> Notice | None:
+        """The tag or the sensor that is not on the bench yet."""
         if self.added_tag is not None:
-            return f"a tag at s = {self.added_tag:.2f}"
-        return "" if self.better_sensor is None else f"a force sensor {self.better_sensor:g} times as good"
+            return Notice("one more tag", {"s": self.added_tag})
+        return None if self.better_sensor is None else Notice("better sensor", {"times": self.better_sensor})
 
     @property
-    def text(self) -> str:
-        """In one plain line."""
-        again = "once more: " if self.repeats else ""
-        with_what = f", with {self.needs}" if self.needs else ""
-        return (
-            f"{again}push at s = {self.push.at_s:.2f}, {direction_words(self.push.direction)}, to "
-            f"{self.push.largest:.2g} N (tip moves {1e3 * self.tip_moves:.0f} mm){with_what}: k(s) "
-            f"{self.before.mean_words} -> {self.after.mean_words} on average; "
-            f"{identified_words(self.after)}"
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON, in SI."""
-        return {
-            "text": self.text,
-            "at_s": self.push.at_s,
-            "direction_rad": self.push.direction,
-            "largest_N": self.push.largest,
-            "added_tag_s": self.added_tag,
-            "better_sensor": self.better_sensor,
-            "repeats": self.repeats,
-            "tip_moves_m": self.tip_moves,
-            "tip_turns_rad": self.tip_turns,
-            "after": vars(self.after),
-            "sd_log_k": self.sd.tolist(),
-        }
+    def notice(self) -> Notice:
+        """The push, its needs, and how well k(s) would be known after it."""
+        return Notice("planned push", {**vars(self), "needs": self.needs})
 
 
 @dataclass(frozen=True)
@@ -448,37 +423,6 @@ class Plan:
     proposals: tuple[Proposal, ...]
     pair: tuple[Proposal, ...]  # the second given the first
     left_out: tuple[str, ...]  # sentences
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON, in SI."""
-        return {
-            "before": vars(self.before),
-            "s": PLACES.tolist(),
-            "sd_log_k": self.sd.tolist(),
-            "proposals": [one.as_dict() for one in self.proposals],
-            "pair": [one.as_dict() for one in self.pair],
-            "left_out": list(self.left_out),
-        }
-
-
-def direction_words(direction: float) -> str:
-    """The force's direction in the beam's frame: up is to the beam's left, out to its tip."""
-    degrees = float(np.rad2deg(np.angle(np.exp(1j * direction))))
-    side, off = ("up", 90.0 - degrees) if degrees >= 0.0 else ("down", 90.0 + degrees)
-    if abs(off) < 0.5:
-        return side
-    return f"{side} and {abs(off):.0f} deg {'out' if off > 0.0 else 'back'}"
-
-
-def identified_words(quality: Quality) -> str:
-    """Where k is known to within half of itself."""
-    if quality.identified >= 1.0:
-        return "identified all along"
-    if quality.identified <= 0.0:
-        return "identified nowhere"
-    if quality.identified_to > quality.identified - 0.02:
-        return f"identified to s = {quality.identified_to:.2f}"
-    return f"identified on {100.0 * quality.identified:.0f} % of the beam"
 
 
 # Candidates ranked by the band afterwards. Their information is added to that on coefficients and shared nuisances.
@@ -517,11 +461,7 @@ class _Known:
         return np.asarray(np.hypot(self._own_sd(), self.gain_sd))
 
     def quality(self) -> Quality:
-        width, known = 2.0 * half_width(self.sd()), self._own_sd() < IDENTIFIED_SD
-        worst = int(np.argmax(width))
-        to = 1.0 if np.all(known) else round(float(PLACES[max(int(np.argmin(known)) - 1, 0)]), 2)
-        share = float(np.mean(known))
-        return Quality(float(np.mean(width)), float(width[worst]), float(PLACES[worst]), share, to if known[0] else 0.0)
+        return quality_of(self.sd(), self._own_sd())
 
     def after(self, told: Array) -> _Known:
         """With the information of a push made with the same sensor."""
@@ -628,31 +568,15 @@ def _propose(thought: _Thought, now: _Known, bench: Instruments) -> Proposal:
 def _with_more(thought: _Thought, now: _Known, bench: Instruments, settings: PlanSettings) -> Iterator[Proposal]:
     for i in range(len(bench.tags), len(thought.seen.tags)):
         after = now.after(_told(thought, bench, i))
-        yield _proposal(thought, now, after, added_tag=float(thought.seen.tags[i]))
+        yield replace(_proposal(thought, now, after), added_tag=float(thought.seen.tags[i]))
     better = with_better_sensor(bench, settings.better_sensor)
     after = now.after_other_sensor(_told(thought, better), better.gain_sd)
-    yield _proposal(thought, now, after, better_sensor=settings.better_sensor)
+    yield replace(_proposal(thought, now, after), better_sensor=settings.better_sensor)
 
 
-def _proposal(
-    thought: _Thought,
-    now: _Known,
-    after: _Known,
-    *,
-    added_tag: float | None = None,
-    better_sensor: float | None = None,
-) -> Proposal:
-    return Proposal(
-        push=thought.push,
-        added_tag=added_tag,
-        better_sensor=better_sensor,
-        repeats=thought.repeats,
-        tip_moves=thought.tip_moves,
-        tip_turns=thought.tip_turns,
-        before=now.quality(),
-        after=after.quality(),
-        sd=after.sd(),
-    )
+def _proposal(thought: _Thought, now: _Known, after: _Known) -> Proposal:
+    made = {name: value for name, value in vars(thought).items() if name != "seen"}
+    return Proposal(**made, before=now.quality(), after=after.quality(), sd=after.sd())
 
 
 def _left(proposal: Proposal) -> float:

@@ -24,12 +24,12 @@ from onebend.learning.frames import (
     whitened,
     whitening,
 )
-from onebend.learning.outcome import Comparison, Learned, Trial
+from onebend.learning.outcome import Comparison, Learned, Notice, Trial
 from onebend.learning.parameters import NEEDS_MASS, weighs
 from onebend.learning.validation import marker_misfit, validate
 from onebend.options import option
 from onebend.progress import Progress, Silent, one_blas_thread, track
-from onebend.records import Array, BoolArray, Observations, Remark, covariance_with_camera
+from onebend.records import Array, BoolArray, Observations, covariance_with_camera
 
 # Inverse kinematics (22) by Levenberg-Marquardt on all frames at once. Where a frame has fewer data than states, the
 # shape of least curvature is taken.
@@ -547,19 +547,14 @@ def regress(
         trials=tuple(c.trial for c in candidates),
         chosen=chosen,
         training=training,
-        remarks=_remarks(rest, observations) + training.remarks,
+        remarks=(*_rest_notices(rest, observations), *training.remarks),
     )
 
 
-def _remarks(rest: AtRest, observations: Observations) -> tuple[Remark, ...]:
+def _rest_notices(rest: AtRest, observations: Observations) -> tuple[Notice, ...]:
     """Assumptions about the beam at rest."""
     if not rest.seen:
-        text = "no frame shows the beam at rest: it is taken as straight, its tags as perfectly placed"
-        return (Remark("warning", text, about="no rest"),)
+        return (Notice("rest not seen"),)
     shift = float(np.max(np.linalg.norm(rest.offset, axis=1)))
-    turn = float(np.rad2deg(np.max(np.abs(rest.turn))))
-    text = f"at rest the tags sit up to {1e3 * shift:.2f} mm and {turn:.2f} deg off their places; taken off every frame"
-    if shift > 4.0 * observations.stated.placement_sd:
-        text += ". That is more than the placement tolerance allows: check the tags' s"
-        return (Remark("warning", text, about="tag places"),)
-    return (Remark("note", text),)
+    code = "tags off far at rest" if shift > 4.0 * observations.stated.placement_sd else "tags off at rest"
+    return (Notice(code, {"shift": shift, "turn": float(np.max(np.abs(rest.turn)))}),)

@@ -24,7 +24,6 @@ from onebend.records import (
     IntArray,
     MassAlong,
     Observations,
-    Remark,
     StatedSection,
     StiffnessAlong,
 )
@@ -234,14 +233,6 @@ FREE = 2.0  # one sd of an unknown mass, over its first guess: next to no knowle
 LEARNED = 0.7  # of the prior's sd: a weighed mass with a larger posterior sd was not learned
 KNOWN = 0.35  # of itself: an unknown mass with a larger posterior sd was not learned
 NEEDS_MASS = "gravity acts in the plane (or it swings), so the beam's mass must be given: mass_kg in [beam]"
-_SPREAD = {  # what is stated of it
-    "even": "evenly spread",
-    "width": "per metre taken as the third root of k(s), as where only the width varies",
-    "thickness": "per metre taken as k(s), as where only the thickness varies",
-    "both": "per metre taken as the root of k(s), as where width and thickness vary together",
-    "section": "per metre taken as the section's area",
-    "table": "spread as in mass_file",
-}
 
 
 @dataclass(frozen=True)
@@ -255,28 +246,6 @@ class LearnedMass:
     written: float  # kg, as recording.toml says; NaN where it does not
     identified: bool  # the data said more of it than was known
     along: MassAlong = "unknown"  # how it is spread, as stated
-
-
-def mass_remarks(mass: LearnedMass | None) -> tuple[Remark, ...]:
-    """Remarks on the learned mass."""
-    if mass is None:
-        return ()
-    size = f"{1000 * mass.value:.4g} g, give or take {1000 * mass.sd:.2g} g (sd)"
-    even = f"it pulls on the clamp like {1000 * mass.even:.4g} g (sd {1000 * mass.even_sd:.2g} g) evenly spread"
-    written, known = f"{1000 * mass.written:.4g} g as written", bool(np.isfinite(mass.written))
-    spread = "" if mass.along == "unknown" else f'mass {_SPREAD[mass.along]}, as mass_along = "{mass.along}" says'
-    if not known and not mass.identified:
-        text = f"mass not identifiable: only k/mu (it came out as {size}). Weigh the beam, or load it more strongly"
-        return (Remark("warning", f"{text}. {spread.capitalize()}" if spread else text, about="mass unknown"),)
-    found = f"the data make it {size}" if mass.identified else "the data say no more of it: beside it, only k/mu"
-    if spread:
-        end = f"{written}, {found}" if known else f"not written down, and learned with k(s): {size}"
-        text = f"{spread}; {end}"
-    elif known:
-        text = f"mass {written}; {found}; {even}" if mass.identified else f"mass {written}; {found}"
-    else:
-        text = f"the mass was not written down; learned with k(s): {size}; {even}"
-    return (Remark("note", text),)
 
 
 def weighs(observations: Observations) -> bool:

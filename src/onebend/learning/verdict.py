@@ -14,7 +14,7 @@ from onebend.learning.fit_data import FitData
 from onebend.learning.frames import zeroed_coordinates
 from onebend.learning.optimizer import recording_rms
 from onebend.learning.outcome import Comparison, Explained, Notice
-from onebend.learning.parameters import Layout, Priors, clamp_sd
+from onebend.learning.parameters import Layout, LearnedMass, Priors, clamp_sd
 from onebend.learning.posterior import Posterior
 from onebend.learning.prediction import Prediction
 from onebend.learning.push_place import FAR, LIKELIER, moved_off
@@ -48,6 +48,16 @@ def fit_notices(posterior: Posterior) -> tuple[Notice, ...]:
     wrong = (*misses, *_push_elsewhere(posterior), *weight, *_left_out(posterior), *search)
     odd = (*_hanging(posterior), *_free_clamp(posterior), *_far_nuisances(posterior), *_loud(posterior))
     return (*wrong, *_test_notices(posterior), *odd)
+
+
+def mass_notices(mass: LearnedMass | None) -> tuple[Notice, ...]:
+    """A notice of the learned mass, and of how it is spread if that is stated."""
+    if mass is None:
+        return ()
+    written = "written" if np.isfinite(mass.written) else "not written"
+    learned = "learned" if mass.identified else "not learned"
+    spread = "" if mass.along == "unknown" else ", spread"
+    return (Notice(f"mass: {written}, {learned}{spread}", {**vars(mass), "spread": Notice(f"spread: {mass.along}")}),)
 
 
 def criticism_notices(posterior: Posterior) -> tuple[Notice, ...]:

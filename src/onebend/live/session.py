@@ -33,6 +33,7 @@ from onebend.recording.tags import Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.report.confidence import identified_ranges, typical_half_width
+from onebend.report.sentences import words
 
 # Which push to make next, from all that was recorded so far: fitted and planned by a process beside this one.
 
@@ -46,7 +47,7 @@ def next_push_words(seen: Seen, observing: ObserveSettings = ObserveSettings()) 
     except OnebendError as wrong:
         return f"what the next push should be is not known: {wrong}"
     free = [one for one in found.proposals if not one.needs]
-    return free[0].text if free else "no push on this bench would narrow the band much"
+    return words(free[0].notice) if free else "no push on this bench would narrow the band much"
 
 
 class NextPush:

@@ -12,11 +12,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from onebend.learning.design import Quality
 from onebend.learning.frequencies import ComparedFrequency, Posture
 from onebend.learning.outcome import Comparison, Notice, another_beam, poor_fit
 from onebend.learning.run import Run
 from onebend.records import Array, Observations, Remark, StatedSection
-from onebend.report.wording import name_of
+from onebend.report.wording import direction_words, name_of, width_words
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class Sentence:
 
 _FILE = files("onebend.report").joinpath("sentences.toml").read_text(encoding="utf-8")
 SENTENCES = {code: Sentence(**entry) for code, entry in tomllib.loads(_FILE).items()}
-_UNITS = {"mm": 1e3, "g": 1e3, "ms": 1e3, "deg": 180.0 / np.pi, "percent": 1e2}
-_UNIT = re.compile(r"(mm|g|ms|deg|percent)((?=$|[.+]).*)")
+_UNITS = {"mm": 1e3, "mN": 1e3, "g": 1e3, "ms": 1e3, "deg": 180.0 / np.pi, "percent": 1e2}
+_UNIT = re.compile(rf"({'|'.join(_UNITS)})((?=$|[.+]).*)")
 MODULUS_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
 _MOST_POSES = 6  # that are named
 # The power with which a section's sizes count in k(s).
@@ -47,10 +48,10 @@ class _Template(Formatter):
     """`str.format` with units, and with words for what is no number."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        if isinstance(value, Notice):
-            return words(value)
         if format_spec in _WORDS_OF:
             return _WORDS_OF[format_spec](value)
+        if isinstance(value, Notice):
+            return words(value)
         unit = _UNIT.fullmatch(format_spec)
         if unit is None:
             return str(super().format_field(value, format_spec))
@@ -200,6 +201,14 @@ def _poses(off: tuple[tuple[str, float], ...]) -> str:
     return named + (f" and {len(off) - _MOST_POSES} more" if len(off) > _MOST_POSES else "")
 
 
+def _identified(quality: Quality) -> str:
+    if quality.identified in (0.0, 1.0):
+        return "identified all along" if quality.identified else "identified nowhere"
+    if quality.identified_to > quality.identified - 0.02:
+        return f"identified to s = {quality.identified_to:.2f}"
+    return f"identified on {100.0 * quality.identified:.0f} % of the beam"
+
+
 def _moduli(values: Array) -> str:
     factor, unit = modulus_unit(values)
     return _range(values / factor, unit)
@@ -211,6 +220,11 @@ _WORDS_OF: dict[str, Callable[[Any], str]] = {  # by the name that a field of a 
     "places": _places,
     "poses": _poses,
     "modulus": _moduli,
+    "direction": direction_words,
+    "width": width_words,
+    "identified": _identified,
+    "again": lambda repeats: "once more: " if repeats else "",
+    "with": lambda needs: f", with {words(needs)}" if needs else "",
     "sizes": lambda section: ", ".join(size_words(section)),
     "power": lambda section: _POWERS.get(section.shape, "the size counts with its fourth power"),
     "exact": lambda key: f" (exact, as no {key} is stated)" if key else "",

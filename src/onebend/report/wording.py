@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from onebend.beam.stiffness import UncertainStiffness
+from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.learning.run import Run
@@ -309,3 +309,15 @@ def highest_shown(uncertain: UncertainStiffness) -> float:
     band = uncertain.band(_S)
     known = float(np.max(band.high[uncertain.best_known(_S)]))
     return max(known, min(float(np.max(band.k)), 1.3 * known))
+
+
+def direction_words(direction: float) -> str:
+    """A force's direction [rad] in the beam's frame: up is to the beam's left, out to its tip."""
+    degrees = float(np.rad2deg(np.angle(np.exp(1j * direction))))
+    side, off = ("up", 90.0 - degrees) if degrees >= 0.0 else ("down", 90.0 + degrees)
+    return side if abs(off) < 0.5 else f"{side} and {abs(off):.0f} deg {'out' if off > 0.0 else 'back'}"
+
+
+def width_words(width: float) -> str:
+    """A 95 % band of log k of this width."""
+    return half_width_words(0.5 * width)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from onebend.files.publish import write_summary
+from onebend.learning.design import PLACES, Plan, Proposal
 from onebend.learning.instruments import instruments_if_pushed
 from onebend.learning.outcome import Comparison, Learned, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
@@ -21,7 +22,7 @@ from onebend.records import Observations
 from onebend.report.confidence import identified_ranges
 from onebend.report.page import page, shown_made_from
 from onebend.report.pictures import Pictures
-from onebend.report.sentences import all_remarks, pair_remarks, worded
+from onebend.report.sentences import all_remarks, pair_remarks, worded, words
 from onebend.report.verdict import verdict_of
 from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of, stiffness_summary
 from onebend.results.observations_file import save_observations
@@ -152,6 +153,37 @@ def validation_summary(
         remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
         rows.append(comparison_summary(comparison) | {"remarks": remarks})
     return {"format": VALIDATE_FORMAT, "written_by": written_by, "model": model, "validation": rows}
+
+
+def plan_summary(model: str, plan: Plan, *, written_by: str) -> dict[str, Any]:
+    """What `onebend plan --json` prints, in SI."""
+    return {
+        "format": PLAN_FORMAT,
+        "written_by": written_by,
+        "model": model,
+        "before": vars(plan.before),
+        "s": PLACES.tolist(),
+        "sd_log_k": plan.sd.tolist(),
+        "proposals": [_proposal(one) for one in plan.proposals],
+        "pair": [_proposal(one) for one in plan.pair],
+        "left_out": list(plan.left_out),
+    }
+
+
+def _proposal(one: Proposal) -> dict[str, Any]:
+    return {
+        "text": words(one.notice),
+        "at_s": one.push.at_s,
+        "direction_rad": one.push.direction,
+        "largest_N": one.push.largest,
+        "added_tag_s": one.added_tag,
+        "better_sensor": one.better_sensor,
+        "repeats": one.repeats,
+        "tip_moves_m": one.tip_moves,
+        "tip_turns_rad": one.tip_turns,
+        "after": vars(one.after),
+        "sd_log_k": one.sd.tolist(),
+    }
 
 
 def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any]:

@@ -12,11 +12,14 @@ import pytest
 from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.errors import LearningError
 from onebend.learning.allowances import WIDTHS
-from onebend.learning.design import PLACES, Limits, Plan, PlanSettings, after_push, direction_words, plan
+from onebend.learning.design import PLACES, Limits, Plan, PlanSettings, after_push, plan
 from onebend.learning.instruments import Instruments, PlannedPush, instruments_of, push_of
 from onebend.learning.linear import log_k_map
 from onebend.learning.posterior import Posterior, fit
 from onebend.records import Array, Observations
+from onebend.report.sentences import words
+from onebend.report.wording import direction_words
+from onebend.results.learned_files import plan_summary
 from tests.learning.bench import IDEAL, SOFT, observed
 from tests.made_up import with_source
 
@@ -239,13 +242,14 @@ def test_widths_in_words() -> None:
 
 def test_a_proposal_in_one_line(next_pushes: Plan) -> None:
     for one in next_pushes.proposals:
-        assert f"push at s = {one.push.at_s:.2f}" in one.text
-        assert "->" in one.text
-        assert (one.needs in one.text) if one.needs else (", with" not in one.text)
-    assert next_pushes.proposals[0].as_dict()["text"] == next_pushes.proposals[0].text
+        text = words(one.notice)
+        assert text.startswith(f"{'once more: ' if one.repeats else ''}push at s = {one.push.at_s:.2f}, ")
+        assert "->" in text
+        assert (f", with {words(one.needs)}: k(s)" in text) if one.needs else (", with" not in text)
+    assert plan_summary("model", next_pushes, written_by="")["proposals"][-1]["text"] == text
 
 
 def test_everything_in_the_plan_is_finite(next_pushes: Plan) -> None:
-    json.dumps(next_pushes.as_dict(), allow_nan=False)
+    json.dumps(plan_summary("model", next_pushes, written_by=""), allow_nan=False)
     sd: list[Array] = [next_pushes.sd, *(one.sd for one in next_pushes.proposals)]
     assert all(np.all(np.isfinite(one)) and len(one) == len(PLACES) for one in sd)

@@ -15,12 +15,14 @@ from onebend.beam.problem import make_problem
 from onebend.beam.stiffness import Scaled, Table
 from onebend.errors import LearningError, RecordingError
 from onebend.learning.fit_data import POWERS, fit_data
-from onebend.learning.parameters import Priors, Spline, make_layout, mass_remarks, shared_mass
+from onebend.learning.parameters import Priors, Spline, make_layout, shared_mass
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
+from onebend.learning.verdict import mass_notices
 from onebend.recording.observe import observe
 from onebend.records import Array, MassAlong, Observations
+from onebend.report.sentences import words
 from tests.learning.bench import IDEAL
 from tests.made_up import with_stated
 from tests.recording.tracked import ROD, ROD_S, pose_folder
@@ -74,7 +76,7 @@ def test_one_number_is_learned_where_the_spread_is_stated(tmp_path: Path, along:
     assert abs(mass.value - 0.03) < 3 * mass.sd < 0.0075
     s = np.array([0.1, 0.5, 0.8])
     np.testing.assert_allclose(posterior.beam.mass_per_length(s), rod(power).mass_per_length(s), rtol=0.1)
-    text = mass_remarks(mass)[0].text
+    text = words(*mass_notices(mass))
     assert f'mass_along = "{along}"' in text
     assert "learned with k(s)" in text
 

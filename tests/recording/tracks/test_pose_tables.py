@@ -18,13 +18,15 @@ from onebend.errors import LearningError, ObservationError, RecordingError
 from onebend.learning.fit_data import fit_data
 from onebend.learning.frames import loads_of
 from onebend.learning.optimizer import FitSettings
-from onebend.learning.parameters import Priors, Spline, make_layout, mass_remarks
+from onebend.learning.parameters import Priors, Spline, make_layout
 from onebend.learning.posterior import fit
 from onebend.learning.prediction import predict
 from onebend.learning.start import start_of, with_mass
+from onebend.learning.verdict import mass_notices
 from onebend.pipeline import learn
 from onebend.recording.observe import observe
 from onebend.records import Array, Observations
+from onebend.report.sentences import words
 from onebend.results.observations_file import load_observations, save_observations
 from tests.recording.tracked import ROD, ROD_S, pose_folder
 
@@ -142,7 +144,7 @@ def test_mass_is_learned_beside_k_where_weights_fix_the_scale(tmp_path: Path) ->
     assert mass is not None
     assert mass.identified
     assert abs(mass.value - 0.03) < 3 * mass.sd < 0.03
-    assert "learned with k(s)" in mass_remarks(mass)[0].text
+    assert "learned with k(s)" in words(*mass_notices(mass))
 
 
 def test_weight_alone_tells_only_the_ratio(tmp_path: Path) -> None:
@@ -155,7 +157,7 @@ def test_weight_alone_tells_only_the_ratio(tmp_path: Path) -> None:
     mass = fit([known], start_of([known], None), settings=FEW).mass
     assert mass is not None
     assert not mass.identified
-    assert "only k/mu" in mass_remarks(mass)[0].text
+    assert "only k/mu" in words(*mass_notices(mass))
 
 
 def test_a_profile_of_the_mass_is_used(tmp_path: Path) -> None:
