@@ -27,6 +27,7 @@ from onebend.learning.posterior import fit
 from onebend.learning.sensing.forces import TOUCH
 from onebend.learning.sensing.sense import Sensed, SenseSettings, sense
 from onebend.records import PLACE_SD, Array, BoolArray
+from onebend.report.sentences import worded
 from onebend.results.model import StoredModel, read_model, save_model
 
 ROOT = Path(__file__).parents[1]
@@ -146,7 +147,7 @@ def row_of(beam: int, push: int, kind: str) -> dict[str, Any]:
 
 def warned(found: Sensed) -> bool:
     """Whether it says that the model does not explain the shapes."""
-    return any(one.level == "warning" for one in found.remarks)
+    return any(one.level == "warning" for one in worded(found.remarks))
 
 
 def judged(beam: int, push: int) -> dict[str, Any]:

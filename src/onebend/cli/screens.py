@@ -345,7 +345,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
     for row in sensor_rows(found.sensor):
         table.add_row(*row)
     console.print(table, highlight=False)
-    console.print(remarks_list([(found.name, one) for one in found.remarks]))
+    console.print(remarks_list([(found.name, one) for one in worded(found.remarks)]))
     say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
 
 

@@ -18,6 +18,7 @@ from onebend.learning.sensing.sense import Sensed, Touch
 from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array
 from onebend.report.pictures import Pictures
+from onebend.report.sentences import worded
 from onebend.results.tables import write_csv
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
             "noise_widened": found.smoothed.widened,
         },
         "sensor": None if found.sensor is None else _sensor(found.sensor),
-        "remarks": [{"level": one.level, "text": one.text} for one in found.remarks],
+        "remarks": [{"level": one.level, "text": one.text} for one in worded(found.remarks)],
     }  # fmt: skip
 
 

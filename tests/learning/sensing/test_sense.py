@@ -21,6 +21,7 @@ from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
 from onebend.report.control_figures import sensed_regions, sensing
 from onebend.report.pictures import draw
+from onebend.report.sentences import worded
 from onebend.results.sensing import FORCE_COLUMNS, sense_summary, sense_writer
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
@@ -99,7 +100,7 @@ def test_without_a_force_the_force_along_the_beam_is_the_prior_and_said_so() -> 
 def test_the_prior_is_named_where_much_of_a_component_comes_from_it() -> None:
     force = np.column_stack([np.zeros(6), np.full(6, 0.004)])
     found = sense(SOFT, observed(SOFT, force, noise=(2e-5, 1e-3)))
-    assert any("comes in good part from the prior" in one.text for one in found.remarks)
+    assert any("comes in good part from the prior" in one.text for one in worded(found.remarks))
     narrow = sense(SOFT, observed(SOFT, force, noise=(2e-5, 1e-3)), settings=SenseSettings(force_prior=0.01))
     assert np.all(narrow.weak_sd <= 0.0101)
 
@@ -113,8 +114,8 @@ def test_another_beam_is_noticed_and_the_right_one_is_not() -> None:
     assert wrong.misfit is not None
     assert right.misfit.ratio < 1.6
     assert wrong.misfit.probability < 1e-4
-    assert [one.about for one in wrong.remarks if one.level == "warning"] == ["sensed misfit"]
-    assert not [one for one in right.remarks if one.level == "warning"]
+    assert [one.about for one in worded(wrong.remarks) if one.level == "warning"] == ["sensed misfit"]
+    assert not [one for one in worded(right.remarks) if one.level == "warning"]
     assert right.sensor is not None
     assert wrong.sensor is None
 
@@ -126,7 +127,7 @@ def test_a_clamp_that_slipped_after_the_rest_is_noticed() -> None:
     found = sense(SOFT, slipped)
     assert found.misfit is not None
     assert found.misfit.probability < 1e-4
-    assert [one.about for one in found.remarks if one.level == "warning"] == ["sensed misfit"]
+    assert [one.about for one in worded(found.remarks) if one.level == "warning"] == ["sensed misfit"]
 
 
 def test_learned_tags_are_taken_over_unless_they_were_put_on_anew() -> None:
@@ -157,8 +158,8 @@ def test_a_common_factor_on_k_shows_in_the_force_alone() -> None:
     assert right.sensor is not None
     assert wrong.sensor is not None
     assert wrong.sensor.gain[0] == pytest.approx(right.sensor.gain[0] / 1.3, rel=0.05)
-    assert not right.remarks or "sensed gain" not in {one.about for one in right.remarks}
-    assert "sensed gain" in {one.about for one in wrong.remarks}
+    assert not right.remarks or "sensed gain" not in {one.about for one in worded(right.remarks)}
+    assert "sensed gain" in {one.about for one in worded(wrong.remarks)}
 
 
 def test_a_missing_tag_and_a_missing_angle_make_it_less_sure() -> None:

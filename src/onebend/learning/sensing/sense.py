@@ -15,6 +15,7 @@ from onebend.errors import LearningError
 from onebend.learning.endings import Edge, bending, ended
 from onebend.learning.force_error import force_error
 from onebend.learning.instruments import Instruments
+from onebend.learning.outcome import Notice
 from onebend.learning.sensing import model
 from onebend.learning.sensing.contacts import Smoothed, edges_of, frames_at_edges, runs_of, smoothed, within
 from onebend.learning.sensing.forces import TOUCH, FrameModel, Misfit, Searched, first, read, rested, search, touches
@@ -22,7 +23,7 @@ from onebend.learning.sensing.model import Bench, Tags
 from onebend.learning.sensing.sensor import FEWEST, SensedForces, SensorCheck, check_sensor
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray, IntArray, Observations, Remark
+from onebend.records import Array, BoolArray, IntArray, Observations
 
 # What is asked of the beam as a force sensor, and what it says.
 
@@ -165,7 +166,7 @@ class Sensed:
     smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
     moment: ContactMoment | None = None  # where one was asked for
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[Notice, ...] = ()
 
     @property
     def explained(self) -> bool:
@@ -210,43 +211,30 @@ def logged_forces(o: Observations) -> Array:
     return np.full_like(o.force, np.nan) if none else o.force
 
 
-def sensed_remarks(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Remark, ...]:
+def sensed_notices(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Notice, ...]:
     """What the regions do not hold, and what is not observable; `banded`: the model has a band on k(s)."""
-    out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
+    out, fit, sensor, moment = [], sensed.misfit, sensed.sensor, sensed.moment
     if fit is not None and not sensed.explained:
-        text = (
-            f"No force explains the shapes: the tags are {math.sqrt(fit.ratio):.2g} times as far off as k(s)'s band, "
-            "mounting and noise allow, so the forces are not to be trusted. Check that the model is of this beam, that "
-            "it stands in its clamp as it did then, where the force acts, and that the push is slow"
-            + ("" if sensed.settings.force_prior is None else ". Or --force-prior-N is far too small for this force")
-        )
-        out.append(Remark("warning", text, about="sensed misfit"))
-    if sensed.sensor is not None and not sensed.sensor.scale_agrees(o.stated.gain_sd):
-        gain, sd = sensed.sensor.gain
-        text = (
-            f"The log shows {gain:.3g} ± {WIDE * sd:.2g} times the force that the shape tells: the sensor's scale is "
-            "off, or the model's k(s) is by as much, which no shape tells. A weight hung on the beam tells which"
-        )
-        out.append(Remark("warning", text, about="sensed gain"))
-    notes = []
+        values = {"times": math.sqrt(fit.ratio), "prior_stated": sensed.settings.force_prior is not None}
+        out.append(Notice("sensed misfit", values))
+    if sensor is not None and not sensor.scale_agrees(o.stated.gain_sd):
+        out.append(Notice("sensed gain", {"gain": sensor.gain[0], "wide": WIDE * sensor.gain[1]}))
     if not banded:
-        notes.append("The model has no band on k(s): the regions hold noise and mounting alone.")
+        out.append(Notice("sensed: no band"))
     if not np.isfinite(o.rest_xy).any():
-        notes.append("No frame shows the beam at rest: the mounting is known only as stated.")
+        out.append(Notice("sensed: no rest"))
     if not o.sd_known:
-        notes.append("The tags' noise is a guess, and the regions are as good as it is.")
-    if lost:
-        notes.append(f"In {lost} frames no equilibrium was found that explains the tags.")
+        out.append(Notice("sensed: noise guessed"))
+    if lost := int(np.sum(np.isnan(sensed.force[:, 0]))):
+        out.append(Notice("sensed: no equilibrium", {"frames": lost}))
     if np.any(sensed.touched):
-        share, moment = np.nanmedian(sensed.prior_share[sensed.touched], axis=0), sensed.moment
-        weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
+        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
+        weak = [(name, float(one)) for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
         if weak:
-            source = f"from the prior (sd {sensed.prior_sd:.3g} N)."
-            notes.append(f"The force along {' and '.join(weak)} comes in good part {source}")
+            out.append(Notice("sensed: force from the prior", {"shares": weak, "sd": sensed.prior_sd}))
         if moment is not None and (part := float(np.nanmedian(moment.prior_share[sensed.touched]))) > FROM_PRIOR:
-            source = f"from the prior (sd {moment.prior_sd:.3g} N m)."
-            notes.append(f"The moment comes in good part ({100 * part:.0f} %) {source}")
-    return (*out, *(Remark("note", text) for text in notes))
+            out.append(Notice("sensed: moment from the prior", {"share": part, "sd": moment.prior_sd}))
+    return tuple(out)
 
 
 PRIOR_SHARE = 3.0  # of k/L: the prior's sd of each component of the force
@@ -385,7 +373,7 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
         )
         out = replace(out, moment=moment)
     out = replace(out, sensor=_judged(out, o, frames) if out.explained else None)
-    return replace(out, remarks=sensed_remarks(out, o, banded=bench.stiffness is not None))
+    return replace(out, remarks=sensed_notices(out, o, banded=bench.stiffness is not None))
 
 
 def _places(searched: Searched, settings: SenseSettings, known: BoolArray) -> tuple[Array, Array]:
