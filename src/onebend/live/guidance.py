@@ -86,7 +86,6 @@ class CaptureState:
     picture: Picture | None = None  # (H, W), the newest
     tags: tuple[TagView, ...] = ()  # of the newest picture that was searched
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, newest, in the sensor's axes, less tare
-    force_time: float = math.nan  # s, the film's clock
     tare: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N
     displacement: float = math.nan  # of the tip from its rest, as a share of the beam's length
     largest: float = math.nan  # of these so far
@@ -138,7 +137,7 @@ def outcome_words(outcome: CaptureOutcome) -> str:
 
 
 def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
-    """The same as plain data, SI."""
+    """The same as data for `to_json`, SI."""
     state = outcome.state
     return {
         "folder": str(outcome.folder),
@@ -152,15 +151,10 @@ def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
         "frames_missing": state.drops,
         "samples": state.samples,
         "samples_missing": state.lost_samples,
-        "clock_sd_s": none_of(state.clock_sd),
-        "half_width": none_of(state.half_width),
+        "clock_sd_s": state.clock_sd,
+        "half_width": state.half_width,
         "remarks": list(outcome.remarks),
     }
-
-
-def none_of(value: float) -> float | None:
-    """A number as JSON has it: NaN is null."""
-    return value if math.isfinite(value) else None
 
 
 MOVED_SD = 8.0  # of a tag's place: farther from its rest than this,
@@ -269,16 +263,19 @@ class Stages:
                 self.stage = "tare" if self._forced else "first rest"
                 return
             self.short_rest = time - self._since < settings.rest
-            self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
+            self._await_push()
             return
         self._rest.append(places)
         long_enough = self._force_end - self._force_begin >= settings.tare
         if self.stage == "tare" and long_enough and time - self._since >= settings.tare:
             self.stage = "first rest"
         if self.stage == "first rest" and time - self._since >= settings.rest:
-            self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
+            self._await_push()
             self.largest = math.nan
             self.restless = False
+
+    def _await_push(self) -> None:
+        self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
 
     def _moved_at(self) -> float:
         """In lengths of the beam: what is farther from its rest has moved."""
@@ -295,8 +292,7 @@ class Stages:
 
     def _last_rest(self, time: float) -> None:
         if self.displacement > 2.0 * max(self._threshold, BACK * self.largest):
-            self.stage, self._since = "push", math.nan
-            self._since = time
+            self.stage, self._since = "push", time
 
     def _still(self) -> bool:
         (begin, _), (end, last) = self._recent[0], self._recent[-1]

@@ -236,7 +236,7 @@ class _Session:
         self._film: FilmWriter | None = None
         self._stages = Stages(places.rec, settings, forced=force is not None)
         self._follower = Follower(places.rec, settings)
-        self._newest = math.nan, np.full(2, np.nan)
+        self._newest = np.full(2, np.nan)  # N, the force
         self._early: deque[Frame | Samples] = deque()  # of the last moments before the film
         self._good, self._good_since = 0, math.nan
         self._state = CaptureState("exposure", until=settings.until)
@@ -281,11 +281,15 @@ class _Session:
                 self._force_end = item.why
             return
         self._logs.see(item)
-        if self._film is None:
-            self._early.append(item)
-            if isinstance(item, Frame):
-                self._set_up(item)
-        elif isinstance(item, Frame):
+        if self._film is not None:
+            self._keep(item)
+            return
+        self._early.append(item)
+        if isinstance(item, Frame):
+            self._set_up(item)
+
+    def _keep(self, item: Frame | Samples) -> None:
+        if isinstance(item, Frame):
             self._filmed(item)
         else:
             self._felt(item)
@@ -322,10 +326,7 @@ class _Session:
         items = sorted(self._early, key=lambda one: one.arrival)
         self._early.clear()
         for item in items:
-            if isinstance(item, Frame):
-                self._filmed(item)
-            else:
-                self._felt(item)
+            self._keep(item)
 
     def _too_late(self) -> bool:
         now = self._clock.now()
@@ -362,7 +363,7 @@ class _Session:
         self._follower.force(time, force, None if place is None else samples.force[:, place])
         good = np.flatnonzero(np.isfinite(force).all(axis=1))
         if len(good):
-            self._newest = float(time[good[-1]]), force[good[-1]]
+            self._newest = force[good[-1]]
 
     def _now_and_then(self) -> None:
         now, settings = self._clock.now(), self._settings
@@ -384,7 +385,6 @@ class _Session:
             if now >= self._next_stiffness or self._why:
                 self._next_stiffness = now + settings.stiffness_every
                 state = replace(state, **self._follower.known())
-            newest, force = self._newest
             rested = stages.stage == "last rest" and stages.rested >= settings.rest
             enough = math.isnan(settings.until) or state.half_width <= settings.until
             if rested and not enough and not self._planned:
@@ -399,8 +399,7 @@ class _Session:
                 displacement=stages.displacement,
                 largest=stages.largest,
                 tare=stages.tare,
-                force=force - stages.tare,
-                force_time=newest,
+                force=self._newest - stages.tare,
                 drops=self._logs.drops,
                 samples=self._logs.samples,
                 lost_samples=self._logs.lost_samples,
