@@ -90,12 +90,8 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     if not math.isnan(state.displacement):
         rows.append(("tip", f"{100 * state.displacement:.0f} % of the length; farthest {100 * state.largest:.0f} %"))
     if np.isfinite(state.force).all():
-        rows.append(
-            (
-                "force",
-                f"{state.force[0]:+.3f}, {state.force[1]:+.3f} N, less {state.tare[0]:.3g}, {state.tare[1]:.3g} N",
-            )
-        )
+        (x, y), (x0, y0) = state.force, state.tare
+        rows.append(("force", f"{x:+.3f}, {y:+.3f} N, less {x0:.3g}, {y0:.3g} N"))
     if not math.isnan(state.half_width):
         wanted = "" if math.isnan(state.until) else f", wanted ± {100 * state.until:.2g} %"
         bar = "█" * max(1, round(_BAR * min(state.half_width, 1.0)))

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.extras import package
+from onebend.extras import Extra, package
 from onebend.live.sources import Clock, Device, End, Samples, StampTiming
 from onebend.recording.bag_topics import FIELDS, clock_of, default_field, force_of, timed
 from onebend.recording.bags import Bag, Topic, open_bag, topic_of
@@ -453,7 +453,8 @@ class _Robot(Device):
     """A robot whose state is asked for, again and again."""
 
     columns: tuple[str, ...] = WRENCH
-    _package: tuple[str, str]  # its maker's, and the extra that brings it
+    _package: str  # its maker's
+    _extra: Extra  # that brings it
     _hint: str  # to look at if it does not answer
 
     def __init__(self, name: str, host: str, rate: float) -> None:
@@ -467,7 +468,7 @@ class _Robot(Device):
         Raises:
             RecordingError: the package is missing, or the robot does not answer.
         """
-        made = package(*self._package)
+        made = package(self._package, self._extra)
         try:
             self._robot = self._connected(made)
         except Exception as wrong:
@@ -513,7 +514,7 @@ class _Robot(Device):
 class UrForce(_Robot):
     """The wrench at a Universal Robot's tool, in the axes of its base, through `ur-rtde`."""
 
-    _package, _hint = ("rtde_receive", "ur"), "Is it on, and is RTDE allowed?"
+    _package, _extra, _hint = "rtde_receive", "ur", "Is it on, and is RTDE allowed?"
 
     def __init__(self, host: str, *, rate: float = 500.0) -> None:
         super().__init__("the robot", host, rate)
@@ -534,7 +535,7 @@ class FrankaForce(_Robot):
     """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`), in its base's axes, through `pylibfranka`.
     Nothing is asked to move."""
 
-    _package, _hint = ("pylibfranka", "franka"), "Is FCI active, and nobody else on it?"
+    _package, _extra, _hint = "pylibfranka", "franka", "Is FCI active, and nobody else on it?"
 
     def __init__(self, host: str) -> None:
         super().__init__("the arm", host, 1000.0)

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from onebend.report.sentences import say
 # What a recorder is told, what it says while it records, and what it leaves.
 
 Stage = Literal["exposure", "tare", "first rest", "push", "last rest", "done"]
-STAGES: tuple[Stage, ...] = ("exposure", "tare", "first rest", "push", "last rest", "done")
+STAGES: tuple[Stage, ...] = get_args(Stage)
 
 
 class Stop(Protocol):

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.design import plan
 from onebend.learning.instruments import instruments_of
@@ -149,8 +148,10 @@ class Follower:
         """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
         if self._live is None:
             return {}
-        state = self._live.state()
-        return {"live": state, "stiffness": state.stiffness, "half_width": half_width_share(state.stiffness)}
+        state, width = self._live.state(), math.nan
+        if state.stiffness is not None and identified_ranges(state.stiffness):
+            width = float(np.expm1(typical_half_width(state.stiffness)))
+        return {"live": state, "stiffness": state.stiffness, "half_width": width}
 
     def plan(self) -> None:
         if self._live is not None:
@@ -165,13 +166,6 @@ class Follower:
         self._next.close()
         if self._live is not None:
             self._live.close()
-
-
-def half_width_share(stiffness: UncertainStiffness | None) -> float:
-    """Half the 95 % band of k(s), its median, as a share of k; NaN where k(s) is identified nowhere."""
-    if stiffness is None or not identified_ranges(stiffness):
-        return float("nan")
-    return float(np.expm1(typical_half_width(stiffness)))
 
 
 LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
