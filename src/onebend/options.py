@@ -109,9 +109,11 @@ def _parameters(settings: Any) -> Iterator[Parameter]:
 
     only = next((one.names for one in getattr(settings, "__metadata__", ()) if isinstance(one, Only)), None)
     for name, kind, default, said in _declared(_bare(settings)):
+        if only is not None and name not in only:
+            continue
         if said is None:
             yield from _parameters(kind)
-        elif only is None or name in only:
+        else:
             shown, (low, high) = said.shown(default), said.within
             kind = list[get_args(kind)[0]] if get_origin(kind) is tuple else kind  # type: ignore[misc]
             info = typer.Option(said.name, help=said.help, metavar=said.metavar, min=low, max=high)

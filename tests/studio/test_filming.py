@@ -22,6 +22,7 @@ from onebend.errors import StudioError
 from onebend.live.commands import record
 from onebend.live.guidance import CaptureState
 from onebend.live.recording_folder import FilmWriter
+from onebend.options import expanded
 from onebend.studio.filming import MadeRecording, RecorderProcess, check_source, sources_data, wanted_recording
 from onebend.studio.places import StudioFolder
 from onebend.studio.recorder import WIDEST, Talk, check_data, settings_of, small_jpeg, state_data, work
@@ -119,7 +120,7 @@ def test_the_command_beside_is_one_of_the_commands(places: StudioFolder) -> None
     words = shlex.split(wanted_recording(places, asked(out="my push", **every))["command"])
     assert words[:3] == ["onebend", "record", "my push"]
     alone = typer.Typer()
-    alone.command()(record)
+    alone.command()(expanded(record))
     known = {name for one in typer.main.get_command(alone).params for name in one.opts}
     assert {word for word in words if word.startswith("--")} <= known
     assert words[words.index("--until") + 1] == "5%"

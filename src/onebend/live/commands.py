@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -13,26 +14,14 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from onebend import live
 from onebend.cli.common import Json, Quiet, clean_errors, percent, print_json, say, stderr_screen, stopped_by_hand
 from onebend.errors import RecordingError
+from onebend.live.guidance import STAGES, CaptureSettings, CaptureState
+from onebend.options import Only
 from onebend.recording.folder import FILE_NAME, folder_of
 
-if TYPE_CHECKING:
-    from onebend.live.guidance import CaptureState
-
-
-# What `onebend check`, `onebend topics` and `onebend record` say.
-
-STAGE_NAMES: dict[str, str] = {
-    "exposure": "picture",
-    "tare": "tare",
-    "first rest": "first rest",
-    "push": "push",
-    "last rest": "last rest",
-    "done": "done",
-}
-
-
+STAGE_NAMES = {stage: "picture" if stage == "exposure" else stage for stage in STAGES}
 _BAR = 30  # columns
 
 
@@ -101,12 +90,8 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     if not math.isnan(state.displacement):
         rows.append(("tip", f"{100 * state.displacement:.0f} % of the length; farthest {100 * state.largest:.0f} %"))
     if np.isfinite(state.force).all():
-        rows.append(
-            (
-                "force",
-                f"{state.force[0]:+.3f}, {state.force[1]:+.3f} N, less {state.tare[0]:.3g}, {state.tare[1]:.3g} N",
-            )
-        )
+        (x, y), (x0, y0) = state.force, state.tare
+        rows.append(("force", f"{x:+.3f}, {y:+.3f} N, less {x0:.3g}, {y0:.3g} N"))
     if not math.isnan(state.half_width):
         wanted = "" if math.isnan(state.until) else f", wanted ± {100 * state.until:.2g} %"
         bar = "█" * max(1, round(_BAR * min(state.half_width, 1.0)))
@@ -164,24 +149,10 @@ Until = Annotated[
 ]
 
 
-AtOnce = Annotated[bool, typer.Option("--now", help="Film at once, whatever is wrong with the picture.")]
-
-
-FilmAlone = Annotated[bool, typer.Option("--no-learning", help="Learn no k(s) meanwhile: for slow computers.")]
+Capture = Annotated[CaptureSettings, Only(("begin_at_once", "follow", "longest", "crf", "overwrite"))]
 
 
 Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
-
-
-Longest = Annotated[
-    float, typer.Option("--longest-s", min=1.0, max=1e5, metavar="S", help="The film ends then at the latest.")
-]
-
-
-Crf = Annotated[int, typer.Option("--crf", min=0, max=40, metavar="N", help="Of H.264: less is larger and finer.")]
-
-
-Replace = Annotated[bool, typer.Option("--overwrite", help="Replace film and log of an earlier recording in DIR.")]
 
 
 def record(
@@ -192,27 +163,14 @@ def record(
     play: Play = None,
     like: Like = None,
     until: Until = None,
-    now: AtOnce = False,
-    no_learning: FilmAlone = False,
+    settings: Capture,
     fast: Fast = False,
-    longest: Longest = 600.0,
-    crf: Crf = 18,
-    overwrite: Replace = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on."""
-    from onebend import live  # here: `new` and `topics` need no camera
-
     with clean_errors():
-        settings = live.CaptureSettings(
-            until=percent(until),
-            begin_at_once=now,
-            follow=not no_learning,
-            longest=longest,
-            crf=crf,
-            overwrite=overwrite,
-        )
+        settings = replace(settings, until=percent(until))
         if play is not None:
             if not (folder_of(play) / FILE_NAME).is_file():
                 raise RecordingError(

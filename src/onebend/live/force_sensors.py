@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from onebend.errors import RecordingError
-from onebend.extras import package
+from onebend.extras import Extra, package
 from onebend.live.sources import Clock, Device, End, Samples, StampTiming
 from onebend.recording.bag_topics import FIELDS, clock_of, default_field, force_of, timed
 from onebend.recording.bags import Bag, Topic, open_bag, topic_of
@@ -453,11 +453,32 @@ class _Robot(Device):
     """A robot whose state is asked for, again and again."""
 
     columns: tuple[str, ...] = WRENCH
+    _package: str  # its maker's
+    _extra: Extra  # that brings it
+    _hint: str  # to look at if it does not answer
 
     def __init__(self, name: str, host: str, rate: float) -> None:
         super().__init__(f"{name} {host}", StampTiming(delay=0.001, delay_error=0.01))
         self._host, self._rate, self._last = host, rate, -np.inf
         self._robot: Any = None
+
+    def open(self, clock: Clock) -> None:
+        """Connect.
+
+        Raises:
+            RecordingError: the package is missing, or the robot does not answer.
+        """
+        made = package(self._package, self._extra)
+        try:
+            self._robot = self._connected(made)
+        except Exception as wrong:
+            raise RecordingError(f"{self.name} does not answer ({wrong}). {self._hint}") from None
+        self._begin(clock)
+
+    def close(self) -> None:
+        if self._robot is not None:
+            self._disconnect()
+            self._robot = None
 
     def read(self, wait: float) -> Samples | End | None:
         until = self._clock.now() + min(max(wait, 0.0), TOGETHER)
@@ -478,33 +499,31 @@ class _Robot(Device):
             return Samples(np.array(stamp), np.array(force_rows, dtype=float), self._heard)
         return self._silence(SILENT_PACKAGE, "stands still: its time goes on no more")
 
+    def _connected(self, made: Any) -> Any:
+        """The robot, through its maker's package."""
+        raise NotImplementedError
+
+    def _disconnect(self) -> None:
+        """Nothing, if the robot needs no goodbye."""
+
     def _state(self) -> tuple[float, list[float]]:
+        """Its time [s] and its wrench."""
         raise NotImplementedError
 
 
 class UrForce(_Robot):
     """The wrench at a Universal Robot's tool, in the axes of its base, through `ur-rtde`."""
 
+    _package, _extra, _hint = "rtde_receive", "ur", "Is it on, and is RTDE allowed?"
+
     def __init__(self, host: str, *, rate: float = 500.0) -> None:
         super().__init__("the robot", host, rate)
 
-    def open(self, clock: Clock) -> None:
-        """Connect.
+    def _connected(self, made: Any) -> Any:
+        return made.RTDEReceiveInterface(self._host, self._rate)
 
-        Raises:
-            RecordingError: the package is missing, or the robot does not answer.
-        """
-        made = package("rtde_receive", "ur")
-        try:
-            self._robot = made.RTDEReceiveInterface(self._host, self._rate)
-        except Exception as wrong:
-            raise RecordingError(f"{self.name} does not answer ({wrong}). Is it on, and is RTDE allowed?") from None
-        self._begin(clock)
-
-    def close(self) -> None:
-        if self._robot is not None:
-            self._robot.disconnect()
-            self._robot = None
+    def _disconnect(self) -> None:
+        self._robot.disconnect()
 
     def _state(self) -> tuple[float, list[float]]:
         if not self._robot.isConnected():
@@ -513,28 +532,16 @@ class UrForce(_Robot):
 
 
 class FrankaForce(_Robot):
-    """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`), in its base's axes, through `pylibfranka`."""
+    """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`), in its base's axes, through `pylibfranka`.
+    Nothing is asked to move."""
+
+    _package, _extra, _hint = "pylibfranka", "franka", "Is FCI active, and nobody else on it?"
 
     def __init__(self, host: str) -> None:
         super().__init__("the arm", host, 1000.0)
 
-    def open(self, clock: Clock) -> None:
-        """Connect; nothing is asked to move.
-
-        Raises:
-            RecordingError: the package is missing, or the arm does not answer.
-        """
-        made = package("pylibfranka", "franka")
-        try:
-            self._robot = made.Robot(self._host, made.RealtimeConfig.kIgnore)
-        except Exception as wrong:
-            raise RecordingError(
-                f"{self.name} does not answer ({wrong}). Is FCI active, and nobody else on it?"
-            ) from None
-        self._begin(clock)
-
-    def close(self) -> None:
-        self._robot = None
+    def _connected(self, made: Any) -> Any:
+        return made.Robot(self._host, made.RealtimeConfig.kIgnore)
 
     def _state(self) -> tuple[float, list[float]]:
         state = self._robot.read_once()

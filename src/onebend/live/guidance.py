@@ -7,22 +7,24 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.live.live import LiveSettings, LiveState
 from onebend.live.recording_folder import CRF
+from onebend.options import option
 from onebend.recording.entries import Recording, TagsEntry
 from onebend.recording.preview import SMALLEST
 from onebend.recording.video import Picture
 from onebend.records import Array
+from onebend.report.sentences import say
 
 # What a recorder is told, what it says while it records, and what it leaves.
 
 Stage = Literal["exposure", "tare", "first rest", "push", "last rest", "done"]
-STAGES: tuple[Stage, ...] = ("exposure", "tare", "first rest", "push", "last rest", "done")
+STAGES: tuple[Stage, ...] = get_args(Stage)
 
 
 class Stop(Protocol):
@@ -36,21 +38,21 @@ class CaptureSettings:
     """How a push is recorded."""
 
     until: float = math.nan  # stop when k(s) is known to this share (half the 95 % band, median); NaN: after one push
-    begin_at_once: bool = False  # film whatever is wrong with the picture
-    follow: bool = True  # learn k(s) while it goes on
+    begin_at_once: bool = option("--now", False, "Film at once, whatever is wrong with the picture.")
+    follow: bool = option("--no-learning", True, "Learn no k(s) meanwhile: for slow computers.")
     setup: float = 1.0  # s for which the picture must be good before the film begins; they are in the film
     tare: float = 1.0  # s of the first rest that give the first zero of the force
     rest: float = 3.0  # s of each rest
     least_rest: float = 0.8  # s: a push that begins earlier begins the first rest anew
     share: float = 0.5  # of the beam's length by which the tip should move
-    longest: float = 600.0  # s of the film
-    crf: int = CRF
+    longest: float = option("--longest-s", 600.0, "The film ends then at the latest.", metavar="S", within=(1.0, 1e5))
+    crf: int = option("--crf", CRF, "Of H.264: less is larger and finer.", metavar="N", within=(0, 40))
     flush_every: float = 0.5  # s: rows that a sudden end may lose
     state_every: float = 0.1  # s
     stiffness_every: float = 0.5  # s: reading k(s) takes some time
     least_disk: float = 200e6  # bytes: the film ends before the disk is full
     most_waiting: int = 4  # pictures: where more wait, they are filmed and not followed
-    overwrite: bool = False  # replace film and log of an earlier recording
+    overwrite: bool = option("--overwrite", False, "Replace film and log of an earlier recording in DIR.")
     live: LiveSettings = field(default_factory=LiveSettings)
     live_beside: bool = True  # as `onebend.live.Live`
 
@@ -84,7 +86,6 @@ class CaptureState:
     picture: Picture | None = None  # (H, W), the newest
     tags: tuple[TagView, ...] = ()  # of the newest picture that was searched
     force: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N, newest, in the sensor's axes, less tare
-    force_time: float = math.nan  # s, the film's clock
     tare: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N
     displacement: float = math.nan  # of the tip from its rest, as a share of the beam's length
     largest: float = math.nan  # of these so far
@@ -136,7 +137,7 @@ def outcome_words(outcome: CaptureOutcome) -> str:
 
 
 def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
-    """The same as plain data, SI."""
+    """The same as data for `to_json`, SI."""
     state = outcome.state
     return {
         "folder": str(outcome.folder),
@@ -150,15 +151,10 @@ def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
         "frames_missing": state.drops,
         "samples": state.samples,
         "samples_missing": state.lost_samples,
-        "clock_sd_s": none_of(state.clock_sd),
-        "half_width": none_of(state.half_width),
+        "clock_sd_s": state.clock_sd,
+        "half_width": state.half_width,
         "remarks": list(outcome.remarks),
     }
-
-
-def none_of(value: float) -> float | None:
-    """A number as JSON has it: NaN is null."""
-    return value if math.isfinite(value) else None
 
 
 MOVED_SD = 8.0  # of a tag's place: farther from its rest than this,
@@ -166,7 +162,6 @@ MOVED_SHARE = 0.004  # and than this share of the beam's length, the beam has mo
 BACK = 0.06  # of the largest displacement: nearer to the first rest than this is back
 STILL = 0.4  # s
 FAST = 0.5  # of the beam's length a second
-NO_FORCE = "no sample of the force has come yet: is the sensor switched on and its cable plugged in?"
 STALLED = 0.7  # of the largest displacement: the tip goes back
 
 
@@ -268,16 +263,19 @@ class Stages:
                 self.stage = "tare" if self._forced else "first rest"
                 return
             self.short_rest = time - self._since < settings.rest
-            self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
+            self._await_push()
             return
         self._rest.append(places)
         long_enough = self._force_end - self._force_begin >= settings.tare
         if self.stage == "tare" and long_enough and time - self._since >= settings.tare:
             self.stage = "first rest"
         if self.stage == "first rest" and time - self._since >= settings.rest:
-            self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
+            self._await_push()
             self.largest = math.nan
             self.restless = False
+
+    def _await_push(self) -> None:
+        self._zero, self._threshold, self.stage = _mean(self._rest), self._moved_at(), "push"
 
     def _moved_at(self) -> float:
         """In lengths of the beam: what is farther from its rest has moved."""
@@ -294,8 +292,7 @@ class Stages:
 
     def _last_rest(self, time: float) -> None:
         if self.displacement > 2.0 * max(self._threshold, BACK * self.largest):
-            self.stage, self._since = "push", math.nan
-            self._since = time
+            self.stage, self._since = "push", time
 
     def _still(self) -> bool:
         (begin, _), (end, last) = self._recent[0], self._recent[-1]
@@ -317,63 +314,52 @@ def _mean(places: list[Array]) -> Array | None:
 
 def stage_advice(stages: Stages, settings: CaptureSettings, half_width: float, next_push: str = "") -> list[str]:
     """What to do in this stage, the most urgent first."""
-    stage = stages.stage
+    stage, left = stages.stage, max(settings.rest - stages.rested, 0.0)
     if stage in ("tare", "first rest"):
-        again = ["the beam moved: the first rest begins anew. Touch nothing"] if stages.restless else []
-        if stage == "tare" and not stages.force_seen:
-            return [*again, NO_FORCE]
-        left = max(settings.rest - stages.rested, 0.0)
-        return [*again, f"touch nothing: the first rest takes {left:.0f} s more; it gives the zero of the force"]
+        again = [say("record: moved")] if stages.restless else []
+        lacks_force = stage == "tare" and not stages.force_seen
+        return [*again, say("record: no force") if lacks_force else say("record: first rest", left=left)]
     if stage == "push":
         return _push_advice(stages, settings, half_width)
     if stage == "last rest":
-        left = max(settings.rest - stages.rested, 0.0)
         if left > 0.0:
-            return [f"touch nothing: the last rest takes {left:.0f} s more; it shows the drift of the force"]
-        wanted = f"the band is ± {100 * half_width:.2g} %, and ± {100 * settings.until:.2g} % is wanted"
-        again = [f"{wanted}: push again"] if math.isfinite(half_width) else ["push again, slowly and farther"]
-        return [*again, *([next_push] if next_push else [])]
+            return [say("record: last rest", left=left)]
+        code = "record: again" if math.isfinite(half_width) else "record: farther"
+        return [say(code, band=half_width, wanted=settings.until), *([next_push] if next_push else [])]
     return []
 
 
 def _push_advice(stages: Stages, settings: CaptureSettings, half_width: float) -> list[str]:
-    said = ["more slowly: the tags blur, and the beam swings"] if stages.speed > FAST else []
+    said = [say("record: slower")] if stages.speed > FAST else []
     largest = 0.0 if math.isnan(stages.largest) else stages.largest
     if half_width <= settings.until:
-        return [*said, f"the band is ± {100 * half_width:.2g} %, as wanted: let go slowly, and touch nothing"]
+        return [*said, say("record: known", band=half_width)]
     if largest < settings.share:
-        moved = f"the tip has moved by {100 * largest:.0f} % of the length, and {100 * settings.share:.0f} % is wanted"
-        if largest < 3.0 * MOVED_SHARE:
-            return [*said, "push now, slowly: the tip should move by half the length"]
-        return [*said, f"further: {moved}"]
-    if stages.displacement > STALLED * largest:
-        return [*said, "far enough: go back slowly, let go, and touch nothing"]
-    return [*said, "go back slowly, let go, and touch nothing"]
+        code = "record: push" if largest < 3.0 * MOVED_SHARE else "record: further"
+        return [*said, say(code, moved=largest, wanted=settings.share)]
+    return [*said, say("record: enough" if stages.displacement > STALLED * largest else "record: back")]
 
 
 def outcome_remarks(state: CaptureState, settings: CaptureSettings, stages: Stages) -> list[str]:
     """What to know before learning from what was recorded."""
     said = []
     if stages.stage in ("tare", "first rest"):
-        said.append("it shows no push: the beam never left its rest")
+        said.append(say("recorded: no push"))
     elif state.stage != "done":
-        said.append("it ends before the last rest: the drift of the force does not show")
+        said.append(say("recorded: no last rest"))
     if stages.short_rest:
-        said.append(f"the first rest was shorter than {settings.rest:g} s: the zero of the force is less sure")
+        said.append(say("recorded: short rest", wanted=settings.rest))
     if stages.stage in ("push", "last rest") and stages.largest < 0.8 * settings.share:
-        said.append(
-            f"the tip moved by {100 * stages.largest:.0f} % of the length: {100 * settings.share:.0f} % tells more"
-        )
+        said.append(say("recorded: small push", moved=stages.largest, wanted=settings.share))
     if state.drops > 0.05 * max(state.frames, 1):
-        said.append(f"{state.drops} frames are missing beside {state.frames}: film at a lower rate or size")
+        said.append(say("recorded: drops", missing=state.drops, frames=state.frames))
     if state.half_width > settings.until:
-        said.append(f"k(s) is known to ± {100 * state.half_width:.2g} %, and ± {100 * settings.until:.2g} % was wanted")
+        said.append(say("recorded: wide band", band=state.half_width, wanted=settings.until))
     return said
 
 
 # What to change before the film begins, from one picture and the tags in it.
 
-GOOD = "the picture is good: touch nothing, the film begins"
 BURNT, BURNT_SHARE = 252, 0.2  # grey level, and share of a tag's brightest half that may reach it
 LEAST_CONTRAST = 60  # grey levels between a tag's black and its white
 DARK, BRIGHT = 35, 220  # mean grey level of a picture in which no tag is seen
@@ -391,33 +377,34 @@ def setup_advice(picture: Picture, tags: Sequence[TagView], strangers: Sequence[
     seen = [tag for tag in tags if tag.seen]
     if not seen:
         return [_no_tag(picture, tags, strangers)]
-    said = [_unseen(tags)] if len(seen) < len(tags) else []
+    said, hidden = [], [tag.id for tag in tags if not tag.seen]
+    if hidden:
+        said.append(say("picture: hidden", tags=hidden, them="it" if len(hidden) == 1 else "them"))
     small = [tag for tag in seen if tag.side_px < SMALLEST]
     if small:
         sizes = ", ".join(f"tag {tag.id} is {tag.side_px:.0f} px" for tag in small)
-        said.append(f"{sizes}: come nearer, until each is {SMALLEST:.0f} px or more")
+        said.append(say("picture: small", sizes=sizes, least=SMALLEST))
     large = [tag for tag in seen if tag.side_px > LARGE * picture.shape[0]]
     if large:
-        said.append(f"tag {large[0].id} is {large[0].side_px:.0f} px: go farther, so that the beam has room to bend")
+        said.append(say("picture: large", tag=large[0].id, size=large[0].side_px))
     lights = {tag.id: tag_levels(picture, tag.corners) for tag in seen}
     burnt = [tag for tag, (_, _, share) in lights.items() if share > BURNT_SHARE]
     if burnt:
-        said.append(f"{_tags(burnt)} {_is(burnt)} burnt out: expose for less, or take light away")
+        said.append(say("picture: burnt tags", tags=burnt))
     flat = [tag for tag, (black, white, _) in lights.items() if white - black < LEAST_CONTRAST and tag not in burnt]
     if flat:
         black, white, _ = lights[flat[0]]
-        said.append(
-            f"{_tags(flat)} {_is(flat)} grey on grey ({white - black:.0f} levels): more light, or expose for longer"
-        )
-    return said + _at_edge(picture, seen)
+        said.append(say("picture: grey", tags=flat, levels=white - black))
+    near = [tag.id for tag in seen if _at_edge(picture, tag)]
+    return [*said, say("picture: edge", tags=near)] if near else said
 
 
 def not_begun(why: str, advice: Sequence[str], settings: CaptureSettings) -> str:
     """Why a recording ended, and why it had not begun by then: the last `advice` says it."""
     if not advice:
-        return f"{why} before a picture came"
-    wrong = [one for one in advice if one != GOOD]
-    return f"{why} before the picture was good: {wrong[0] if wrong else f'it must be good for {settings.setup:g} s'}"
+        return say("not begun: no picture", why=why)
+    wrong = [one for one in advice if one != say("picture: good")]
+    return say("not begun", why=why, wrong=wrong[0] if wrong else say("picture: wait", seconds=settings.setup))
 
 
 def tag_levels(picture: Picture, corners: Array) -> tuple[float, float, float]:
@@ -435,41 +422,16 @@ def tag_levels(picture: Picture, corners: Array) -> tuple[float, float, float]:
 
 
 def _no_tag(picture: Picture, tags: Sequence[TagView], strangers: Sequence[int]) -> str:
-    level = float(picture.mean())
+    level, wanted = float(picture.mean()), ", ".join(str(tag.id) for tag in tags)
     if level < DARK:
-        return "the picture is dark and shows no tag: open the lens cap, more light, or expose for longer"
+        return say("picture: dark")
     if level > BRIGHT:
-        return "the picture is burnt out and shows no tag: expose for less, or take light away"
+        return say("picture: burnt")
     if strangers:
-        found = ", ".join(map(str, sorted(set(strangers))))
-        return f"the tags in the picture are {found}, and recording.toml names {_ids(tags)}: correct the ids"
-    return f"no tag is in the picture: bring tags {_ids(tags)} into it, in focus"
+        return say("picture: other tags", found=", ".join(map(str, sorted(set(strangers)))), wanted=wanted)
+    return say("picture: no tag", wanted=wanted)
 
 
-def _unseen(tags: Sequence[TagView]) -> str:
-    hidden = [tag.id for tag in tags if not tag.seen]
-    them = "it" if len(hidden) == 1 else "them"
-    return f"{_tags(hidden)} {_is(hidden)} not seen: nothing may hide {them}, and no light may glare on {them}"
-
-
-def _at_edge(picture: Picture, seen: Sequence[TagView]) -> list[str]:
-    height, width = picture.shape
-    near = [
-        tag.id
-        for tag in seen
-        if min(*tag.corners.min(axis=0), width - 1 - tag.corners[:, 0].max(), height - 1 - tag.corners[:, 1].max())
-        < 0.3 * tag.side_px
-    ]
-    return [f"{_tags(near)} {_is(near)} at the picture's edge: leave room on all sides"] if near else []
-
-
-def _tags(ids: Sequence[int]) -> str:
-    return f"tag {ids[0]}" if len(ids) == 1 else f"tags {', '.join(map(str, ids[:-1]))} and {ids[-1]}"
-
-
-def _is(ids: Sequence[int]) -> str:
-    return "is" if len(ids) == 1 else "are"
-
-
-def _ids(tags: Sequence[TagView]) -> str:
-    return ", ".join(str(tag.id) for tag in tags)
+def _at_edge(picture: Picture, tag: TagView) -> bool:
+    away = np.minimum(tag.corners, np.array(picture.shape[::-1]) - 1 - tag.corners)
+    return float(away.min()) < 0.3 * tag.side_px

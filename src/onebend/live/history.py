@@ -162,24 +162,21 @@ class ForceHistory:
             groups = np.array(self._waiting[:whole]).reshape(-1, self._every, self._columns)
             self._waiting = self._waiting[whole:]
             rows = groups.mean(axis=1)
-        self._room_for(len(rows))
-        self._rows[self._used : self._used + len(rows)] = rows
-        self._used += len(rows)
-        if self._used > self._most:
-            self._halve()
+        self._put(self._used, rows)
 
     def _insert(self, rows: Array) -> None:
-        self._room_for(len(rows))
         begin = int(np.searchsorted(self.rows[:, 0], rows[:, 0].min()))
         tail = np.concatenate([self.rows[begin:], rows])
-        self._rows[begin : begin + len(tail)] = tail[np.argsort(tail[:, 0], kind="stable")]
-        self._used += len(rows)
+        self._put(begin, tail[np.argsort(tail[:, 0], kind="stable")])
+
+    def _put(self, begin: int, rows: Array) -> None:
+        """Rows in place of those from `begin` on."""
+        self._used = begin + len(rows)
+        while self._used > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        self._rows[begin : self._used] = rows
         if self._used > self._most:
             self._halve()
-
-    def _room_for(self, count: int) -> None:
-        while self._used + count > len(self._rows):
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
 
     def _halve(self) -> None:
         pairs = self._used // 2

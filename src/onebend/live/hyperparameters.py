@@ -46,16 +46,19 @@ class _CubatureNode:
     spread: Array  # (p, p) covariance
 
 
+def _logs(hyperparameters: LiveHyperparameters) -> Array:
+    return np.log([getattr(hyperparameters, name) for name in _CHOSEN])
+
+
 class HyperparameterSearch:
     """Proposes the next trial, and keeps the results of those before."""
 
     def __init__(self, expected: LiveHyperparameters, memory_doubt: float) -> None:
         """`expected`: medians of the priors; `memory_doubt`: sd of the log of the memory's prior."""
-        self._chosen = chosen = _CHOSEN
-        self._expected = np.log([getattr(expected, name) for name in chosen])
-        self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in chosen])
-        self._steps = np.array([0.7 if name == "load" else 0.3 for name in chosen])  # it may be ten times as large
-        self._open = np.array([i for i, name in enumerate(chosen) if name != "white"])
+        self._expected = _logs(expected)
+        self._spread = np.array([memory_doubt if name == "memory" else _SPREAD[name] for name in _CHOSEN])
+        self._steps = np.array([0.7 if name == "load" else 0.3 for name in _CHOSEN])  # it may be ten times as large
+        self._open = np.array([i for i, name in enumerate(_CHOSEN) if name != "white"])
         self._nodes: dict[int, _CubatureNode] = {}
         self._trials, self._climbs, self._look = 0, 0, 0
         self._begin()
@@ -70,18 +73,18 @@ class HyperparameterSearch:
         return 2 * (len(self._pairs) + len(self._open)) * _CLIMB_EVERY // (_CLIMB_EVERY - 1) + 1
 
     def proposal(self, now: LiveHyperparameters) -> LiveHyperparameters:
-        logs = np.log([getattr(now, name) for name in self._chosen])
+        logs = _logs(now)
         if self.climbs:
-            i = self._climbs % len(self._chosen)
+            i = self._climbs % len(_CHOSEN)
             logs[i] += self._steps[i]
         else:
             logs += self._spread * self._away()
         room = _FARTHEST * self._spread
         values = np.exp(np.clip(logs, self._expected - room, self._expected + room))
-        return replace(now, **dict(zip(self._chosen, values.tolist(), strict=True)))
+        return replace(now, **dict(zip(_CHOSEN, values.tolist(), strict=True)))
 
     def cost(self, hyperparameters: LiveHyperparameters) -> float:
-        z = (np.log([getattr(hyperparameters, name) for name in self._chosen]) - self._expected) / self._spread
+        z = (_logs(hyperparameters) - self._expected) / self._spread
         return float(z @ z)
 
     def trial(
@@ -106,7 +109,7 @@ class HyperparameterSearch:
 
     def climbed(self, better: bool) -> None:
         """After a climb: the next step is longer if this one was `better`, else shorter and the other way."""
-        i = self._climbs % len(self._chosen)
+        i = self._climbs % len(_CHOSEN)
         step = self._steps[i] * (1.5 if better else -0.6)
         self._steps[i] = np.sign(step) * np.clip(abs(step), _SHORTEST, _LONGEST)
         self._climbs += 1
@@ -171,7 +174,7 @@ class HyperparameterSearch:
         self._look = 0
 
     def _away(self) -> Array:
-        out, side, pairs = np.zeros(len(self._chosen)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
+        out, side, pairs = np.zeros(len(_CHOSEN)), 1.0 - 2.0 * (self._look % 2), 2 * len(self._pairs)
         if self._look < pairs:
             i, j = self._pairs[self._look // 2]
             out[self._open[[i, j]]] = side * _NEAR

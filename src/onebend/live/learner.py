@@ -41,6 +41,7 @@ from onebend.live.posterior import (
 )
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray
+from onebend.report.sentences import say
 
 
 @dataclass(frozen=True)
@@ -154,8 +155,6 @@ def surprise(
 
 
 FAR_OFF = 5.0  # times the tags' noise: a larger misfit is not of the tags alone
-FAILED = "the last solution failed: k(s) is what was known before"
-TOO_SOFT = "the estimate has no equilibrium under a force that the beam withstood"
 _ROUGH = 1.7  # times the tags' noise: smaller misfits pass as noise
 _CLEAR_MISS = 3.0  # times the noise that a tag's covariance states: a smaller residual is no miss
 
@@ -178,13 +177,11 @@ def key_frame_doubts(keys: KeyFrames, marker: float, size: float, missed: str) -
     """
     out = []
     if size > FAR_OFF * marker:
-        out.append(
-            f"the tags are {size / marker:.2g} times their noise from the estimate, which still moves: go on pushing"
-        )
+        out.append(say("live: far off", times=size / marker))
     out += [missed] if missed else []
     lost = int(np.count_nonzero(keys.lost[: keys.used]))
     if lost:
-        out.append(f"{lost} of {keys.used} key frames have no equilibrium at the estimate")
+        out.append(say("live: no equilibrium", lost=lost, frames=keys.used))
     return tuple(out)
 
 
@@ -208,10 +205,7 @@ def missed_tag(keys: KeyFrames) -> str:
     worst = int(np.argmax(share))
     if share[worst] <= MISS:
         return ""
-    return (
-        f"the estimate misses tag {worst + 1} by {1000.0 * rms[worst]:.3g} mm RMS where it moves by "
-        f"{1000.0 * motion[worst]:.3g} mm"
-    )
+    return say("live: tag missed", tag=worst + 1, rms=rms[worst], motion=motion[worst])
 
 
 def _motion(xy: Array, visible: BoolArray) -> Array:
@@ -456,10 +450,9 @@ class Smoother:
     @property
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
-        reasons = {FAILED: self._failed, TOO_SOFT: self._too_soft}
-        return tuple(words for words, holds in reasons.items() if holds) + key_frame_doubts(
-            self.keys, self.hyperparameters.marker, self._misfit, self._missed
-        )
+        reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
+        own = key_frame_doubts(self.keys, self.hyperparameters.marker, self._misfit, self._missed)
+        return (*(say(code) for code, holds in reasons.items() if holds), *own)
 
     def posterior(self) -> tuple[Array, Array, Array]:
         """(n,) and (n, n) of the parameters, and mean steps (p - 1,) of log k, averaged over the hyperparameters."""
@@ -635,7 +628,7 @@ class OnlineLearner:
         spline, (mean, covariance, steps) = self._session.layout.spline, self._state.posterior()
         fine, onto, p = spline.finer, spline.on_finer, spline.count
         index = np.arange(p)
-        if self._session.carries("patches"):  # k(s) has them in it
+        if "patches" in self._session.carried:  # k(s) has them in it
             under_tags = self._session.layout.index["patches", -1].where
             index = np.append(index, np.arange(under_tags.start, under_tags.stop))
             onto = np.column_stack([onto, self._session.patches_on_finer])

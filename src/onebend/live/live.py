@@ -7,7 +7,6 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -32,6 +31,7 @@ from onebend.recording.tool import KeptSmall
 from onebend.recording.video import Picture
 from onebend.records import Array, ClockOffset, Remark
 from onebend.report.confidence import identified_ranges, identified_words, typical_half_width
+from onebend.report.sentences import say
 from onebend.report.wording import significant
 
 # Frame by frame between two reviews: frames wait for their force, and are taught to the learner of the last review.
@@ -176,7 +176,6 @@ class Following:
 
 NOTHING_YET = "no frame has come yet"
 SOON = "the frames so far are being read"
-_STILL = "three seconds"
 
 
 @dataclass(frozen=True)
@@ -226,14 +225,13 @@ def live_verdict(
     said = tuple(remark.text.rstrip(".") for remark in known.remarks if remark.doubt)
     step = _next(stiffness, why, known.moved, known.rested)
     if stiffness is None:
-        return LiveVerdict("not yet", f"k(s) is not identifiable yet: {why or SOON}", "", step)
+        return LiveVerdict("not yet", say("live: not yet", why=why or SOON), "", step)
     against = tuple(dict.fromkeys((*stiffness.doubts, *doubts, *said, *([why] if why not in ("", ENDED) else []))))
     words = _words(stiffness)
     if against:
-        headline = f"k(s) is NOT TO BE TRUSTED: {'; '.join(against)}"
+        headline = say("live: not to be trusted", doubts="; ".join(against))
         return LiveVerdict("not to be trusted", headline, words, said[0] if said else step)
-    headline = "nothing speaks against k(s) so far; the tests of the model come after the last frame"
-    return LiveVerdict("not yet", headline, words, step)
+    return LiveVerdict("not yet", say("live: so far"), words, step)
 
 
 def _words(stiffness: UncertainStiffness) -> str:
@@ -242,21 +240,21 @@ def _words(stiffness: UncertainStiffness) -> str:
     k = band.k[band.identified] if band.identified.any() else band.k
     span = f"{significant(float(k.min()))} to {significant(float(k.max()))} N m"
     if not ranges:
-        return f"{span}, not identified: at no place to a factor of 1.5 (95 %)"
+        return say("live: nowhere", span=span)
     wide = half_width_words(typical_half_width(stiffness))
-    return f"{span}, {wide} (95 %, median) over s = {identified_words(ranges)}"
+    return say("live: band", span=span, wide=wide, where=identified_words(ranges))
 
 
 def _next(stiffness: UncertainStiffness | None, why: str, moved: bool, rested: bool) -> str:
     if why == NO_TAGS:
-        return "bring all tags into the picture, in focus and well lit"
+        return say("live next: tags")
     if not moved:
-        return f"keep the beam at rest for {_STILL}, then push it slowly"
+        return say("live next: rest")
     if rested:
-        return "stop, and learn from the whole push: `finish()`"
+        return say("live next: finish")
     if stiffness is None or not identified_ranges(stiffness):
-        return "go on pushing, slowly and farther, then let go"
-    return f"let go, and keep the beam at rest for {_STILL}: the drift of the force log shows only then"
+        return say("live next: push")
+    return say("live next: let go")
 
 
 _LATE = 0.2  # s: a force that comes later is said to,
@@ -332,9 +330,7 @@ class Live:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @one_blas_thread
@@ -429,19 +425,15 @@ class Live:
         known = Reviewed(math.nan) if known is None else known
         waiting = [] if stiffness is not None else [f"k(s): {why or SOON}"]
         if self._refused:
-            waiting.append(f"the newest frame is of no use: {self._refused}")
+            waiting.append(say("live: refused", why=self._refused))
         if known.clock is None:
             waiting.append(f"clock offset: {why or SOON}")
         if self._following.behind > _LATE:
-            late = f"{self._following.behind:.2g} s late, or not at all"
-            waiting.append(f"the newest frames: samples of the force come {late}, and k(s) follows them")
+            waiting.append(say("live: late force", late=self._following.behind))
         if (older := self._following.stands_in) > _OLDER and learning is not None:
-            sure = f"the clocks, known to {learning.reader.offset_sd:.2g} s (one sd)"
-            waiting.append(
-                f"the force of the newest frames: they take the newest there is, {older:.2g} s older by {sure}"
-            )
+            waiting.append(say("live: older force", older=older, sd=learning.reader.offset_sd))
         if not known.rested:
-            waiting.append("drift of the force log: it shows in a rest after the push")
+            waiting.append(say("live: drift"))
         return LiveState(
             time=math.nan if self._newest is None else self._newest.time,
             counts=replace(

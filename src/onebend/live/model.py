@@ -55,14 +55,10 @@ class LiveSession:
         """Names of all blocks of parameters that are not frozen."""
         return frozenset(self.columns)
 
-    def carries(self, name: str) -> bool:
-        """Whether an allowance is among the parameters."""
-        return name in self.carried
-
     def section(self, x: Array) -> tuple[RectangularSection | None, float]:
         """By which the beam stretches and shears at parameters x, None where it does neither; and how the log of its
         thickness goes with its parameter."""
-        if not self.carries("section"):
+        if "section" not in self.carried:
             return None, 1.0
         return section_at(float(self.layout.get(x, "section")[0]), self.thickness, self.length)
 
@@ -70,11 +66,6 @@ class LiveSession:
     def columns(self) -> dict[str, slice]:
         """Columns of all parameters that are not frozen."""
         return prediction.free_columns(self.layout)
-
-    @property
-    def weighs(self) -> bool:
-        """Whether the mass is among the parameters."""
-        return self.mass > 0.0 and self.layout.index["mass", -1].start >= 0
 
     def prior_scale(self, largest: float, bend: float) -> Array:
         """(n - p,) factors on the prior sds of all parameters but log k's coefficients; see `course_scale`."""
@@ -91,7 +82,7 @@ class LiveSession:
     def patches_on_finer(self) -> Array:
         """(f, n) coefficients, of the finer spline, of the functions of log k under the tags; n = 0 without them."""
         fine = self.layout.spline.finer
-        if not self.carries("patches"):
+        if "patches" not in self.carried:
             return np.zeros((fine.count, 0))
         return fine.nearest(lambda s: patch_functions(self.marker_s, self.length, self.tag_size, s))
 
@@ -280,17 +271,6 @@ class LinearisedTags:
         return LinearisedTags(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
 
-@dataclass(frozen=True)
-class _LoadedBeam:
-    """The beam and what acts on it in B frames, on the grid of a place."""
-
-    problem: Problem
-    stiff: Array  # (Q,) k times the nodes' weights
-    force: Array  # (B, 2) N
-    pushed: Array  # (B, Q) share of the push beyond each node
-    by_mass: Perturbation | None  # the parts of the mass; None where nothing weighs
-
-
 def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start: Array | None) -> LinearisedTags:
     """Poses and derivatives of the tags on a beam, from shapes `start` (B, Q) where there are any.
 
@@ -301,18 +281,28 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     bases, straight = CourseBases(inputs.terms, m, session.carried), beam.problem.q0
     logged = (inputs.force + inputs.rate * layout.get(x, "clock")) @ beam.axes.T
     q0, by_shares = _rest_shift(session, x, inputs.memory, start, straight)
-    loaded = _loaded_beam(session, push_grid, beam, logged + bases.force @ layout.get(x, "posture"), inputs, q0)
-    q, converged, factors = _shapes(push_grid, loaded, start)
-    bent = _bent(push_grid, loaded, by_shares, q, converged)
-    loads, tags = prediction.response_columns(prediction.load_changes(bent)), _Tags(session, push_grid, x, bent.solved)
-    right = minus_gradient(bent.solved, loads.changes)
+    force = logged + bases.force @ layout.get(x, "posture")
+    problem, pushed, by_mass = _loaded(session, beam, force, inputs, q0)
+    q, converged, factors = _shapes(beam, problem, start)
+    solved = _solved(problem, q, converged)
+    bent = BentBeam(
+        solved,
+        push_grid.log_k,
+        push_grid.rest_on_nodes,
+        force,
+        pushed,
+        push_grid.farther,
+        by_mass,
+        rest_shift=by_shares,
+    )
+    loads, tags = prediction.response_columns(prediction.load_changes(bent)), _Tags(session, push_grid, x, solved)
+    right = minus_gradient(solved, loads.changes)
     both = np.concatenate([tags.by_shape, right[..., loads.slices["push"]].swapaxes(1, 2)], axis=1)
     for rows, factor in zip(both, factors, strict=True):
         rows[:] = dpotrs(factor, rows.T, lower=1, overwrite_b=1)[0].T
-    adjoint, material = both[:, : 3 * m], _material(bent.solved, beam)
-    response = np.concatenate([adjoint @ right, adjoint_times(adjoint, bent.solved, material)], axis=2)
+    adjoint, (columns, material) = both[:, : 3 * m], _with_material(loads, solved, beam)
+    response = np.concatenate([adjoint @ right, adjoint_times(adjoint, solved, material)], axis=2)
     response = response.reshape(len(q), m, 3, -1)
-    columns = _with_material(loads, material, beam)
     tags.add_direct(response, columns)
     blocks, j = columns.split(tags.ride.carry(response)), np.zeros((len(q), m, 3, layout.size))
     further = prediction.push_blocks(blocks["push"], logged, beam.axes, inputs.rate) | bases.blocks(blocks)
@@ -323,17 +313,16 @@ def linearise(session: LiveSession, beam: PointBeam, inputs: FrameInputs, start:
     return LinearisedTags(converged, q, by_force, lags, pose, j, a)
 
 
-def _material(solved: Equilibrium, beam: PointBeam) -> Perturbation:
-    """The groups of `material_changes`, one after the other."""
+def _with_material(
+    loads: ResponseColumns, solved: Equilibrium, beam: PointBeam
+) -> tuple[ResponseColumns, Perturbation]:
+    """The columns with the groups of `material_changes` behind them, one after the other; and these groups."""
     problem, nothing = solved.problem, np.zeros(beam.elastic.shape[1])
     compliance = None if problem.compliance is None else (problem.compliance, beam.compliant)
-    return Perturbation(None, None, (solved.q - problem.q0, beam.elastic), nothing, compliance)
-
-
-def _with_material(loads: ResponseColumns, material: Perturbation, beam: PointBeam) -> ResponseColumns:
+    material = Perturbation(None, None, (solved.q - problem.q0, beam.elastic), nothing, compliance)
     first = len(loads.changes.clamp)
     behind = {name: slice(first + c.start, first + c.stop) for name, c in beam.columns.items()}
-    return ResponseColumns(loads.changes + material, loads.slices | behind)
+    return ResponseColumns(loads.changes + material, loads.slices | behind), material
 
 
 def _rest_shift(
@@ -341,7 +330,7 @@ def _rest_shift(
 ) -> tuple[Array, Array | None]:
     """(Q,) or (B, Q) rad, the curvature at rest of a beam that remembers; (B, Q, r), how it goes with the shares that
     relax, None where nothing does."""
-    if not session.carries("relaxation"):
+    if "relaxation" not in session.carried:
         return straight, None
     bending = np.zeros(memory.before.shape[:2]) if start is None else start - straight
     shares = session.layout.get(x, "relaxation")
@@ -393,14 +382,14 @@ class _Tags:
                 response[:, :, :2, where] += moved
 
 
-def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
+def _shapes(beam: PointBeam, problem: Problem, start: Array | None) -> tuple[Array, BoolArray, list[Array]]:
     """Equilibria (B, Q), whether each was found, and the Cholesky factors of their tangents: Newton's method from
     `start` and, where that fails, continuation from rest."""
     if start is not None:
-        q, moved, b = start.copy(), 0.0, push_grid.to_nodes.T
+        q, moved, b = start.copy(), 0.0, problem.to_nodes.T
         update, factors = np.empty_like(q), list[Array]([q]) * len(q)
         for _ in range(_NEWTON_ITERATIONS):
-            unbalanced, matrices = _balance(loaded, push_grid, q)
+            unbalanced, matrices = _balance(beam, problem, q)
             info = 0
             for i, matrix in enumerate(matrices):
                 factors[i], update[i], wrong = dposv(matrix, unbalanced[i], lower=1)
@@ -414,28 +403,30 @@ def _shapes(push_grid: PushGrid, loaded: _LoadedBeam, start: Array | None) -> tu
                 return q, np.ones(len(q), dtype=bool), factors
             if not moved < _TRUST:
                 break
-    from_rest = follow(loaded.problem)
+    from_rest = follow(problem)
     good, factors = from_rest.converged & from_rest.stable, []
-    for i, matrix in enumerate(tangent(loaded.problem, from_rest.q)):
+    for i, matrix in enumerate(tangent(problem, from_rest.q)):
         factor, wrong = dpotrf(matrix, lower=1)
         factors.append(factor if wrong == 0 else np.eye(len(matrix)))
         good[i] &= wrong == 0
     return from_rest.q, good, factors
 
 
-def _balance(loaded: _LoadedBeam, push_grid: PushGrid, q: Array) -> tuple[Array, Array]:
+def _balance(beam: PointBeam, problem: Problem, q: Array) -> tuple[Array, Array]:
     """(B, Q) gradient and (B, Q, Q) tangent, as `equilibrium.balance` without its look-ups."""
-    forces = nodal_forces(loaded.problem, q)
-    matrices = forces.along @ push_grid.squares
-    matrices[:, :: q.shape[1] + 1] += loaded.stiff
-    unbalanced = loaded.stiff * (q - loaded.problem.q0) - forces.across @ push_grid.to_nodes
+    forces = nodal_forces(problem, q)
+    matrices = forces.along @ beam.push_grid.squares
+    matrices[:, :: q.shape[1] + 1] += beam.stiff
+    unbalanced = beam.stiff * (q - problem.q0) - forces.across @ problem.to_nodes
     return unbalanced, matrices.reshape(*q.shape, -1)
 
 
-def _loaded_beam(
-    session: LiveSession, push_grid: PushGrid, beam: PointBeam, force: Array, inputs: FrameInputs, q0: Array
-) -> _LoadedBeam:
-    layout, terms, x = session.layout, inputs.terms, beam.x
+def _loaded(
+    session: LiveSession, beam: PointBeam, force: Array, inputs: FrameInputs, q0: Array
+) -> tuple[Problem, Array, Perturbation | None]:
+    """The beam under forces (B, 2) [N]; (B, Q) share of the push beyond each node; what the parts of the mass do, None
+    where nothing weighs."""
+    layout, terms, x, push_grid = session.layout, inputs.terms, beam.x, beam.push_grid
     place = layout.get(x, "place") + inputs.farther + terms[:, SLIDE.start] * layout.get(x, "slide")
     pushed, by_mass = push_grid.beyond + place[:, None] * push_grid.farther, None
     dead = pushed[..., None] * force[:, None]
@@ -443,9 +434,9 @@ def _loaded_beam(
         mass = push_grid.mass_beyond[:, 0] + push_grid.mass_beyond @ layout.get(x, "mass")
         dead += mass[:, None] * inputs.gravity[:, None]
         pull = inputs.gravity[:, None, :, None] * push_grid.mass_beyond[:, None, :]
-        by_mass = Perturbation(pull, None, None, np.zeros(4)) if session.weighs else None
+        by_mass = Perturbation(pull, None, None, np.zeros(4)) if "mass" in session.carried else None
     alpha0 = layout.get(x, "clamp") + terms[:, CLAMP] * layout.get(x, "clamp gives")
-    return _LoadedBeam(beam.problem.under(dead, q0, alpha0), beam.stiff, force, pushed, by_mass)
+    return beam.problem.under(dead, q0, alpha0), pushed, by_mass
 
 
 def beam_at(session: LiveSession, push_s: float, x: Array) -> PointBeam:
@@ -474,7 +465,7 @@ def _beam_of(session: LiveSession, push_s: float, parameters: bytes) -> PointBea
         section=section,
     )
     at_rest = _solved(problem, np.broadcast_to(problem.q0, (1, size)), np.ones(1, dtype=bool))
-    lengthens = session.carries("length")
+    lengthens = "length" in session.carried
     bent = BentBeam(
         at_rest, push_grid.log_k, none, np.zeros((1, 2)), none, none, lengthens=lengthens, thickens=thickens
     )
@@ -490,22 +481,6 @@ def _beam_of(session: LiveSession, push_s: float, parameters: bytes) -> PointBea
 def _solved(problem: Problem, q: Array, converged: BoolArray) -> Equilibrium:
     reached = converged.astype(float)
     return Equilibrium(problem, q, converged, converged, reached, reached, ~converged, 0)
-
-
-def _bent(
-    push_grid: PushGrid, loaded: _LoadedBeam, by_shares: Array | None, q: Array, converged: BoolArray
-) -> BentBeam:
-    """What the parameters change in the balance of shapes q (B, Q)."""
-    return BentBeam(
-        _solved(loaded.problem, q, converged),
-        push_grid.log_k,
-        push_grid.rest_on_nodes,
-        loaded.force,
-        loaded.pushed,
-        push_grid.farther,
-        loaded.by_mass,
-        rest_shift=by_shares,
-    )
 
 
 # Linearises key frames through the equilibrium, those that share a grid together.
@@ -566,7 +541,7 @@ class Lineariser:
         The first key frame and proposed averages keep theirs."""
         chosen, here = frames
         before, now = here[..., 3:], np.zeros((len(chosen), len(TIMES)))
-        if not self._session.carries("relaxation"):
+        if "relaxation" not in self._session.carried:
             return Memory(np.zeros_like(before), now, REACHED)
         bending = here[..., :1] - (push_grid.rest_on_nodes @ self._session.layout.get(point, "curvature"))[:, None]
         centre = 0.5 * (keys.begin + keys.end)
@@ -590,7 +565,7 @@ class Lineariser:
     def secant(self, keys: KeyFrames, point: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n) of the parameters, log k being made that of the secant stiffness of the push
         so far, `k_i (1 - c)`."""
-        if not self._session.carries("relaxation"):
+        if "relaxation" not in self._session.carried:
             return x, covariance
         layout, reached = self._session.layout, self._reached(keys, point)
         where, p, shares = layout.index["relaxation", -1].where, layout.spline.count, layout.get(x, "relaxation")

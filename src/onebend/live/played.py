@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -193,7 +194,10 @@ class OwnClock:
     late: float = 0.0  # s, mean of what an item takes to come, beyond what all take; exponential
 
 
-class _Playing:
+Item = TypeVar("Item", Frame, Samples)
+
+
+class _Playing(Generic[Item]):
     """What is common to both: items with the times at which they come in."""
 
     def __init__(self, name: str, own: OwnClock, seed: int) -> None:
@@ -215,7 +219,7 @@ class _Playing:
     def close(self) -> None:
         self._coming, self._next = iter(()), None
 
-    def _take(self, wait: float) -> tuple[Arrival, float] | End | None:
+    def read(self, wait: float) -> Item | End | None:
         clock = self._clock
         if self._next is None or clock is None:
             return End(self._fault or f"{self.name} was played to its end", fault=bool(self._fault))
@@ -225,7 +229,10 @@ class _Playing:
         clock.wait_until(self._at)
         taken, at = self._next, max(self._at, clock.now())
         self._advance()
-        return taken, at
+        return self._item(taken, self._own.offset + (1.0 + self._own.drift) * taken.stamp, at)
+
+    def _item(self, arrival: Arrival, stamp: Array, at: float) -> Item:
+        raise NotImplementedError
 
     def _advance(self) -> None:
         try:
@@ -237,7 +244,7 @@ class _Playing:
             self._at = max(self._at, self._clock.origin + self._next.at + late)
 
 
-class PlayedCamera(_Playing):
+class PlayedCamera(_Playing[Frame]):
     """A film as a camera."""
 
     def __init__(
@@ -265,17 +272,12 @@ class PlayedCamera(_Playing):
         frames = frames if first is None else chain([first], frames)
         self._begin(clock, play(frames, _NO_LOG, 0.0, self._how, seed=self._seed))
 
-    def read(self, wait: float) -> Frame | End | None:
-        taken = self._take(wait)
-        if not isinstance(taken, tuple):
-            return taken
-        arrival, at = taken
+    def _item(self, arrival: Arrival, stamp: Array, at: float) -> Frame:
         assert arrival.picture is not None
-        stamp = self._own.offset + (1.0 + self._own.drift) * float(arrival.stamp)
-        return Frame(arrival.picture, stamp, at, arrival.number)
+        return Frame(arrival.picture, float(stamp), at, arrival.number)
 
 
-class PlayedForce(_Playing):
+class PlayedForce(_Playing[Samples]):
     """A force log as a sensor."""
 
     def __init__(
@@ -303,15 +305,9 @@ class PlayedForce(_Playing):
 
     def open(self, clock: Clock) -> None:
         """Begin to play."""
-        how = replace(self._how, samples_each=max(1, self._how.samples_each))
-        self._begin(clock, play((), self._log, 0.0, how, seed=self._seed + 1))
+        self._begin(clock, play((), self._log, 0.0, self._how, seed=self._seed + 1))
 
-    def read(self, wait: float) -> Samples | End | None:
-        taken = self._take(wait)
-        if not isinstance(taken, tuple):
-            return taken
-        arrival, at = taken
-        stamp = self._own.offset + (1.0 + self._own.drift) * np.asarray(arrival.stamp, dtype=float)
+    def _item(self, arrival: Arrival, stamp: Array, at: float) -> Samples:
         return Samples(stamp, arrival.rows, at)
 
 

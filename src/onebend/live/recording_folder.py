@@ -69,12 +69,9 @@ def places_for(
     if rec.video.frame_times != "container":
         raise RecordingError(f'{where}: the film holds its times. Write frame_times = "container" in [video].')
     if (columns is None) != (rec.force is None):
-        more = (
-            "names a [force], and no sensor is given. Give one with --force"
-            if columns is None
-            else ("has no [force]. Add [force] and [push], or leave the sensor out")
-        )
-        raise RecordingError(f"{where} {more}.")
+        no_sensor = "names a [force], and no sensor is given. Give one with --force"
+        no_force = "has no [force]. Add [force] and [push], or leave the sensor out"
+        raise RecordingError(f"{where} {no_sensor if columns is None else no_force}.")
     named: list[int] = []
     if rec.force is not None and columns is not None:
         log, named = rec.force.file, _named(rec, columns)
@@ -158,20 +155,15 @@ def with_values(content: str, table: str, values: dict[str, str]) -> str:
     return "".join(lines)
 
 
-class GrowingTable:
+class GrowingTable(GrowingFile):
     """A CSV file that grows: rows are put into it together, whole or not at all."""
 
     def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
         """Raises `OSError` where it is there, or cannot be made."""
+        super().__init__(path)
         self.path, self.rows = path, 0
-        self._file = GrowingFile(path)
         self._waiting: list[str] = [",".join(columns)]
         self.flush()
-
-    @property
-    def size(self) -> int:
-        """Bytes in the file."""
-        return self._file.size
 
     def add(self, rows: Array, formats: tuple[str, ...]) -> None:
         """Rows (n, c), each number as its format says; NaN is an empty cell."""
@@ -188,7 +180,7 @@ class GrowingTable:
         """
         if not self._waiting:
             return
-        self._file.append(("\n".join(self._waiting) + "\n").encode())
+        self.append(("\n".join(self._waiting) + "\n").encode())
         self._waiting.clear()
 
     def close(self) -> None:
@@ -196,7 +188,7 @@ class GrowingTable:
         try:
             self.flush()
         finally:
-            self._file.close()
+            super().close()
 
 
 def retimed(path: Path, time: Array) -> None:
@@ -208,12 +200,9 @@ def retimed(path: Path, time: Array) -> None:
     header, *lines = path.read_text(encoding="utf-8").splitlines()
     lines, time = lines[: len(time)], time[: len(lines)]
     order = np.argsort(time, kind="stable")
-    rising = np.maximum.accumulate(time[order] - LEAST_STEP * np.arange(len(order))) + LEAST_STEP * np.arange(
-        len(order)
-    )
-    rows = (
-        f"{moment:.6f},{lines[i].partition(',')[2]}" for moment, i in zip(rising.tolist(), order.tolist(), strict=True)
-    )
+    steps = LEAST_STEP * np.arange(len(order))
+    rising = (np.maximum.accumulate(time[order] - steps) + steps).tolist()
+    rows = (f"{at:.6f},{lines[i].partition(',')[2]}" for at, i in zip(rising, order.tolist(), strict=True))
     beside = path.with_name(f".{path.name}.new")
     try:
         beside.write_text("\n".join((header, *rows)) + "\n", encoding="utf-8")
@@ -290,18 +279,13 @@ MOST_THREADS = 4
 FRAGMENTS = "empty_moov+default_base_moof+frag_every_frame+skip_trailer"
 
 
-class WholeFragments:
+class WholeFragments(GrowingFile):
     """What the muxer writes into: bytes go to the file in whole fragments alone."""
 
     def __init__(self, path: Path) -> None:
         """Raises `OSError` where the file is there, or cannot be made."""
-        self._file = GrowingFile(path)
+        super().__init__(path)
         self._waiting = bytearray()
-
-    @property
-    def size(self) -> int:
-        """Bytes in the file."""
-        return self._file.size
 
     def write(self, data: bytes) -> int:
         """Keep bytes until the fragment is whole."""
@@ -313,11 +297,8 @@ class WholeFragments:
         whole = whole_boxes(self._waiting)
         if not whole:
             return
-        self._file.append(bytes(self._waiting[:whole]))
+        self.append(bytes(self._waiting[:whole]))
         del self._waiting[:whole]
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def whole_boxes(data: bytes | bytearray) -> int:
@@ -464,6 +445,10 @@ class Logs:
         self.lost_samples = 0
 
     @property
+    def _tables(self) -> list[GrowingTable]:
+        return [table for table in (self._stamps, self._rows) if table is not None]
+
+    @property
     def drops(self) -> int:
         """Frames that are not in the film: one that came too late left a gap, too."""
         return self._drops.lost
@@ -476,7 +461,7 @@ class Logs:
     @property
     def bytes(self) -> int:
         """In the files."""
-        return sum(table.size for table in (self._stamps, self._rows) if table is not None)
+        return sum(table.size for table in self._tables)
 
     @property
     def clock_sd(self) -> float:
@@ -537,9 +522,8 @@ class Logs:
 
     def flush(self) -> None:
         """Put what waits into the files. Raises `OSError`."""
-        for table in (self._stamps, self._rows):
-            if table is not None:
-                table.flush()
+        for table in self._tables:
+            table.flush()
 
     def finish(self) -> None:
         """Close the files, and write the log anew with what all stamps together say of the clocks.
@@ -547,18 +531,14 @@ class Logs:
         Raises:
             OSError: what is in the files by then stays.
         """
-        tables = [table for table in (self._stamps, self._rows) if table is not None]
-        try:
-            for table in tables:
-                table.close()
-        finally:
-            rows, self._stamps, kept = self._rows, None, self._kept
-        if rows is None or self._force is None or not kept:
+        for table in self._tables:
+            table.close()
+        if self._rows is None or self._force is None or not self._kept:
             return
         self._camera.renew()
         self._force.renew()
-        own, arrival = np.concatenate(kept).T
-        retimed(rows.path, self._on_film(self._force.host(own, arrival)))
+        own, arrival = np.concatenate(self._kept).T
+        retimed(self._rows.path, self._on_film(self._force.host(own, arrival)))
 
     def _on_film(self, host: Array) -> Array:
         return np.asarray(self._camera.from_host(host) - self._first)
@@ -587,11 +567,10 @@ class Pump:
         self._pictures: queue.Queue[None] = queue.Queue(_MOST_PICTURES)
         self._items: queue.SimpleQueue[tuple[Source, Item]] = queue.SimpleQueue()
         self._stop = threading.Event()
-        self._threads: list[threading.Thread] = []
-        if not self._played:
-            self._threads = [threading.Thread(target=self._read, args=(one,), daemon=True) for one in self._sources]
-            for thread in self._threads:
-                thread.start()
+        read = [] if self._played else self._sources
+        self._threads = [threading.Thread(target=self._read, args=(one,), daemon=True) for one in read]
+        for thread in self._threads:
+            thread.start()
 
     @property
     def waiting(self) -> int:

@@ -37,6 +37,7 @@ from onebend.recording.tags import BlockTracks, summary
 from onebend.recording.tool import SmallPictures, ToolPlace, tool_checked, tool_in_small
 from onebend.recording.tracks import with_angles
 from onebend.records import Array, BoolArray, ClockOffset, ForceLog, IntArray, Markers, Observations, Remark
+from onebend.report.sentences import say
 
 NO_TAGS = "no tag of recording.toml is in the picture"
 NO_PUSH = "the beam has not moved yet"
@@ -168,27 +169,23 @@ def _not_yet(rec: Recording, observed: Observations) -> str:
         return refused
     source = observed.source
     if source.clean_force is None:
-        return "there is no [force] in recording.toml"
+        return say("live: no force")
     if not observed.loaded.any():
-        return "the force log shows no push"
+        return say("live: no push in the log")
     if not len(source.clean_force.zero_time):
-        return "no rest before the push was seen: the zero of the force is not known"
+        return say("live: no rest")
     if source.clock is not None and not source.clock.found:
-        return f"the clocks of camera and force are not matched yet ({source.clock.sd:.2g} s, one sd)"
+        return say("live: clocks", sd=source.clock.sd)
     return ""
 
 
 def not_live(rec: Recording) -> str:
     """What of recording.toml the live learner does not know, in words; empty where it knows all."""
     if rec.beam.stiffness_along != "unknown":
-        what = "a stated course of k(s) (stiffness_along)"
-    elif rec.frequencies:
-        what = "natural frequencies ([[frequencies]])"
-    elif rec.beam.masses and rec.gravity is not None:
-        what = "masses that ride on the beam ([[beam.masses]])"
-    else:
-        return ""
-    return f"the live learner knows nothing of {what}: k(s) comes after the last frame, from `finish()`"
+        return say("live: stated course")
+    if rec.frequencies:
+        return say("live: frequencies")
+    return say("live: masses") if rec.beam.masses and rec.gravity is not None else ""
 
 
 @one_blas_thread
@@ -238,21 +235,16 @@ class Reviewer:
     def __init__(self, observing: ObserveSettings, learning: OnlineSettings) -> None:
         self._settings = observing, learning
         self._made: Reviewed | None = None
-        self._spent = 0.0
+        self.spent = 0.0  # s of this process's time that reviews took so far
 
     @property
     def busy(self) -> bool:
         return self._made is not None
 
-    @property
-    def spent(self) -> float:
-        """s of this process's time that reviews took so far."""
-        return self._spent
-
     def begin(self, seen: Seen) -> None:
         begun = time.thread_time()
         self._made = review(seen, *self._settings)
-        self._spent += time.thread_time() - begun
+        self.spent += time.thread_time() - begun
 
     def result(self, since: Callable[[Reviewed], Later]) -> Reviewed | None:  # noqa: ARG002 (nothing came meanwhile)
         """The review, once it is made; `since` gives what came after its last frame. Does not wait."""

@@ -15,12 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import ObservationError, OnebendError, RecordingError
 from onebend.learning.design import plan
 from onebend.learning.instruments import instruments_of
 from onebend.live import guidance
-from onebend.live.guidance import GOOD, NO_FORCE, CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
+from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stages, Stop, TagView
 from onebend.live.live import Live, seen_by
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.review import Seen, observed_in
@@ -33,7 +32,7 @@ from onebend.recording.tags import Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
 from onebend.report.confidence import identified_ranges, typical_half_width
-from onebend.report.sentences import words
+from onebend.report.sentences import say, words
 
 # Which push to make next, from all that was recorded so far: fitted and planned by a process beside this one.
 
@@ -149,8 +148,10 @@ class Follower:
         """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
         if self._live is None:
             return {}
-        state = self._live.state()
-        return {"live": state, "stiffness": state.stiffness, "half_width": half_width_share(state.stiffness)}
+        state, width = self._live.state(), math.nan
+        if state.stiffness is not None and identified_ranges(state.stiffness):
+            width = float(np.expm1(typical_half_width(state.stiffness)))
+        return {"live": state, "stiffness": state.stiffness, "half_width": width}
 
     def plan(self) -> None:
         if self._live is not None:
@@ -165,13 +166,6 @@ class Follower:
         self._next.close()
         if self._live is not None:
             self._live.close()
-
-
-def half_width_share(stiffness: UncertainStiffness | None) -> float:
-    """Half the 95 % band of k(s), its median, as a share of k; NaN where k(s) is identified nowhere."""
-    if stiffness is None or not identified_ranges(stiffness):
-        return float("nan")
-    return float(np.expm1(typical_half_width(stiffness)))
 
 
 LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
@@ -236,7 +230,7 @@ class _Session:
         self._film: FilmWriter | None = None
         self._stages = Stages(places.rec, settings, forced=force is not None)
         self._follower = Follower(places.rec, settings)
-        self._newest = math.nan, np.full(2, np.nan)
+        self._newest = np.full(2, np.nan)  # N, the force
         self._early: deque[Frame | Samples] = deque()  # of the last moments before the film
         self._good, self._good_since = 0, math.nan
         self._state = CaptureState("exposure", until=settings.until)
@@ -255,13 +249,13 @@ class _Session:
                     self._begin()
                 self._now_and_then()
                 if stop.is_set():
-                    self._end("it was stopped")
+                    self._end("ended: stopped")
                 if self._why:
                     break
         except KeyboardInterrupt:
-            self._end("it was stopped")
+            self._end("ended: stopped")
         except OSError as wrong:
-            self._end(f"nothing more can be written ({wrong.strerror or wrong})", fault=True)
+            self._end("ended: not written", fault=True, why=wrong.strerror or wrong)
         finally:
             self._pump.close()
             self._renew()
@@ -269,23 +263,27 @@ class _Session:
         self._watch(self._state)
         return self._outcome()
 
-    def _end(self, why: str, *, fault: bool = False) -> None:
+    def _end(self, code: str, *, fault: bool = False, **values: Any) -> None:
         if not self._why:
-            self._why, self._fault = why, fault
+            self._why, self._fault = say(code, **values), fault
 
     def _take(self, source: object, item: Frame | Samples | End) -> None:
         if isinstance(item, End):
             if source is self._camera or item.fault:
-                self._end(item.why, fault=item.fault)
+                self._end("ended: source", fault=item.fault, why=item.why)
             else:
                 self._force_end = item.why
             return
         self._logs.see(item)
-        if self._film is None:
-            self._early.append(item)
-            if isinstance(item, Frame):
-                self._set_up(item)
-        elif isinstance(item, Frame):
+        if self._film is not None:
+            self._keep(item)
+            return
+        self._early.append(item)
+        if isinstance(item, Frame):
+            self._set_up(item)
+
+    def _keep(self, item: Frame | Samples) -> None:
+        if isinstance(item, Frame):
             self._filmed(item)
         else:
             self._felt(item)
@@ -304,10 +302,10 @@ class _Session:
         if advice or math.isnan(self._good_since):
             self._good_since = frame.arrival
         if self._force is not None and not any(isinstance(one, Samples) for one in self._early):
-            advice = [*advice, NO_FORCE]
-        self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice or [GOOD]))
-        good = self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup
-        if good:
+            advice.append(say("record: no force"))
+        advice = advice or [say("picture: good")]
+        self._state = replace(self._state, picture=frame.picture, tags=views, advice=tuple(advice))
+        if self._good >= FIRST_LOOKS and frame.arrival - self._good_since >= settings.setup:
             self._begin()
 
     def _begin(self) -> None:
@@ -322,10 +320,7 @@ class _Session:
         items = sorted(self._early, key=lambda one: one.arrival)
         self._early.clear()
         for item in items:
-            if isinstance(item, Frame):
-                self._filmed(item)
-            else:
-                self._felt(item)
+            self._keep(item)
 
     def _too_late(self) -> bool:
         now = self._clock.now()
@@ -337,7 +332,7 @@ class _Session:
     def _filmed(self, frame: Frame) -> None:
         assert self._film is not None
         if frame.picture.shape != self._film.shape:
-            self._end(f"{self._camera.name} changed the size of its pictures", fault=True)
+            self._end("ended: size", fault=True, camera=self._camera.name)
             return
         time = self._logs.frame(frame)
         if time is None:
@@ -352,7 +347,7 @@ class _Session:
             )
         self._state = replace(self._state, seconds=time, frames=self._film.frames)
         if time > self._settings.longest:
-            self._end(f"it lasted {self._settings.longest:.0f} s, and longer was not asked for")
+            self._end("ended: longest", seconds=self._settings.longest)
 
     def _felt(self, samples: Samples) -> None:
         time = self._logs.rows(samples)
@@ -362,7 +357,7 @@ class _Session:
         self._follower.force(time, force, None if place is None else samples.force[:, place])
         good = np.flatnonzero(np.isfinite(force).all(axis=1))
         if len(good):
-            self._newest = float(time[good[-1]]), force[good[-1]]
+            self._newest = force[good[-1]]
 
     def _now_and_then(self) -> None:
         now, settings = self._clock.now(), self._settings
@@ -372,7 +367,7 @@ class _Session:
             left = room_left(self._places.rec.folder)
             self._state = replace(self._state, disk_left=left, bytes=self._film.bytes + self._logs.bytes)
             if left < settings.least_disk:
-                self._end(f"the disk is nearly full ({left / 1e6:.0f} MB are left)", fault=True)
+                self._end("ended: disk", fault=True, left=left / 1e6)
         if now >= self._next_state:
             self._next_state = now + settings.state_every
             self._renew()
@@ -384,7 +379,6 @@ class _Session:
             if now >= self._next_stiffness or self._why:
                 self._next_stiffness = now + settings.stiffness_every
                 state = replace(state, **self._follower.known())
-            newest, force = self._newest
             rested = stages.stage == "last rest" and stages.rested >= settings.rest
             enough = math.isnan(settings.until) or state.half_width <= settings.until
             if rested and not enough and not self._planned:
@@ -399,16 +393,15 @@ class _Session:
                 displacement=stages.displacement,
                 largest=stages.largest,
                 tare=stages.tare,
-                force=force - stages.tare,
-                force_time=newest,
+                force=self._newest - stages.tare,
                 drops=self._logs.drops,
                 samples=self._logs.samples,
                 lost_samples=self._logs.lost_samples,
                 clock_sd=self._logs.clock_sd,
             )
             if state.stage == "done":
-                state = replace(state, advice=("done: the recording is whole",))
-                self._end("the beam is at rest again after the push")
+                state = replace(state, advice=(say("record: done"),))
+                self._end("ended: done")
         self._state = state
 
     def _close(self) -> None:
@@ -420,15 +413,15 @@ class _Session:
                 close()
             except OSError as wrong:
                 self._fault = True
-                self._why = f"{self._why}; at its end nothing more could be written ({wrong.strerror or wrong})"
+                self._why = say("recorded: not closed", why=self._why, wrong=wrong.strerror or wrong)
 
     def _outcome(self) -> CaptureOutcome:
         places, state, why = self._places, self._state, self._why or "its sources ended"
         remarks = [] if self._film is None else guidance.outcome_remarks(state, self._settings, self._stages)
         if self._follower.why and self._settings.follow:
-            remarks.append(f"k(s) was not learned meanwhile: {self._follower.why}")
+            remarks.append(say("recorded: not learned", why=self._follower.why))
         if self._force_end and self._force is not None:
-            remarks.append(f"{self._force_end} before the film did")
+            remarks.append(say("recorded: short log", why=self._force_end))
         return CaptureOutcome(
             folder=places.rec.folder,
             film=None if self._film is None else places.film,

@@ -254,35 +254,33 @@ class Device:
         return self._fault(why) if self._clock.now() - self._heard > longest else None
 
 
-class CameraSource(Protocol):
-    """A camera."""
+class Source(Protocol):
+    """A camera or a force sensor."""
 
     name: str  # for messages
     timing: StampTiming
 
     def open(self, clock: Clock) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class CameraSource(Source, Protocol):
+    """A camera."""
 
     def read(self, wait: float) -> Frame | End | None:
         """The next picture; None where none came within `wait` [s]."""
         ...
 
-    def close(self) -> None: ...
 
-
-class ForceSource(Protocol):
+class ForceSource(Source, Protocol):
     """A force sensor."""
 
-    name: str  # for messages
-    timing: StampTiming
     columns: tuple[str, ...]  # of the log, with units: fx_N, fy_N and so on
-
-    def open(self, clock: Clock) -> None: ...
 
     def read(self, wait: float) -> Samples | End | None:
         """The next rows; None where none came within `wait` [s]."""
         ...
-
-    def close(self) -> None: ...
 
 
 def of_yuyv(pairs: Picture) -> tuple[Picture, Any]:

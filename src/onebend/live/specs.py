@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from onebend.errors import RecordingError
 from onebend.live import force_sensors
 from onebend.live.cameras import PACKED, STREAMS, AvCamera, CameraSettings, RealSenseCamera, Stream, V4l2Camera
-from onebend.live.force_sensors import KNOWN, PORT, WEB_PORT, AtiForce, AtiScale, FrankaForce, GrowingBag, GrowingLog
 from onebend.live.played import Disturbances, OwnClock, played_camera, played_force
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.text_files import QUOTED
@@ -45,8 +44,7 @@ def camera_of(spec: str) -> CameraSource:
     Raises:
         RecordingError: there is no such kind, or a key that it does not know.
     """
-    kind, place, options = _split(spec, CAMERAS, "--camera")
-    return CAMERAS[kind].make(place, options)
+    return _made(spec, CAMERAS, "--camera")
 
 
 def force_of(spec: str) -> ForceSource:
@@ -55,8 +53,7 @@ def force_of(spec: str) -> ForceSource:
     Raises:
         RecordingError: as `camera_of`.
     """
-    kind, place, options = _split(spec, FORCES, "--force")
-    return FORCES[kind].make(place, options)
+    return _made(spec, FORCES, "--force")
 
 
 def number(options: Options, key: str, default: float, *, least: float = -math.inf, most: float = math.inf) -> float:
@@ -78,7 +75,7 @@ def number(options: Options, key: str, default: float, *, least: float = -math.i
     return value
 
 
-def _split(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> tuple[str, str, dict[str, str]]:
+def _made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
     head, *more = spec.split(",")
     if head.endswith(":"):
         raise RecordingError(f"{option} {spec}: nothing stands behind the colon. Say where it is: {head}PLACE.")
@@ -93,36 +90,31 @@ def _split(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> tup
             known = ", ".join(kinds[kind].keys) or "none"
             raise RecordingError(f"{option} {spec}: {kind} has no key {key}. Its keys: {known}.")
         options[key] = value
-    return kind, place, options
+    return kinds[kind].make(place, options)
 
 
-def _disturbances(options: Options) -> Disturbances:
+def _on_the_way(options: Options) -> dict[str, Any]:
+    """What happens to frames or samples that are played, as arguments of `played_camera` and `played_force`."""
     lost, late = (number(options, key, 0.0, least=0.0, most=1.0) for key in ("lost", "late"))
     jitter = 1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE)
-    return Disturbances(
-        frames_lost=lost,
-        frames_late=late,
-        frame_jitter=jitter,
-        samples_lost=lost,
-        samples_late=late,
-        sample_jitter=jitter,
-    )
-
-
-def _own(options: Options) -> OwnClock:
-    drift = number(options, "drift_ppm", 0.0, least=-MOST_DRIFT, most=MOST_DRIFT)
-    return OwnClock(drift=1e-6 * drift, late=1e-3 * number(options, "jitter_ms", 0.0, least=0.0, most=MOST_LATE))
-
-
-def _film(place: str, options: Options) -> CameraSource:
-    seed = int(number(options, "seed", 0, least=0, most=MOST_SEED))
-    return played_camera(Path(place), _disturbances(options), own=_own(options), seed=seed)
+    drift = 1e-6 * number(options, "drift_ppm", 0.0, least=-MOST_DRIFT, most=MOST_DRIFT)
+    return {
+        "disturbances": Disturbances(
+            frames_lost=lost,
+            frames_late=late,
+            frame_jitter=jitter,
+            samples_lost=lost,
+            samples_late=late,
+            sample_jitter=jitter,
+        ),
+        "own": OwnClock(drift=drift, late=jitter),
+        "seed": int(number(options, "seed", 0, least=0, most=MOST_SEED)),
+    }
 
 
 def _log(place: str, options: Options) -> ForceSource:
-    seed = int(number(options, "seed", 0, least=0, most=MOST_SEED))
     start = number(options, "start_s", math.nan, least=-MOST_START, most=MOST_START)
-    return played_force(Path(place), _disturbances(options), start=start, own=_own(options), seed=seed)
+    return played_force(Path(place), start=start, **_on_the_way(options))
 
 
 def _ati(place: str, options: Options) -> ForceSource:
@@ -130,32 +122,30 @@ def _ati(place: str, options: Options) -> ForceSource:
     if "counts" in options:
         per = number(options, "counts", 0.0, least=1e-6, most=MOST_COUNTS)
         torque = number(options, "counts_torque", per, least=1e-6, most=MOST_COUNTS)
-        scale = AtiScale(per, torque, number(options, "rate", 0.0, least=0.0, most=MOST_RATE))
-    ports = (("port", PORT), ("web_port", WEB_PORT))
+        scale = force_sensors.AtiScale(per, torque, number(options, "rate", 0.0, least=0.0, most=MOST_RATE))
+    ports = (("port", force_sensors.PORT), ("web_port", force_sensors.WEB_PORT))
     port, web = (int(number(options, key, value, least=1, most=MOST_PORT)) for key, value in ports)
-    return AtiForce(place, port=port, web_port=web, scale=scale)
+    return force_sensors.AtiForce(place, port=port, web_port=web, scale=scale)
 
 
 def _names(options: Options, key: str) -> list[str]:
     return [name for name in options.get(key, "").split("/") if name]
 
 
-def _serial(place: str, options: Options) -> ForceSource:
+def _cells(where: str, options: Options, wanted: str) -> force_sensors.Cells:
     if "columns" not in options:
-        raise RecordingError(f"serial:{place}: say what a line holds, as columns=time_ms/fx_N/fy_N. {KNOWN}.")
-    cells = force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=f"serial:{place}")
+        raise RecordingError(f"{where}: say {wanted}. {force_sensors.KNOWN}.")
+    return force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=where)
+
+
+def _serial(place: str, options: Options) -> ForceSource:
+    cells = _cells(f"serial:{place}", options, "what a line holds, as columns=time_ms/fx_N/fy_N")
     return force_sensors.SerialForce(Path(place), cells, baud=int(number(options, "baud", 115200, least=50, most=1e8)))
 
 
-def _csv(place: str, options: Options) -> ForceSource:
-    return GrowingLog(Path(place), _names(options, "columns"), _names(options, "zero"))
-
-
 def _lsl(place: str, options: Options) -> ForceSource:
-    if "columns" not in options:
-        raise RecordingError(f"lsl:{place}: say what its channels are, as columns=fx_N/fy_N/_. {KNOWN}.")
     return force_sensors.LslForce(
-        place, force_sensors.cells_of(_names(options, "columns"), _names(options, "zero"), where=f"lsl:{place}")
+        place, _cells(f"lsl:{place}", options, "what its channels are, as columns=fx_N/fy_N/_")
     )
 
 
@@ -179,36 +169,33 @@ def _camera(options: Options, *, least_fps: float) -> CameraSettings:
     return CameraSettings(width, height, fps, exposure, packed, cast(Stream, stream))
 
 
-def _v4l2(place: str, options: Options) -> CameraSource:
-    return V4l2Camera(Path(place), _camera(options, least_fps=0.1))
-
-
-def _realsense(place: str, options: Options) -> CameraSource:
-    return RealSenseCamera("" if place == "any" else place, _camera(options, least_fps=1.0))
-
-
-def _av(place: str, options: Options) -> CameraSource:
-    more = {key: options[key] for key in ("framerate", "video_size", "pixel_format") if key in options}
-    return AvCamera(place, options.get("format", ""), more)
-
-
 CAMERAS: dict[str, SourceKind[CameraSource]] = {
     "v4l2": SourceKind(
-        "/dev/video0", "a camera of Linux, with the kernel's stamps", ("size", "fps", "packed", "exposure_ms"), _v4l2
+        "/dev/video0",
+        "a camera of Linux, with the kernel's stamps",
+        ("size", "fps", "packed", "exposure_ms"),
+        lambda place, options: V4l2Camera(Path(place), _camera(options, least_fps=0.1)),
     ),
     "realsense": SourceKind(
         "realsense:any",
         "a RealSense camera, or its serial number for `any` (pip install 'onebend[realsense]')",
         ("stream", "size", "fps", "exposure_ms"),
-        _realsense,
+        lambda place, options: RealSenseCamera("" if place == "any" else place, _camera(options, least_fps=1.0)),
     ),
     "av": SourceKind(
         "av:PLACE,format=NAME",
         "what FFmpeg opens: a camera of another system, a stream",
         ("format", "framerate", "video_size", "pixel_format"),
-        _av,
+        lambda place, options: AvCamera(
+            place, options.get("format", ""), {key: value for key, value in options.items() if key != "format"}
+        ),
     ),
-    "film": SourceKind("film:REC", "a film, or a recording's, played at its own pace", _ON_THE_WAY, _film),
+    "film": SourceKind(
+        "film:REC",
+        "a film, or a recording's, played at its own pace",
+        _ON_THE_WAY,
+        lambda place, options: played_camera(Path(place), **_on_the_way(options)),
+    ),
 }
 FORCES: dict[str, SourceKind[ForceSource]] = {
     "ati": SourceKind(
@@ -235,7 +222,7 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         "franka:HOST",
         "a Franka arm's estimate (pip install 'onebend[franka]')",
         (),
-        lambda place, _: FrankaForce(place),
+        lambda place, _: force_sensors.FrankaForce(place),
     ),
     "lsl": SourceKind(
         "lsl:NAME,columns=fx_N/fy_N",
@@ -247,9 +234,18 @@ FORCES: dict[str, SourceKind[ForceSource]] = {
         "bag:PATH",
         "a ROS bag that is being written",
         ("topic", "field"),
-        lambda place, options: GrowingBag(Path(place), options.get("topic", ""), options.get("field", "")),
+        lambda place, options: force_sensors.GrowingBag(
+            Path(place), options.get("topic", ""), options.get("field", "")
+        ),
     ),
-    "csv": SourceKind("csv:log.csv", "a CSV file that another program is writing", ("columns", "zero"), _csv),
+    "csv": SourceKind(
+        "csv:log.csv",
+        "a CSV file that another program is writing",
+        ("columns", "zero"),
+        lambda place, options: force_sensors.GrowingLog(
+            Path(place), _names(options, "columns"), _names(options, "zero")
+        ),
+    ),
     "log": SourceKind(
         "log:REC", "a force log, or a recording's, played at its own pace", (*_ON_THE_WAY, "start_s"), _log
     ),

@@ -14,7 +14,7 @@ from onebend.errors import ExportError
 from onebend.extras import require
 from onebend.files.publish import write_summary
 from onebend.learning.sensing.forces import LEVEL
-from onebend.learning.sensing.sense import Sensed, Touch
+from onebend.learning.sensing.sense import Sensed
 from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array
 from onebend.report.pictures import Pictures
@@ -27,33 +27,6 @@ if TYPE_CHECKING:
 
 SENSE_FORMAT = "onebend-sense-1"
 BAG = "force.mcap"
-FORCE_COLUMNS = (
-    "frame",
-    "time_s",
-    "fx_N",
-    "fy_N",
-    "fx_sd_N",
-    "fy_sd_N",
-    "fx_fy_covariance_N2",
-    "fx_prior_share",
-    "fy_prior_share",
-    "weak_direction_deg",
-    "weak_sd_N",
-    "strong_sd_N",
-    "place_s",
-    "place_sd_s",
-    "other_place_s",
-    "touched",
-    "chi2",
-)
-SMOOTH_COLUMNS = ("smooth_fx_N", "smooth_fy_N", "smooth_fx_sd_N", "smooth_fy_sd_N", "smooth_fx_fy_covariance_N2")
-MOMENT_COLUMNS = (
-    "moment_Nm",
-    "moment_sd_Nm",
-    "moment_prior_share",
-    "fx_moment_covariance_N2m",
-    "fy_moment_covariance_N2m",
-)
 
 
 def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, Any]:
@@ -70,21 +43,31 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
         "force_prior_sd_N": found.prior_sd,
         "frames": len(found.time),
         "frames_touched": int(np.sum(found.touched)),
-        "contacts": [_contact(one) for one in found.contacts],
+        "contacts": [
+            {
+                "first_frame_s": one.first,
+                "last_frame_s": one.last,
+                "begin_s": one.begin.time,
+                "begin_sd_s": one.begin.sd,
+                "end_s": one.end.time,
+                "end_sd_s": one.end.sd,
+            }
+            for one in found.contacts
+        ],
         "peak": None if peak is None else {
             "frame": int(found.frame[peak]),
-            "time_s": float(found.time[peak]),
-            "force_N": found.force[peak].tolist(),
-            "covariance_N2": found.covariance[peak].tolist(),
-            "prior_share": found.prior_share[peak].tolist(),
-            "place_s": _number(found.place[peak]),
-            "place_sd_s": _number(found.place_sd[peak]),
+            "time_s": found.time[peak],
+            "force_N": found.force[peak],
+            "covariance_N2": found.covariance[peak],
+            "prior_share": found.prior_share[peak],
+            "place_s": found.place[peak],
+            "place_sd_s": found.place_sd[peak],
         },
         "misfit": None if fit is None else {
             "chi2": fit.chi2,
             "freedom": fit.freedom,
-            "ratio": _number(fit.ratio),
-            "probability": _number(fit.probability),
+            "ratio": fit.ratio,
+            "probability": fit.probability,
             "frames": fit.frames,
         },
         "against_log_rms_N": None if difference is None else {
@@ -93,28 +76,17 @@ def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, An
         },
         "moment": None if found.moment is None else {
             "prior_sd_Nm": found.moment.prior_sd,
-            "peak_Nm": None if peak is None else _number(found.moment.moment[peak]),
-            "peak_sd_Nm": None if peak is None else _number(found.moment.sd[peak]),
-            "peak_prior_share": None if peak is None else _number(found.moment.prior_share[peak]),
+            "peak_Nm": None if peak is None else found.moment.moment[peak],
+            "peak_sd_Nm": None if peak is None else found.moment.sd[peak],
+            "peak_prior_share": None if peak is None else found.moment.prior_share[peak],
         },
         "smoothed": None if found.smoothed is None else {
-            "memory_s": _number(found.smoothed.memory),
+            "memory_s": found.smoothed.memory,
             "noise_widened": found.smoothed.widened,
         },
         "sensor": None if found.sensor is None else _sensor(found.sensor),
         "remarks": [{"level": one.level, "text": one.text} for one in worded(found.remarks)],
     }  # fmt: skip
-
-
-def _contact(one: Touch) -> dict[str, Any]:
-    return {
-        "first_frame_s": one.first,
-        "last_frame_s": one.last,
-        "begin_s": _number(one.begin.time),
-        "begin_sd_s": _number(one.begin.sd),
-        "end_s": _number(one.end.time),
-        "end_sd_s": _number(one.end.sd),
-    }
 
 
 def _sensor(check: SensorCheck) -> dict[str, Any]:
@@ -125,48 +97,51 @@ def _sensor(check: SensorCheck) -> dict[str, Any]:
         "direction_sd_deg": math.degrees(check.direction[1]),
         "delay_s": check.delay[0],
         "delay_sd_s": check.delay[1],
-        "bias_N": check.bias[0].tolist(),
-        "bias_sd_N": check.bias[1].tolist(),
-        "drift_N_per_s": check.drift[0].tolist(),
-        "drift_sd_N_per_s": check.drift[1].tolist(),
+        "bias_N": check.bias[0],
+        "bias_sd_N": check.bias[1],
+        "drift_N_per_s": check.drift[0],
+        "drift_sd_N_per_s": check.drift[1],
         "noise_N": check.noise,
         "frames": check.frames,
     }
 
 
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def force_columns(found: Sensed) -> dict[str, Array]:
+    """(T,) each: the columns of `force.csv`, those of every recording and those that were asked for."""
+    out = {
+        "frame": found.frame,
+        "time_s": found.time,
+        **_forces("", found.force, found.covariance),
+        "fx_prior_share": found.prior_share[:, 0],
+        "fy_prior_share": found.prior_share[:, 1],
+        "weak_direction_deg": np.degrees(found.weak_angle),
+        "weak_sd_N": found.weak_sd,
+        "strong_sd_N": found.strong_sd,
+        "place_s": found.place,
+        "place_sd_s": found.place_sd,
+        "other_place_s": found.other_place,
+        "touched": found.touched,
+        "chi2": found.chi2,
+    }
+    if found.smoothed is not None:
+        out |= _forces("smooth_", found.smoothed.force, found.smoothed.covariance)
+    if (moment := found.moment) is not None:
+        out |= {"moment_Nm": moment.moment, "moment_sd_Nm": moment.sd, "moment_prior_share": moment.prior_share}
+        out |= {f"f{axis}_moment_covariance_N2m": moment.with_force[:, i] for i, axis in enumerate("xy")}
+    return out
 
 
-def force_columns(found: Sensed) -> tuple[str, ...]:
-    """Of `force.csv`: those of every recording, and those that were asked for."""
-    smooth = () if found.smoothed is None else SMOOTH_COLUMNS
-    return FORCE_COLUMNS + smooth + (() if found.moment is None else MOMENT_COLUMNS)
+def _forces(name: str, force: Array, covariance: Array) -> dict[str, Array]:
+    numbers = [*force.T, *np.sqrt(np.einsum("tcc->tc", covariance)).T, covariance[:, 0, 1]]
+    names = ("fx_N", "fy_N", "fx_sd_N", "fy_sd_N", "fx_fy_covariance_N2")
+    return {f"{name}{one}": values for one, values in zip(names, numbers, strict=True)}
 
 
 def write_forces(path: Path, found: Sensed) -> None:
     """One row a frame; empty where a frame tells nothing."""
-    columns: list[Array] = [found.time, *_forces(found.force, found.covariance), *found.prior_share.T]
-    columns += [np.degrees(found.weak_angle), found.weak_sd, found.strong_sd]
-    columns += [found.place, found.place_sd, found.other_place]
-    more: list[Array] = []
-    if found.smoothed is not None:
-        more += _forces(found.smoothed.force, found.smoothed.covariance)
-    if found.moment is not None:
-        moment = found.moment
-        more += [moment.moment, moment.sd, moment.prior_share, *moment.with_force.T]
-    added = np.column_stack(more) if more else np.zeros((len(found.time), 0))
-    rows = (
-        [int(frame), *map(_cell, row), int(touched), f"{misfit:.4g}", *map(_cell, extra)]
-        for frame, row, touched, misfit, extra in zip(
-            found.frame, np.column_stack(columns), found.touched, found.chi2, added, strict=True
-        )
-    )
-    write_csv(path, force_columns(found), rows)
-
-
-def _forces(force: Array, covariance: Array) -> list[Array]:
-    return [*force.T, *np.sqrt(np.einsum("tcc->tc", covariance)).T, covariance[:, 0, 1]]
+    columns = force_columns(found)
+    cells = (map("{:.4g}".format if name == "chi2" else _cell, values.tolist()) for name, values in columns.items())
+    write_csv(path, tuple(columns), zip(*cells, strict=True))
 
 
 def _cell(value: float) -> str:

@@ -22,7 +22,7 @@ from onebend.records import Array, Observations
 from onebend.report.control_figures import sensed_regions, sensing
 from onebend.report.pictures import draw
 from onebend.report.sentences import worded
-from onebend.results.sensing import FORCE_COLUMNS, sense_summary, sense_writer
+from onebend.results.sensing import sense_summary, sense_writer
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
 from tests.learning.design.test_identifiability import bench
@@ -208,7 +208,12 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
     sense_writer(found, pictures, summary)(tmp_path)
     rows = list(csv.reader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
-    assert tuple(rows[0]) == FORCE_COLUMNS
+    assert ",".join(rows[0]) == (
+        "frame,time_s,fx_N,fy_N,fx_sd_N,fy_sd_N,fx_fy_covariance_N2,fx_prior_share,fy_prior_share,"
+        "weak_direction_deg,weak_sd_N,strong_sd_N,place_s,place_sd_s,other_place_s,touched,chi2"
+    )
+    assert {row[0] for row in rows[1:]} == set(map(str, found.frame.tolist()))
+    assert {row[15] for row in rows[1:]} <= {"0", "1"}
     np.testing.assert_allclose([float(row[3]) for row in rows[1:]], found.force[:, 1], rtol=1e-6)
     assert (tmp_path / "force.png").exists()
     assert (tmp_path / "regions.png").exists()

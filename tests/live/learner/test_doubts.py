@@ -13,13 +13,15 @@ from onebend.errors import LearningError
 from onebend.live import learner as smoother
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import KeyFrames
-from onebend.live.learner import FAILED, TOO_SOFT, OnlineLearner
+from onebend.live.learner import OnlineLearner
 from onebend.live.posterior import KeyFramePosterior, solve
 from onebend.records import Array
+from onebend.report.sentences import say
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.live.streamed_recording import NOISE, S, shown
 
 FEW = OnlineSettings(functions=8)
+FAILED, TOO_SOFT = say("live: failed"), say("live: too soft")
 
 
 def test_a_failed_solution_is_said_as_long_as_it_lasts(monkeypatch: pytest.MonkeyPatch) -> None:

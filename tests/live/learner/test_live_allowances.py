@@ -154,7 +154,7 @@ def test_a_fits_stiffness_has_what_is_under_the_tags_in_it() -> None:
     made = observed(SOFT, forces(40), noise=NOISE, seed=6)
     found = fit([made], 0.03, settings=replace(IDEAL, functions=12)).stiffness
     learner = OnlineLearner(made.length, MARKERS, found, settings=FEW)
-    assert not learner._session.carries("patches")
+    assert "patches" not in learner._session.carried
     assert "patches" not in learner.left_out
     np.testing.assert_allclose(learner.stiffness.log_at(S)[0], found.log_at(S)[0], rtol=1e-6)
 

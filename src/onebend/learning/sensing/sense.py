@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.endings import Edge, bending, ended
@@ -213,7 +214,8 @@ def logged_forces(o: Observations) -> Array:
 
 def sensed_notices(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[Notice, ...]:
     """What the regions do not hold, and what is not observable; `banded`: the model has a band on k(s)."""
-    out, fit, lost = [], sensed.misfit, int(np.sum(np.isnan(sensed.force[:, 0])))
+    out, fit, moment = [], sensed.misfit, sensed.moment
+    lost = int(np.sum(np.isnan(sensed.force[:, 0])))
     if fit is not None and not sensed.explained:
         free = sensed.settings.force_prior is None
         out.append(Notice("no force" if free else "no force of this size", {"times": math.sqrt(fit.ratio)}))
@@ -225,7 +227,7 @@ def sensed_notices(sensed: Sensed, o: Observations, *, banded: bool) -> tuple[No
     out += [] if o.sd_known else [Notice("sensed with guessed noise")]
     out += [Notice("sensed not everywhere", {"lost": lost})] if lost else []
     if np.any(sensed.touched):
-        share, moment = np.nanmedian(sensed.prior_share[sensed.touched], axis=0), sensed.moment
+        share = np.nanmedian(sensed.prior_share[sensed.touched], axis=0)
         weak = [f"{name} ({100 * one:.0f} %)" for name, one in zip("xy", share, strict=True) if one > FROM_PRIOR]
         if weak:
             out.append(Notice("force from the prior", {"axes": " and ".join(weak), "sd": sensed.prior_sd}))
@@ -365,9 +367,8 @@ def _sensed(searched: Searched, frames: IntArray, priors: Array, settings: Sense
         smoothed=None if smooth is None else smooth.turned(bench.axes),
     )
     if n == 3:
-        moment = ContactMoment(
-            load[:, 2], np.sqrt(covariance[:, 2, 2]), covariance[:, :2, 2], float(priors[2]), share[:, 2]
-        )
+        sd = np.sqrt(covariance[:, 2, 2])
+        moment = ContactMoment(load[:, 2], sd, covariance[:, :2, 2], float(priors[2]), share[:, 2])
         out = replace(out, moment=moment)
     out = replace(out, sensor=_judged(out, o, frames) if out.explained else None)
     return replace(out, remarks=sensed_notices(out, o, banded=bench.stiffness is not None))
@@ -546,10 +547,7 @@ class OnlineSense:
         solved = model.solve(bench, problem, unknown[None, :2], at, start)
         if start is not None and not solved.converged[0]:
             solved = model.solve(bench, problem, unknown[None, :2], at, None)
-        if not solved.converged[0]:
-            return None
-        tags = model.tags_of(bench, _ONE, solved, unknown[None, :2], at)
-        return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
+        return _shaped(bench, unknown, edge, solved, at) if solved.converged[0] else None
 
     def _at(self, unknown: Array, edge: float) -> tuple[Bench, Array]:
         """The bench with the place that is sought as far from the grid's edge as it is, and that edge."""
@@ -573,11 +571,8 @@ class OnlineSense:
             loaded=np.ones(1, dtype=bool),
             gravity=o.gravity[:1],
         )
-        bench, place = (
-            replace(self._bench, observations=alone),
-            np.full(1, np.nan if self._place is None else self._place),
-        )
-        return FrameModel(bench, _ONE, place, self._force_sd, self._place is None)
+        place = np.full(1, np.nan if self._place is None else self._place)
+        return FrameModel(replace(self._bench, observations=alone), _ONE, place, self._force_sd, self._place is None)
 
     def _anew(self, frame: FrameModel) -> _Shape:
         """The frame as one of a recording, with none before it."""
@@ -586,8 +581,12 @@ class OnlineSense:
         edge = self._place if self._place is not None else float(found.place[0])
         here, at = self._at(unknown, edge)
         solved = model.solve(here, model.problem_of(here, _ONE, at), unknown[None, :2], at, None)
-        tags = model.tags_of(here, _ONE, solved, unknown[None, :2], at)
-        return _Shape(unknown, edge, tags, tags.by_shared[0] @ here.root)
+        return _shaped(here, unknown, edge, solved, at)
+
+
+def _shaped(bench: Bench, unknown: Array, edge: float, solved: Equilibrium, at: Array) -> _Shape:
+    tags = model.tags_of(bench, _ONE, solved, unknown[None, :2], at)
+    return _Shape(unknown, edge, tags, tags.by_shared[0] @ bench.root)
 
 
 def _no_force(time: float, chi2: float) -> LiveForce:

@@ -64,13 +64,7 @@ class SensedForces:
     prior_sd: float  # N, of each component before the shape was seen, mean zero
 
     def take(self, rows: IntArray) -> SensedForces:
-        return replace(
-            self,
-            time=self.time[rows],
-            force=self.force[rows],
-            covariance=self.covariance[rows],
-            common=self.common[rows],
-        )
+        return SensedForces(self.time[rows], self.force[rows], self.covariance[rows], self.common[rows], self.prior_sd)
 
     def without_prior(self) -> SensedForces:
         """As the data alone tell it, each frame by itself; where they tell nothing the covariance is large."""
