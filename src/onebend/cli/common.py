@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import numpy as np
 import typer
@@ -34,13 +34,16 @@ from rich.text import Text
 
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError, RecordingError, reference
-from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
+from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced, write_summary
 from onebend.options import POSITIVE
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
 from onebend.report.wording import significant
-from onebend.results.provenance import InputFile, provenance
+from onebend.results.provenance import InputFile, inputs_of, provenance
 from onebend.text_files import printable, to_json
+
+if TYPE_CHECKING:
+    from onebend.report.pictures import Draw, Pictures
 
 # Options that several commands take. Names and helps are the user's manual; docs/cli.md says more.
 
@@ -149,7 +152,7 @@ class Bars:
         self._bars.update(task, total=count, completed=count)
         seconds = monotonic() - began
         if not self._console.is_terminal and seconds > QUIET_SECONDS:
-            self._console.print(f"{stage}: {seconds:.1f} s", markup=False, highlight=False)
+            self._console.print(f"{stage}: {seconds:.1f} s", markup=False)
 
     def _count(self, task: TaskID) -> float:
         return next((bar.completed for bar in self._bars.tasks if bar.id == task), 0.0)
@@ -247,6 +250,46 @@ def put_in_place(
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         text = f"{path} was changed while it was read. Run again to learn from it as it is."
         say_warning(text, about="changed file")
+
+
+def put_results(
+    place: OutputFolder,
+    summary: Mapping[str, Any],
+    tables: Callable[[Path], None],
+    pictures: Pictures | None = None,
+    *,
+    figures: str | None = "",
+    inputs: Sequence[InputFile] = (),
+    made_from: Mapping[str, Any] | None = None,
+) -> None:
+    """Publish a folder with what `tables` writes, the pictures, and `summary.json`.
+
+    Args:
+        figures: the pictures' folder in it; None: they stand in a page of `tables` alone.
+    """
+
+    def write(folder: Path) -> None:
+        tables(folder)
+        if pictures is not None and figures is not None:
+            pictures.write(folder / figures)
+        write_summary(folder, summary)
+
+    put_in_place(place, write, pictures.failed if pictures else {}, inputs=inputs, made_from=made_from)
+
+
+def save_results(
+    output: Path,
+    overwrite: bool,
+    summary: Mapping[str, Any],
+    tables: Callable[[Path], None],
+    wanted: Mapping[str, Draw],
+    read: Sequence[Path],
+) -> None:
+    """Draw the pictures that are wanted, and put all results into the folder `output`, made from the files `read`."""
+    from onebend.report.pictures import draw  # here: other commands draw nothing
+
+    with workplace(output, summary["format"], overwrite) as place:
+        put_results(place, summary, tables, draw(wanted), inputs=inputs_of(read))
 
 
 def open_in_browser(page: Path) -> None:
@@ -366,7 +409,7 @@ def force_words(force: Array) -> str:
 def say_written(console: Console, output: Path | None, files: str) -> None:
     """Which `files` are in the folder `output` now; nothing where none were written."""
     if output is not None:
-        console.print(f"\nWrote {output}: {files}", highlight=False, markup=False)
+        console.print(f"\nWrote {output}: {files}", markup=False)
 
 
 def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:

@@ -58,8 +58,7 @@ def show_plan(console: Console, plan: Plan) -> None:
     console.print(
         f"Now k(s) is known to {before.mean_words} (95 %) on average over the whole beam, to {before.worst_words} at "
         "worst "
-        f"(s = {before.worst_s:.2f}); {identified_words(before)}.\n",
-        highlight=False,
+        f"(s = {before.worst_s:.2f}); {identified_words(before)}.\n"
     )
     console.print(plan_table(plan))
     console.print("\n[bold]best:[/]", Text(plan.proposals[0].text))
@@ -222,9 +221,8 @@ def validate(
                 pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)
                 summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
                 pictures = draw(validation_figures(beam, pairs), progress)
-                common.put_in_place(
-                    place, learned_files.validation_writer(pairs, pictures, summary), pictures.failed, inputs=inputs
-                )
+                tables = partial(learned_files.write_comparisons, comparisons=[comparison for comparison, _ in pairs])
+                common.put_results(place, summary, tables, pictures, figures="figures", inputs=inputs)
     common.answer(as_json, summary, lambda console: show_validation(console, pairs, output))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,9 +15,9 @@ from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.errors import ResultsError
-from onebend.files.publish import OutputFolder, amend
+from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
-from onebend.learning.sensing.sense import Sensed, SenseSettings, sense as sense_force
+from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
 from onebend.learning.swing import DampingSettings, FilmPart, learn_damping
 from onebend.learning.swing_frequencies import frequencies_of
 from onebend.options import Only
@@ -29,7 +30,7 @@ from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import damp_summary, frequencies_summary
 from onebend.results.model import StoredModel, model_file, model_text
 from onebend.results.provenance import inputs_of, recording_files
-from onebend.results.sensing import SENSE_FORMAT, force_bag, sense_summary, sense_writer
+from onebend.results.sensing import SENSE_FORMAT, sense_summary, write_sensed
 
 ModelFile = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
@@ -143,7 +144,11 @@ def sense(
             )
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
-                _write(work, model, recording, found, summary, bag=bag)
+                from onebend.report.control_figures import sensed_regions, sensing  # here: Matplotlib is for pictures
+
+                pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+                inputs = inputs_of([model_file(model), *recording_files([recording])])
+                common.put_results(work, summary, partial(write_sensed, found=found, bag=bag), pictures, inputs=inputs)
     common.answer(as_json, summary, lambda console: show_sensed(console, found, output, bag=bag), output)
 
 
@@ -152,14 +157,3 @@ def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, 
     check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect
     return observe(files, settings=observing, detect=detect, progress=progress)
-
-
-def _write(
-    work: OutputFolder, model: Path, recording: Path, found: Sensed, summary: dict[str, object], *, bag: bool
-) -> None:
-    from onebend.report.control_figures import sensed_regions, sensing  # here: Matplotlib is for pictures alone
-
-    messages = force_bag(found.time, found.force, found.covariance) if bag else None
-    pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-    inputs = inputs_of([model_file(model), *recording_files([recording])])
-    common.put_in_place(work, sense_writer(found, pictures, summary, messages), pictures.failed, inputs=inputs)

@@ -254,11 +254,10 @@ def show_calibration(console: Console, calibration: Calibration, out: Path) -> N
     console.print(
         f"\n{len(calibration.frames)} views; corners {calibration.error:.3f} px from the model (RMS), worst view "
         f"{calibration.view_error.max():.3f} px; corners in {100 * calibration.coverage:.0f} % of the picture; the "
-        f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n",
-        highlight=False,
+        f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n"
     )
     console.print(common.remarks_list([("camera", remark) for remark in calibration.remarks]))
-    console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, highlight=False, soft_wrap=True)
+    console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, soft_wrap=True)
     typer.echo(calibration.camera_table())
 
 

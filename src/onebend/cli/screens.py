@@ -286,14 +286,13 @@ def show_frequencies(console: Console, found: FoundFrequencies) -> None:
     console.print(frequency_table(found))
     console.print(
         f"\n{found.samples} samples from {found.begin:.2f} to {found.end:.2f} s at {found.rate:.4g} a second; "
-        f"{100 * found.left:.2g} % of the motion is in no mode.\n",
-        highlight=False,
+        f"{100 * found.left:.2g} % of the motion is in no mode.\n"
     )
     if found.remarks:
         console.print(remarks_list([(found.name, remark) for remark in worded(found.remarks)]))
         console.print()
-    console.print("For recording.toml:\n", highlight=False)
-    console.print(frequency_entries(found), markup=False, highlight=False)
+    console.print("For recording.toml:\n")
+    console.print(frequency_entries(found), markup=False)
 
 
 def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
@@ -302,12 +301,11 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
     rms = ", ".join(f"{1000 * value:.2g}" for value in fit.rms)
     console.print(
         f"\n{len(fit.swing.time)} frames from {fit.swing.begin:.2f} to {end:.2f} s of the film; the tags are {rms} mm "
-        "(RMS) from the fitted motion.\n",
-        highlight=False,
+        "(RMS) from the fitted motion.\n"
     )
     console.print(remarks_list([(fit.swing.name, remark) for remark in worded(fit.remarks)]))
     if out is not None:
-        console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"\nWrote {out}.", markup=False, soft_wrap=True)
 
 
 def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
@@ -344,7 +342,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
         table.add_row("against the log", f"{wording.significant(difference[0])} N RMS where the force is known best")
     for row in sensor_rows(found.sensor):
         table.add_row(*row)
-    console.print(table, highlight=False)
+    console.print(table)
     console.print(remarks_list([(found.name, one) for one in found.remarks]))
     say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
 
@@ -502,7 +500,7 @@ def _sentences(words: Sequence[str]) -> Text:
 
 def say_path(console: Console, what: str, path: Path) -> None:
     """Where something is, on one line whatever the width, so that it can be copied."""
-    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True, highlight=False)
+    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True)
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
@@ -530,18 +528,18 @@ def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> N
         console.print(band_plot(uncertain, log=log))
         console.print(band_table(uncertain, columns=61, modulus=confidence.modulus_rows(measured, band_places(61))))
         for text in confidence.unidentified_words(uncertain):
-            console.print(text, markup=False, highlight=False)
+            console.print(text, markup=False)
     for text in confidence.modulus_words(measured):
-        console.print(text, markup=False, highlight=False)
+        console.print(text, markup=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
     if lowest <= 0.0:
         console.print(
             f"[yellow]k(s) falls to {wording.significant(lowest)} N m: this is no beam and cannot be simulated.[/]"
         )
-    console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
+    console.print(f"\nlength {1000 * beam.length:.4g} mm")
     if stored.damping is not None:
-        console.print(damping_words(stored.damping), markup=False, highlight=False)
+        console.print(damping_words(stored.damping), markup=False)
     if origin is not None:
         modes = "" if origin.n is None else f"n = {origin.n}, "
         text = f"learned from {origin.recording} by {origin.method}: {modes}m = {origin.m} {origin.family}"
-        console.print(text, markup=False, highlight=False)
+        console.print(text, markup=False)

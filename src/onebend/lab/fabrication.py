@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from onebend.beam.stiffness import half_width
 from onebend.errors import MechanicsError
 from onebend.extras import package
-from onebend.files.publish import write_summary
 from onebend.lab.designs import Design
 from onebend.options import option
 from onebend.records import Array
@@ -388,15 +387,10 @@ def parts_summary(made: Mould, parts: tuple[PrintedPart, ...], *, written_by: st
     }
 
 
-def parts_writer(parts: tuple[PrintedPart, ...], shape: str, summary: dict[str, Any]) -> Callable[[Path], None]:
-    """A function that fills a folder with parts as files of the ending `shape`."""
-
-    def write(folder: Path) -> None:
-        for part in parts:
-            write_mesh(folder / f"{part.name}.{shape}", part.mesh)
-        write_summary(folder, summary)
-
-    return write
+def write_parts(folder: Path, parts: tuple[PrintedPart, ...], shape: str) -> None:
+    """Write each part as a file of the ending `shape`."""
+    for part in parts:
+        write_mesh(folder / f"{part.name}.{shape}", part.mesh)
 
 
 # Pictures of designs and of the parts to print.

@@ -7,7 +7,7 @@ import json
 import math
 import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from math import nan
@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 
 from onebend.beam.stiffness import half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.files.publish import write_summary
 from onebend.lab import forecast
 from onebend.lab.virtual import (
     DeclaredValues,
@@ -37,7 +36,6 @@ from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, interrupts_held, leave_interrupts_to_parent, one_blas_thread, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
-from onebend.report.pictures import Pictures
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
 from onebend.results.tables import write_csv
 from onebend.text_files import figure_text
@@ -416,24 +414,15 @@ def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
     return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
 
 
-def writer_of(rehearsal: Rehearsal, pictures: Pictures, *, written_by: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        write_table(folder / "rehearsal.csv", rehearsal)
-        pictures.write(folder)
-        runs = [run.as_dict() for run in rehearsal.runs]
-        whole = {**summary_of(rehearsal, written_by=written_by), "runs": runs}
-        write_summary(folder, whole)
-
-    return write
-
-
-def write_table(path: Path, rehearsal: Rehearsal) -> None:
-    """A row a place; sizes are of log k, empty where nothing was simulated."""
+def write_table(folder: Path, rehearsal: Rehearsal) -> None:
+    """`rehearsal.csv`, a row a place; sizes are of log k, empty where nothing was simulated."""
     p, o = rehearsal.predicted, rehearsal.obtained
     columns = [PLACES, p.k, p.sd, MEDIAN * p.error, NINETY * p.error, p.identified]
     unknown = np.full(len(PLACES), np.nan)
     columns += [unknown] * 5 if o is None else [o.sd, o.median, o.ninety, o.identified, o.coverage]
-    write_csv(path, COLUMNS, ([_cell(value) for value in row] for row in zip(*columns, strict=True)))
+    write_csv(
+        folder / "rehearsal.csv", COLUMNS, ([_cell(value) for value in row] for row in zip(*columns, strict=True))
+    )
 
 
 def _cell(value: Any) -> str:

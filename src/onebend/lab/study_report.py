@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import atan2, degrees, nan
@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.files.publish import write_summary
 from onebend.files.single_file import link_tree
 from onebend.lab import study
 from onebend.progress import Progress, Silent
@@ -544,19 +543,12 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
     }
 
 
-def writer(
-    outcome: study.StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
-) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        (folder / "report.html").write_text(page(outcome, pictures.drawn, version=version), encoding="utf-8")
-        for name in ("tables", "figures"):
-            (folder / name).mkdir()
-        for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
-            write_table(folder / "tables" / f"{table.key}.csv", table)
-        pictures.write(folder / "figures")
-        for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
-            if (work / name).exists():
-                link_tree(work / name, folder / name)
-        write_summary(folder, summary)
-
-    return write
+def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> None:
+    """Page, tables, recordings and learned beams. `figures`: PNGs by name."""
+    (folder / "report.html").write_text(page(outcome, figures, version=version), encoding="utf-8")
+    (folder / "tables").mkdir()
+    for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
+        write_table(folder / "tables" / f"{table.key}.csv", table)
+    for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
+        if (outcome.work / name).exists():
+            link_tree(outcome.work / name, folder / name)

@@ -1,8 +1,9 @@
-"""Commands over many recordings: the paper's experiments made again, batches, populations."""
+"""Commands over many recordings: the paper's experiments made again, batches, population_report."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,7 @@ from rich.table import Table
 import onebend
 from onebend.cli import BY, common
 from onebend.errors import ResultsError
-from onebend.many import batch as batches, population_report, population_report as populations
+from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
 from onebend.report.wording import significant
@@ -140,14 +141,17 @@ def population(
     """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
     with (
         common.clean_errors(),
-        common.workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
+        common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,
         common.progress_of(quiet) as progress,
     ):
         setting = replace(setting, tolerance=None if tolerance is None else read_tolerance(tolerance))
         inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)
         pictures = population_report.draw_figures(found, progress=progress)
-        summary = populations.summary_of(found, written_by=BY)
-        write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
-        common.put_in_place(place, write, pictures.failed, inputs=inputs)
+        summary = population_report.summary_of(found, written_by=BY)
+        name, version = results.resolve().name, onebend.__version__
+        tables = partial(
+            population_report.write_report, outcome=found, figures=pictures.drawn, name=name, version=version
+        )
+        common.put_results(place, summary, tables, pictures, figures=None, inputs=inputs)
     common.answer(as_json, summary | {"output": str(output)}, lambda console: show_population(console, found, output))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from itertools import combinations
@@ -14,7 +14,6 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from onebend.errors import ResultsError
-from onebend.files.publish import write_summary
 from onebend.files.single_file import as_csv, as_parquet
 from onebend.many import population as model
 from onebend.options import option
@@ -441,14 +440,11 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
     }
 
 
-def writer(
-    outcome: PopulationOutcome, pictures: Pictures, summary: Mapping[str, Any], *, name: str, version: str
-) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        for key, table in tables(outcome).items():
-            (folder / f"{key}.parquet").write_bytes(as_parquet(table))
-            (folder / f"{key}.csv").write_bytes(as_csv(table))
-        (folder / "report.html").write_text(page(outcome, pictures.drawn, name=name, version=version), encoding="utf-8")
-        write_summary(folder, summary)
-
-    return write
+def write_report(
+    folder: Path, outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str
+) -> None:
+    """Tables and page. `figures`: PNGs by name."""
+    for key, table in tables(outcome).items():
+        (folder / f"{key}.parquet").write_bytes(as_parquet(table))
+        (folder / f"{key}.csv").write_bytes(as_csv(table))
+    (folder / "report.html").write_text(page(outcome, figures, name=name, version=version), encoding="utf-8")

@@ -21,7 +21,7 @@ from onebend.learning.sensing.sense import SenseSettings, sense
 from onebend.records import Array, Observations
 from onebend.report.control_figures import sensed_regions, sensing
 from onebend.report.pictures import draw
-from onebend.results.sensing import FORCE_COLUMNS, sense_summary, sense_writer
+from onebend.results.sensing import FORCE_COLUMNS, sense_summary, write_sensed
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
 from tests.learning.design.test_identifiability import bench
@@ -205,7 +205,8 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     summary = sense_summary("model.json", found, written_by="test")
     to_json(summary)
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-    sense_writer(found, pictures, summary)(tmp_path)
+    write_sensed(tmp_path, found)
+    pictures.write(tmp_path)
     rows = list(csv.reader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
     assert tuple(rows[0]) == FORCE_COLUMNS
     np.testing.assert_allclose([float(row[3]) for row in rows[1:]], found.force[:, 1], rtol=1e-6)
