@@ -233,12 +233,8 @@ def plan(
     with common.clean_errors(), common.progress_of(quiet) as progress:
         read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
-    if as_json:
-        common.print_json(
-            {"format": learned_files.PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()}
-        )
-    else:
-        show_plan(common.screen(), found)
+    said = {"format": learned_files.PLAN_FORMAT, "written_by": BY, "model": str(model), **found.as_dict()}
+    common.answer(as_json, said, lambda console: show_plan(console, found))
 
 
 def _paired(observing: ObserveSettings, epsilon: float | None) -> ObserveSettings:

@@ -111,12 +111,8 @@ def damp(
             text = model_text(whole, written_by=BY)
             if not (overwrite and amend(output, text.encode())):  # a file of a results folder: the folder stays whole
                 write_file(output, text, overwrite=overwrite)
-    if as_json:
-        common.print_json(
-            {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
-        )
-    else:
-        show_damping(common.screen(), fit, output)
+    said = {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
+    common.answer(as_json, said, lambda console: show_damping(console, fit, output))
 
 
 def sense(

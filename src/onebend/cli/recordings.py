@@ -304,17 +304,10 @@ def calibrate(
         with common.progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
-    if as_json:
-        said = {
-            "format": CALIBRATE_FORMAT,
-            "written_by": BY,
-            "video": str(video),
-            "topic": topic or None,
-            **found.as_dict(),
-        }
-        common.print_json({**said, "output": str(output)})
-    else:
-        show_calibration(common.screen(), found, output)
+    said = {"format": CALIBRATE_FORMAT, "written_by": BY, "video": str(video), "topic": topic or None}
+    common.answer(
+        as_json, {**said, **found.as_dict()}, lambda console: show_calibration(console, found, output), output
+    )
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:

@@ -395,7 +395,6 @@ def write_parts(folder: Path, parts: tuple[PrintedPart, ...], shape: str) -> Non
 
 # Pictures of designs and of the parts to print.
 
-MM_PER_M = 1e3
 S = np.linspace(0.0, 1.0, 401)
 PIXELS = 420  # of a part's longer side
 VIEW = np.array([-0.45, -0.62, 0.64])  # towards the eye
@@ -406,26 +405,20 @@ LIGHT = np.array([-0.2, -0.55, 0.81])
 def design_figure(design: Design) -> Figure:
     """The outline that is cast, to scale, and k(s) with the band that the modulus leaves."""
     figure, (outline, stiffness) = blank(4.2, rows=2, height_ratios=(1.0, 2.2))
-    x, half = MM_PER_M * design.length * S, 0.5 * MM_PER_M * np.asarray(design.width(S))
+    x, half = MM * design.length * S, 0.5 * MM * np.asarray(design.width(S))
     outline.fill_between(x, -half, half, color=BLUE, alpha=0.25, linewidth=0.0)
     outline.plot(x, half, color=BLUE)
     outline.plot(x, -half, color=BLUE)
-    outline.set_aspect("equal")
-    outline.set_xlabel("along the beam [mm]")
-    outline.set_ylabel("across [mm]")
-    outline.set_title(
-        f"{figure_text(design.name)}: {MM_PER_M * design.length:g} mm long, {MM_PER_M * design.depth:g} mm deep"
-    )
+    sizes = f"{MM * design.length:g} mm long, {MM * design.depth:g} mm deep"
+    outline.set(aspect="equal", xlabel="along the beam [mm]", ylabel="across [mm]")
+    outline.set_title(f"{figure_text(design.name)}: {sizes}")
     k = np.asarray(design.along.stiffness(S))
     stiffness.plot(S, k, color=INK)
     if design.modulus_log_sd > 0.0:
         wide = np.exp(half_width(design.modulus_log_sd))
         stiffness.fill_between(S, k / wide, k * wide, color=INK, alpha=0.15, linewidth=0.0, label="95 %, modulus alone")
         stiffness.legend()
-    stiffness.set_xlim(0.0, 1.0)
-    stiffness.set_ylim(bottom=0.0)
-    stiffness.set_xlabel("place along the beam s")
-    stiffness.set_ylabel("k [N m]")
+    stiffness.set(xlim=(0.0, 1.0), ylim=(0.0, None), xlabel="place along the beam s", ylabel="k [N m]")
     stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({figure_text(design.source)})")
     return figure
 

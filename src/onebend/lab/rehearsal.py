@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from onebend.beam.stiffness import half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
 from onebend.lab import forecast
+from onebend.lab.bench import turned
 from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
@@ -127,9 +128,7 @@ def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
 def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observations:
     virtual = virtual_recording(bench, seed=seed)
     turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())  # of the log's axes
-    cos, sin = np.cos(turn), np.sin(turn)
-    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
-    virtual = replace(virtual, log=replace(virtual.log, force=force))
+    virtual = replace(virtual, log=replace(virtual.log, force=turned(virtual.log.force, turn)))
     if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
@@ -338,8 +337,7 @@ def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
     _errors(error, rehearsal)
     for axes in (stiffness, error):
         _marks(axes, rehearsal)
-        axes.set_xlim(0.0, 1.0)
-        axes.set_ylim(bottom=0.0)
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, None))
     error.set_xlabel("place along the beam s  (squares: tags; triangles: pushes)")
     return figure
 
@@ -358,27 +356,25 @@ def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
         axes.plot(PLACES, k * obtained, **style)  # type: ignore[arg-type]
     axes.plot(PLACES, k, color=INK, label="k(s), true")
     top = float(np.max((k * wide)[_best_known(p)]))
-    axes.set_ylim(0.0, 1.45 * max(top, min(float(np.max(k)), 1.3 * top)))
-    axes.set_ylabel("k [N m]")
+    axes.set(ylim=(0.0, 1.45 * max(top, min(float(np.max(k)), 1.3 * top))), ylabel="k [N m]")
     axes.set_title(f"{figure_text(rehearsal.setup.name)}: how well k(s) would come out")
     axes.legend(ncols=2, loc="upper left")
 
 
 def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
-    axes.plot(PLACES, _percent(MEDIAN * p.error), color=BLUE, label="median, predicted")
-    axes.plot(PLACES, _percent(NINETY * p.error), color=BLUE, linestyle=":", label="9 in 10 below, predicted")
-    known = _best_known(p)
-    highest = [float(np.max(_percent(NINETY * p.error)[known]))]
+    curves = [(MEDIAN * p.error, NINETY * p.error, BLUE, "median, predicted", "predicted")]
     if o is not None:
-        axes.plot(PLACES, _percent(o.median), color=ORANGE, label=f"median of {o.runs} fits")
-        axes.plot(PLACES, _percent(o.ninety), color=ORANGE, linestyle=":", label="9 in 10 below, of the fits")
-        highest.append(float(np.max(_percent(o.ninety)[known])))
+        curves.append((o.median, o.ninety, ORANGE, f"median of {o.runs} fits", "of the fits"))
+    for median, ninety, colour, name, whose in curves:
+        axes.plot(PLACES, _percent(median), color=colour, label=name)
+        axes.plot(PLACES, _percent(ninety), color=colour, linestyle=":", label=f"9 in 10 below, {whose}")
+    known = _best_known(p)
+    highest = [float(np.max(_percent(ninety)[known])) for _, ninety, *_ in curves]
     axes.fill_between(
         PLACES, 0.0, 2.0 * max(highest), where=~p.identified, color=FAINT, alpha=0.6, linewidth=0.0, step="mid"
     )
-    axes.set_ylim(0.0, 1.35 * max(highest))
-    axes.set_ylabel("error of k [%]")
+    axes.set(ylim=(0.0, 1.35 * max(highest)), ylabel="error of k [%]")
     axes.set_title("error along the beam" + ("" if np.all(p.identified) else " (grey: not identified)"))
     axes.legend(ncols=2, loc="upper left")
 

@@ -98,7 +98,8 @@ def validation_table(beam: study.BeamOutcome) -> ResultTable:
 
 
 def _three(film: study.ValidatedFilm) -> tuple[float, ...]:
-    return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in study.rms_or_nan(each))
+    columns = ((nan,) * 3 if each is None else each.rms for each in (film.paper, film.fit, film.true))
+    return tuple(float(value) for column in columns for value in column)
 
 
 def training_table(outcome: study.StudyOutcome) -> ResultTable:
@@ -312,6 +313,12 @@ def training(outcome: study.StudyOutcome) -> Figure:
     return figure
 
 
+def _with_legend(figure: Figure) -> Figure:
+    """The figure, with the legend of its first panel below."""
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
 @styled
 def stiffness(outcome: study.StudyOutcome) -> Figure:
     """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
@@ -327,9 +334,7 @@ def stiffness(outcome: study.StudyOutcome) -> Figure:
         panel.plot(study.S, true, color=INK, linewidth=1.3, label="true")
         panel.set(ylim=(0.0, 1.6 * float(true.max())), xlabel="s", title=f"{beam.name} beam")
     axes[0].set_ylabel("k(s) [N m], on the scale of the log")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+    return _with_legend(figure)
 
 
 def ranked(outcome: study.StudyOutcome) -> tuple[tuple[str, study.BeamOutcome, study.ValidatedFilm], ...]:
@@ -349,9 +354,7 @@ def three_validations(outcome: study.StudyOutcome) -> Figure:
         title = f"{word}: {one.name}, {film.strategy.name}\n{MM * film.fit.rms[-1]:.1f} mm at M3"
         panel.set(aspect="equal", xlabel="x [mm]", title=title)
     axes[0].set_ylabel("y [mm]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+    return _with_legend(figure)
 
 
 def _shape(panel: Axes, one: study.BeamOutcome, film: study.ValidatedFilm, t: int) -> None:
@@ -375,9 +378,7 @@ def manipulations(outcome: study.StudyOutcome) -> Figure:
         draw_reach(panel, done.found, None)
         panel.plot(*(MM * done.landed), "+", color=GREEN, markersize=11, markeredgewidth=2, zorder=9, label="true beam")
         panel.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+    return _with_legend(figure)
 
 
 # `report.html` of a run: one page that carries everything in itself.
@@ -478,13 +479,16 @@ def shown(table: ResultTable) -> dict[str, Any]:
             groups[-1]["wide"] += 1
         else:
             groups.append({"name": group, "wide": 1})
-    heads = [{"name": _head(name, said=alike), "text": _is_text(table, i)} for i, name in enumerate(table.columns)]
+    heads = [
+        {"name": _head(name, said=alike), "text": any(isinstance(row[i], str) for row in table.rows)}
+        for i, name in enumerate(table.columns)
+    ]
     rows = [
         {
-            "cells": [_cell(name, cell) for name, cell in zip(table.columns, row, strict=True)],
-            "chosen": "ours" in str(dict(zip(table.columns, row, strict=True)).get("chosen_by", "")),
+            "cells": [_cell(name, cell) for name, cell in row.items()],
+            "chosen": "ours" in str(row.get("chosen_by", "")),
         }
-        for row in table.rows
+        for row in (dict(zip(table.columns, cells, strict=True)) for cells in table.rows)
     ]
     return {
         "title": table.title,
@@ -507,10 +511,6 @@ def _head(column: str, *, said: bool) -> str:
     if not _group(column):
         return column
     return column.split("_")[1] + ("" if said else " [mm]")
-
-
-def _is_text(table: ResultTable, i: int) -> bool:
-    return any(isinstance(row[i], str) for row in table.rows)
 
 
 def _cell(column: str, cell: Cell) -> str:

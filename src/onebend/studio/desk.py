@@ -127,7 +127,7 @@ class Desk:
         client = Client(socket)
         self.clients.add(client)
         writer = asyncio.create_task(client.write())
-        about = {"folder": str(self.places.root), "job": self._job(), "recording": self.recorder.shown()}
+        about = {"folder": str(self.places.root), "job": self.jobs.shown(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:
             while (message := await socket.receive())["type"] == "websocket.receive":
@@ -291,15 +291,11 @@ class Desk:
         for client in tuple(self.clients):
             client.put(message, passing=passing)
 
-    def _job(self) -> dict[str, Any] | None:
-        return None if self.jobs.job is None else self.jobs.job.shown()
-
     def _work_changed(self, room: str) -> None:
-        job = self.works[room].job
-        self.tell({"what": "work", "room": room, "job": None if job is None else job.shown()})
+        self.tell({"what": "work", "room": room, "job": self.works[room].shown()})
 
     def _job_changed(self) -> None:
-        shown = self._job()
+        shown = self.jobs.shown()
         self.tell({"what": "job", "job": shown})
         if shown is None:
             return
