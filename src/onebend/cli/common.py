@@ -8,7 +8,7 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -222,6 +222,13 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
     finish(place)
 
 
+@contextmanager
+def place_for(output: Path | None, kind: str, overwrite: bool) -> Iterator[OutputFolder | None]:
+    """A `workplace` where there is an output; else None."""
+    with nullcontext() if output is None else workplace(output, kind, overwrite) as place:
+        yield place
+
+
 def made_from_files(inputs: Sequence[InputFile], settings: Mapping[str, Any] = {}) -> dict[str, Any]:
     """Where the results of this command come from, under `provenance`."""
     return provenance(inputs, GIVEN.get({}), settings)
@@ -412,32 +419,17 @@ def say_written(console: Console, output: Path | None, files: str) -> None:
         console.print(f"\nWrote {output}: {files}", markup=False)
 
 
-def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:
-    """Warnings alone, each with what to do about it."""
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for whose, remark in remarks:
-        table.add_row("[yellow]![/]", Text(f"{whose}: {remark.text}"))
-        _add_docs(table, remark)
-    return table
-
-
-def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
-    """Remarks: warnings in colour, notes in grey."""
+def remarks_list(remarks: Sequence[tuple[str, Remark]], title: str | None = "What looked odd") -> RenderableType:
+    """Remarks, each with what to do about it: warnings in colour, notes in grey."""
     if not remarks:
         return Text("Nothing looked odd.", "dim")
-    table = Table(box=None, show_header=False, pad_edge=False, title="What looked odd", title_justify="left")
+    table = Table(box=None, show_header=False, pad_edge=False, title=title, title_justify="left")
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for whose, remark in remarks:
         warning = remark.level == "warning"
-        table.add_row("[yellow]![/]" if warning else "[dim]·[/]", escape(f"{whose}: {remark.text}"),
-                      style="" if warning else "dim")  # fmt: skip
-        _add_docs(table, remark)
+        mark, style = ("[yellow]![/]", "") if warning else ("[dim]·[/]", "dim")
+        table.add_row(mark, Text(f"{whose}: {remark.text}"), style=style)
+        if remark.docs:
+            table.add_row("", Text(reference(remark.about), "dim"))
     return table
-
-
-def _add_docs(table: Table, remark: Remark) -> None:
-    if remark.docs:
-        table.add_row("", Text(reference(remark.about), "dim"))

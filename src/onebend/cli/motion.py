@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -132,7 +131,7 @@ def sense(
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        with nullcontext() if output is None else common.workplace(output, SENSE_FORMAT, overwrite) as work:
+        with common.place_for(output, SENSE_FORMAT, overwrite) as work:
             with common.progress_of(quiet) as progress:
                 seen = _observed(stored, recording, observing, progress)
             found = sense_force(

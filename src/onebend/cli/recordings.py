@@ -197,13 +197,8 @@ def topics(bag: BagPath, *, definitions: Definitions = None, as_json: common.Jso
 def as_data(found: BagContents) -> dict[str, object]:
     """Plain data for `--json`."""
     rows = [dataclasses.asdict(row) for row in found.rows]
-    return {
-        "bag": str(found.path),
-        "topics": rows,
-        "force": found.force or None,
-        "image": found.image or None,
-        "fault": found.fault or None,
-    }
+    others = {name: getattr(found, name) or None for name in ("force", "image", "fault")}
+    return {"bag": str(found.path), "topics": rows, **others}
 
 
 def lines_to_write(found: BagContents) -> str:

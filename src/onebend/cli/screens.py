@@ -15,7 +15,7 @@ from rich.text import Text
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
-from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written, warnings_list
+from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written
 from onebend.learning.outcome import Comparison, Learned, Run
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.swing import Damping, SwingFit
@@ -402,7 +402,7 @@ def show_run(
     remarks = all_remarks(run)
     warnings = [pair for pair in remarks if pair[1].level == "warning"]
     if warnings and not verbose:
-        console.print(warnings_list(warnings))
+        console.print(remarks_list(warnings, title=None))
     if (notes := len(remarks) - len(warnings)) and not verbose:
         what = "1 note is" if notes == 1 else f"{notes} notes are"
         where = "in the report, or here" if report else "shown"

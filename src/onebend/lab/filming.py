@@ -470,10 +470,9 @@ PRESET = "veryfast"
 
 def write_video(
     path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
-) -> int:
-    """Write frames (time [s], 8 bit planes) that come in order; return their number. Raises `RecordingError`: the
-    encoder is missing or refuses."""
-    count = 0
+) -> None:
+    """Write frames (time [s], 8 bit planes) that come in order. Raises `RecordingError`: the encoder is missing or
+    refuses."""
     try:
         with av.open(str(path), "w") as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
@@ -485,11 +484,9 @@ def write_video(
                 frame = video_frame(picture)
                 frame.pts, frame.time_base = round(time / TIME_BASE), TIME_BASE
                 container.mux(stream.encode(frame))
-                count += 1
             container.mux(stream.encode(None))
     except av.error.FFmpegError as wrong:
         raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
-    return count
 
 
 def video_frame(picture: YuvFrame) -> av.VideoFrame:

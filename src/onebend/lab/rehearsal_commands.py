@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -284,30 +284,21 @@ def rehearse(
             tags=places_of(tags),
             known_to=known_to,
         )
-        work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
-        found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
+        with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
+            inputs = () if place is None else inputs_of([Path(design)])
+            keep = None if place is None else place.work  # runs are kept there as they end
+            settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
+            found = make_rehearsal(setup, **settings, keep=keep, progress=progress)
+            if place is not None:
+                pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
+                whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}
+                common.put_results(place, whole, partial(write_table, rehearsal=found), pictures, inputs=inputs)
     if as_json:
         common.print_json(summary_of(found, written_by=BY))
         return
     show_rehearsal(common.screen(), found)
     if output is not None:
         common.say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
-
-
-def _carried_out(
-    work: Callable[..., Rehearsal], source: Path, output: Path | None, *, overwrite: bool, quiet: bool
-) -> Rehearsal:
-    """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
-    if output is None:
-        with common.progress_of(quiet) as progress:
-            return work(progress=progress)
-    with common.workplace(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
-        inputs = inputs_of([source])
-        found = work(keep=place.work, progress=progress)
-        pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-        whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}
-        common.put_results(place, whole, partial(write_table, rehearsal=found), pictures, inputs=inputs)
-    return found
 
 
 def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:

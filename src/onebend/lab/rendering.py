@@ -226,13 +226,8 @@ def spot(picture: Picture, centre: Array, radius: float, colour: Colour) -> None
     turn = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
     loop = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     height, width = picture.y.shape
-    paint(picture, loop[None], colour, width, height)
-
-
-def paint(picture: Picture, loops: Array, colour: Colour, width: int, height: int) -> None:
-    """Draw polygons (..., corners, 2) [px] over a whole picture, in place."""
-    box = box_around(loops, width, height)
-    blend(picture, coverage(loops, box), yuv(colour), box.slices, box.halved.slices)
+    box = box_around(loop, width, height)
+    blend(picture, coverage(loop[None], box), yuv(colour), box.slices, box.halved.slices)
 
 
 def blend(

@@ -215,7 +215,8 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
         away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash)
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
-    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at {_place(control)} mm")
+    x, y = MM * control.goal
+    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at ({x:.4g}, {y:.4g}) mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
@@ -227,11 +228,6 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
 
 def _said(axes: Axes, height: float, text: str) -> None:
     axes.text(0.01, 1.03 * height, text, fontsize=8, color=MUTED, va="bottom", transform=axes.get_yaxis_transform())
-
-
-def _place(control: Controller) -> str:
-    x, y = MM * control.goal
-    return f"({x:.4g}, {y:.4g})"
 
 
 _FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded

@@ -163,7 +163,7 @@ class Desk:
     async def _open(self, client: Client, model: str) -> None:
         if model not in self.beams:
             folder = self.places.result(model)
-            bending = await self._in_thread(lambda: _opened(model, folder))
+            bending = await self._in_thread(lambda: import_module("onebend.studio.bending").Bending.of(model, folder))
             while len(self.beams) >= _MOST_BEAMS:
                 self.forget(next(iter(self.beams)))
             self.beams.setdefault(model, bending)
@@ -342,9 +342,3 @@ def _load() -> None:
         import_module("onebend.studio.bending")
     finally:
         sys.setswitchinterval(before)
-
-
-def _opened(model: str, folder: Any) -> Bending:
-    from onebend.studio.bending import Bending
-
-    return Bending.of(model, folder)
