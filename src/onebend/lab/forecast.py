@@ -607,7 +607,7 @@ def _pushes(setup: Setup) -> Iterator[Candidate]:
     for reach in largest_pushes(setup.beam, bench, places, side * np.deg2rad(DIRECTIONS_DEG), LIMITS):
         for size in SIZES if not reach.why_not else ():
             push = replace(first, at_s=reach.at_s, direction=reach.direction, peak=size * reach.largest)
-            words = push_words(push)
+            words = f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
             try:
                 yield "push", f"push {words} instead", replace(setup, pushes=(push, *setup.pushes[1:]))
                 yield "second push", f"a second push {words}", replace(setup, pushes=(*setup.pushes, push))
@@ -647,11 +647,6 @@ def _instruments(setup: Setup) -> Iterator[Candidate]:
 def better(sensor: ForceSensor) -> ForceSensor:
     """A sensor whose every error is `BETTER` times smaller."""
     return replace(sensor, **{name: getattr(sensor, name) / BETTER for name in _SENSOR_SIZES})
-
-
-def push_words(push: PushProfile) -> str:
-    """Where, which way, how hard."""
-    return f"at s = {push.at_s:.2f}, {direction_words(push.direction)}, to {push.peak:.2g} N"
 
 
 def _distinct(ranked: list[SetupChange]) -> tuple[SetupChange, ...]:

@@ -213,11 +213,9 @@ class FilmRequest:
 def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
     """The push that is asked for, with a peak that bends this beam as far. Raises `RecordingError`: a time, place or
     force that cannot be."""
-    push = PUSHES[check_name(request.push, PushName, "push")]
-    if not isnan(request.at_s):
-        push = replace(push, at_s=request.at_s)
-    if not isnan(request.direction):
-        push = replace(push, direction=request.direction)
+    asked = {"at_s": request.at_s, "direction": request.direction}
+    known = {name: value for name, value in asked.items() if not isnan(value)}
+    push = replace(PUSHES[check_name(request.push, PushName, "push")], **known)
     if not isnan(request.seconds):
         begin, end = push.contact
         share = request.seconds / (end - begin)

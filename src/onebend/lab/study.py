@@ -459,6 +459,10 @@ def true_place(beam: Beam, force: Array, s: float) -> Array:
     `MechanicsError`: the solver finds no shape.
     """
     length = beam.length
+
+    def ends(clamp: Array, free: Array) -> Array:
+        return np.array([clamp[0], free[1], clamp[2], clamp[3]])
+
     t, guess = np.linspace(0.0, 1.0, 101), np.zeros((4, 101))
     guess[2] = length * s * t
     for share in SHARES:
@@ -470,15 +474,11 @@ def true_place(beam: Beam, force: Array, s: float) -> Array:
             bend = moment / np.asarray(beam.stiffness(s * t))
             return np.asarray(s * np.stack([bend, pull, length * np.cos(alpha), length * np.sin(alpha)]))
 
-        solved = solve_bvp(slopes, _ends, t, guess, tol=1e-8, max_nodes=20000)
+        solved = solve_bvp(slopes, ends, t, guess, tol=1e-8, max_nodes=20000)
         if solved.status != 0:
             raise MechanicsError(f"the true beam has no shape under {np.hypot(*now):.3g} N: {solved.message}")
         t, guess = solved.x, solved.y
     return np.asarray(guess[2:, -1])
-
-
-def _ends(clamp: Array, free: Array) -> Array:
-    return np.array([clamp[0], free[1], clamp[2], clamp[3]])
 
 
 # All results of a study, gathered from its files; tables, figures and page are made from them.
@@ -535,25 +535,6 @@ class StudyOutcome:
 
 
 @one_blas_thread
-def gather(
-    work: Path,
-    setting: StudySettings,
-    films: list[FilmJob],
-    learned: dict[str, LearnJob],
-    *,
-    progress: Progress = Silent(),
-) -> StudyOutcome:
-    """Compare the beams with all recordings, solve the tasks, and collect the results."""
-    gain = gain_of(setting)
-    beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
-    return StudyOutcome(
-        work,
-        setting,
-        gain,
-        tuple(beam_outcome(name, gain, films, load_learned(learned[name].folder)) for name in beams),
-    )
-
-
 def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
     """One beam: its films compared, its tasks done."""
     design = DESIGNS[name]
@@ -605,7 +586,9 @@ def reproduce(
         if job.strategy.name == training
     }
     run_jobs(learn_beam, [wanted[name] for name in BEAMS], count, "learning from the training push", progress)
-    return gather(work, setting, films, wanted, progress=progress)
+    gain, names = gain_of(setting), track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
+    beams = [beam_outcome(name, gain, films, load_learned(wanted[name].folder)) for name in names]
+    return StudyOutcome(work, setting, gain, tuple(beams))
 
 
 def claim(work: Path, setting: StudySettings) -> None:

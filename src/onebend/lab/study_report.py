@@ -116,24 +116,22 @@ def training_table(outcome: study.StudyOutcome) -> ResultTable:
 
 def manipulation_table(outcome: study.StudyOutcome) -> ResultTable:
     """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
-    rows: list[tuple[Cell, ...]] = []
-    for beam in outcome.beams:
-        for done in beam.tasks:
-            force = done.found.force
-            rows.append(
-                (
-                    beam.name,
-                    f"{done.task.name}, s = {done.task.s:g}",
-                    study.WAYS[done.way],
-                    *map(float, done.goal),
-                    float(np.hypot(*force)),
-                    degrees(atan2(force[1], force[0])),
-                    done.found.iterations,
-                    done.found.error,
-                    done.off,
-                    "" if done.found.converged else done.found.reason,
-                )
-            )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            beam.name,
+            f"{done.task.name}, s = {done.task.s:g}",
+            study.WAYS[done.way],
+            *map(float, done.goal),
+            float(np.hypot(*done.found.force)),
+            degrees(atan2(done.found.force[1], done.found.force[0])),
+            done.found.iterations,
+            done.found.error,
+            done.off,
+            "" if done.found.converged else done.found.reason,
+        )
+        for beam in outcome.beams
+        for done in beam.tasks
+    ]
     columns = ("beam", "point", "way", "goal_x_m", "goal_y_m", "force_N", "force_deg", "iterations", "model_error_m")
     return ResultTable(
         "manipulation", "The six manipulation tasks", (*columns, "true_error_m", "not_reached_because"), tuple(rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,16 +36,20 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
     if doubted:
         console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
     for title, rows in (("not learned", outcome.failed), ("unlike the others", outcome.outliers)):
-        if not rows:
-            continue
-        table = Table("recording", "why", title=f"{title}: {len(rows)}", title_justify="left")
-        for item, why in rows[:MOST_ROWS]:
-            table.add_row(one_line(item.name), one_line(why))
-        console.print(table)
+        _show_reasons(console, "recording", title, [(item.name, why) for item, why in rows])
     console.print(
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
     )
+
+
+def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[str, str]]) -> None:
+    """The first rows of names and reasons; nothing where there is none."""
+    if rows:
+        table = Table(head, "why", title=f"{title}: {len(rows)}", title_justify="left")
+        for row in rows[:MOST_ROWS]:
+            table.add_row(*map(one_line, row))
+        console.print(table)
 
 
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
@@ -63,12 +68,8 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
         if np.isfinite(numbers[0]):
             console.print(f"{what}: {value} (95 %: {low} to {high})", markup=False)
     rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
-    for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
-        if shown:
-            listed = Table("name", "why", title=f"{title}: {len(shown)}", title_justify="left")
-            for name, why in shown[:MOST_ROWS]:
-                listed.add_row(one_line(name), one_line(why))
-            console.print(listed)
+    _show_reasons(console, "name", "unlike the others", rows)
+    _show_reasons(console, "name", "left out", named.left_out)
     if words := population_report.judged_words(outcome):
         console.print(words, markup=False)
     console.print(f"Wrote {output / 'report.html'}", markup=False)
