@@ -41,9 +41,7 @@ class ResultTable:
     rows: tuple[tuple[Cell, ...], ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; what is not known is null."""
-        rows = [dict(zip(self.columns, map(_or_none, row), strict=True)) for row in self.rows]
-        return {"title": self.title, "rows": rows}
+        return {"title": self.title, "rows": [dict(zip(self.columns, row, strict=True)) for row in self.rows]}
 
 
 def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
@@ -183,10 +181,6 @@ def write_table(path: Path, table: ResultTable) -> None:
 
 def _text(cell: Cell) -> str:
     return f"{cell:.9g}" if isinstance(cell, float) else str(cell)
-
-
-def _or_none(cell: Cell) -> Cell | None:
-    return None if isinstance(cell, float) and not np.isfinite(cell) else cell
 
 
 def below_printed(outcome: study.StudyOutcome) -> tuple[int, int]:

@@ -576,12 +576,9 @@ def fit(
         found = dict((kept or KeptFrames()).pictures(film, [wanted], colour=True))
     except OnebendError:
         return None
-    image = found.get(wanted)
-    return (
-        None
-        if image is None
-        else fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
-    )
+    if (image := found.get(wanted)) is None:
+        return None
+    return fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
 
 
 ROWS = 4000  # of the log that are drawn

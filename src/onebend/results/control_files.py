@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -183,10 +182,10 @@ def loop_summary(
         "rate_per_s": control.gains.rate,
         "corner_rad_per_s": control.gains.corner,
         "margins": {
-            "gain": _finite(known.gain),
-            "phase_rad": _finite(known.phase),
-            "delay_s": _finite(known.delay),
-            "softest": _finite(known.softest),
+            "gain": known.gain,
+            "phase_rad": known.phase,
+            "delay_s": known.delay,
+            "softest": known.softest,
         },
         **rehearsed,
         "rehearsals": [
@@ -194,16 +193,12 @@ def loop_summary(
                 "k_factor": trial.factor,
                 "drawn": trial.beam.drawn,
                 "stands": trial.run is not None,
-                "steady_m": _finite(trial.steady),
-                "settled_s": _finite(trial.settled(SETTLED)),
+                "steady_m": trial.steady,
+                "settled_s": trial.settled(SETTLED),
             }
             for trial in trials
         ],
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def write_loop(folder: Path, trials: tuple[LoopTrial, ...]) -> None:

@@ -313,10 +313,14 @@ def rounded(value: float, digits: int) -> str:
 
 def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
     """The command that gives the force of a dragged point; `digits` of the goal in metres."""
-    places = [] if push_s == 1.0 else ["--push-at", number(push_s)]
-    places += [] if point_s == 1.0 else ["--point", number(point_s)]
     goals = [rounded(one, digits) for one in goal[:2]]
-    return line("reach", model, "--goal", *goals, *places, "--max-force-N", number(max_force))
+    return line("reach", model, "--goal", *goals, *_places(push_s, point_s), "--max-force-N", number(max_force))
+
+
+def _places(push_s: float, point_s: float) -> list[str]:
+    """Options of the push's place and the point's, where they are not the tip."""
+    pairs = (("--push-at", push_s), ("--point", point_s))
+    return [word for name, s in pairs if s != 1.0 for word in (name, number(s))]
 
 
 def hand_line(model: str, goal: Sequence[float]) -> str:
@@ -339,8 +343,7 @@ def check_line(name: str) -> str:
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
     """The command that rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
-    places = [] if wanted["push_s"] == 1.0 else ["--push-at", number(wanted["push_s"])]
-    places += [] if wanted["point_s"] == 1.0 else ["--point", number(wanted["point_s"])]
+    places = _places(wanted["push_s"], wanted["point_s"])
     beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
     bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]
     timing = ["--delay-ms", number(wanted["delay_ms"]), "--fps", number(wanted["fps"])]
