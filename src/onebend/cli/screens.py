@@ -249,15 +249,11 @@ def swing_table(fit: SwingFit) -> Table:
     table.add_row("damping ratio", f"{damping.ratio[0]:.4g}", f"{damping.ratio_sd:.2g}")
     for i in range(1, len(damping.frequency)):
         table.add_row(f"mode {i + 1}, simulated", f"{damping.frequency[i]:.4g} Hz", f"ratio {damping.ratio[i]:.3g}")
+    name, value, sd = "mass \\[g]", significant(1000 * fit.mass), 1000 * fit.mass_sd
     if fit.mass_known:
+        name, value = "k over mass, times the model's", f"{fit.factor:.4g}"
         sd = float(np.hypot(fit.factor_sd, fit.model_sd))
-        table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")
-    else:
-        table.add_row(
-            "mass \\[g]",
-            significant(1000 * fit.mass),
-            f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?",
-        )
+    table.add_row(name, value, f"{sd:.2g}" if np.isfinite(sd) else "?")
     return table
 
 
@@ -480,12 +476,9 @@ def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
-    words = confidence.tradeoff_words(posterior)
-    return (
-        [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
-        if words
-        else found
-    )
+    if words := confidence.tradeoff_words(posterior):
+        found.append(_sentences(["Hardly told apart (mean log k(s): over the identified places):", *words]))
+    return found
 
 
 def show_times(console: Console, run: Run, seconds: Mapping[str, float]) -> None:
