@@ -41,13 +41,15 @@ from onebend.lab.rehearsal import (
     rehearsal_figure,
     rehearse,
     simulate,
-    writer_of,
+    summary_of,
+    write_table,
 )
 from onebend.learning.design import STEPS
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.records import PLACE_SD, Array
 from onebend.report.pictures import draw
 from onebend.results.model import save_model
+from onebend.text_files import to_json
 
 WRIST, CUBIC, UNIFORM = (
     setup_of(known_beam(name), [FilmRequest(sensor="wrist", seconds=4.0)], known_to=Tolerances(clock_sd=0.01))
@@ -260,16 +262,17 @@ def test_a_learned_model_can_be_rehearsed(tmp_path: Path) -> None:
 
 def test_files_hold_what_was_found(tmp_path: Path) -> None:
     found = rehearse(WRIST, runs=0, count=2)
-    writer_of(found, draw({"rehearsal": partial(rehearsal_figure, found)}), written_by="a test")(tmp_path)
+    write_table(tmp_path, found)
+    draw({"rehearsal": partial(rehearsal_figure, found)}).write(tmp_path)
     rows = (tmp_path / "rehearsal.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == ",".join(COLUMNS)
     assert len(rows) == 102
     page = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
     assert all(f"`{column}`" in page for column in COLUMNS)
-    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    summary = json.loads(to_json(summary_of(found, written_by="a test")))
     assert summary["obtained"] is None
     assert len(summary["advice"]) == 2
-    assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png", "summary.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {"rehearsal.csv", "rehearsal.png"}
 
 
 def test_command_line() -> None:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from onebend.cli import app
 from onebend.errors import MechanicsError, RecordingError, ResultsError
-from onebend.files.publish import files_in, seal
+from onebend.files.publish import files_in, seal, write_summary
 from onebend.lab.designs import DESIGNS
 from onebend.lab.study import (
     BEAMS,
@@ -52,7 +52,7 @@ from onebend.lab.study_report import (
     selection_table,
     summary_of,
     validation_table,
-    writer,
+    write_report,
 )
 from onebend.learning.paper import information_criterion
 from onebend.records import Observations
@@ -268,7 +268,9 @@ def test_a_folder_is_written_whole(found: StudyOutcome, tmp_path: Path) -> None:
     (work / "learned" / "model.json").write_text("{}", encoding="utf-8")
     out.mkdir()
     pictures = Pictures({"summary": b"\x89PNG"})
-    writer(found, pictures, summary_of(found, written_by="a test"), work, version="0")(out)
+    write_report(out, replace(found, work=work), pictures.drawn, version="0")
+    pictures.write(out / "figures")
+    write_summary(out, summary_of(found, written_by="a test"))
     seal(out, {})
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert set(files_in(out)) == set(summary["files"])

@@ -16,7 +16,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from onebend.cli import app
-from onebend.cli.common import clean_errors, remarks_list, warnings_list
+from onebend.cli.common import clean_errors, remarks_list
 from onebend.errors import SECTIONS, ObservationError, reference, section, told
 from onebend.learning.criticism import Criticism, Finding, Score, Suspect
 from onebend.learning.verdict import criticism_notices, fit_notices
@@ -125,7 +125,7 @@ def test_a_warning_says_where_to_read_of_it_and_a_note_does_not() -> None:
     assert reference("film hung") == REFERENCE
     assert reference("") == section("") == ""
     both = [("train", WARNING), ("train", NOTE)]
-    for drawn in (warnings_list(both[:1]), remarks_list(both)):
+    for drawn in (remarks_list(both[:1]), remarks_list(both)):
         console = Console(file=io.StringIO(), width=80)
         console.print(drawn)
         text = console.file.getvalue()  # type: ignore[attr-defined]

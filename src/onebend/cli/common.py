@@ -8,10 +8,10 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import monotonic
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import numpy as np
 import typer
@@ -34,13 +34,16 @@ from rich.text import Text
 
 from onebend.cli import GIVEN
 from onebend.errors import OnebendError, RecordingError, reference
-from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced
+from onebend.files.publish import OutputFolder, abandon, finish, prepare, publish, unplaced, write_summary
 from onebend.options import POSITIVE
 from onebend.progress import Progress, Silent
 from onebend.records import Array, Remark
 from onebend.report.wording import significant
-from onebend.results.provenance import InputFile, provenance
+from onebend.results.provenance import InputFile, inputs_of, provenance
 from onebend.text_files import printable, to_json
+
+if TYPE_CHECKING:
+    from onebend.report.pictures import Draw, Pictures
 
 # Options that several commands take. Names and helps are the user's manual; docs/cli.md says more.
 
@@ -149,7 +152,7 @@ class Bars:
         self._bars.update(task, total=count, completed=count)
         seconds = monotonic() - began
         if not self._console.is_terminal and seconds > QUIET_SECONDS:
-            self._console.print(f"{stage}: {seconds:.1f} s", markup=False, highlight=False)
+            self._console.print(f"{stage}: {seconds:.1f} s", markup=False)
 
     def _count(self, task: TaskID) -> float:
         return next((bar.completed for bar in self._bars.tasks if bar.id == task), 0.0)
@@ -219,6 +222,13 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
     finish(place)
 
 
+@contextmanager
+def place_for(output: Path | None, kind: str, overwrite: bool) -> Iterator[OutputFolder | None]:
+    """A `workplace` where there is an output; else None."""
+    with nullcontext() if output is None else workplace(output, kind, overwrite) as place:
+        yield place
+
+
 def made_from_files(inputs: Sequence[InputFile], settings: Mapping[str, Any] = {}) -> dict[str, Any]:
     """Where the results of this command come from, under `provenance`."""
     return provenance(inputs, GIVEN.get({}), settings)
@@ -247,6 +257,46 @@ def put_in_place(
     for path in () if again else made_from["provenance"]["changed_meanwhile"]:
         text = f"{path} was changed while it was read. Run again to learn from it as it is."
         say_warning(text, about="changed file")
+
+
+def put_results(
+    place: OutputFolder,
+    summary: Mapping[str, Any],
+    tables: Callable[[Path], None],
+    pictures: Pictures | None = None,
+    *,
+    figures: str | None = "",
+    inputs: Sequence[InputFile] = (),
+    made_from: Mapping[str, Any] | None = None,
+) -> None:
+    """Publish a folder with what `tables` writes, the pictures, and `summary.json`.
+
+    Args:
+        figures: the pictures' folder in it; None: they stand in a page of `tables` alone.
+    """
+
+    def write(folder: Path) -> None:
+        tables(folder)
+        if pictures is not None and figures is not None:
+            pictures.write(folder / figures)
+        write_summary(folder, summary)
+
+    put_in_place(place, write, pictures.failed if pictures else {}, inputs=inputs, made_from=made_from)
+
+
+def save_results(
+    output: Path,
+    overwrite: bool,
+    summary: Mapping[str, Any],
+    tables: Callable[[Path], None],
+    wanted: Mapping[str, Draw],
+    read: Sequence[Path],
+) -> None:
+    """Draw the pictures that are wanted, and put all results into the folder `output`, made from the files `read`."""
+    from onebend.report.pictures import draw  # here: other commands draw nothing
+
+    with workplace(output, summary["format"], overwrite) as place:
+        put_results(place, summary, tables, draw(wanted), inputs=inputs_of(read))
 
 
 def open_in_browser(page: Path) -> None:
@@ -366,35 +416,20 @@ def force_words(force: Array) -> str:
 def say_written(console: Console, output: Path | None, files: str) -> None:
     """Which `files` are in the folder `output` now; nothing where none were written."""
     if output is not None:
-        console.print(f"\nWrote {output}: {files}", highlight=False, markup=False)
+        console.print(f"\nWrote {output}: {files}", markup=False)
 
 
-def warnings_list(remarks: Sequence[tuple[str, Remark]]) -> Table:
-    """Warnings alone, each with what to do about it."""
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for whose, remark in remarks:
-        table.add_row("[yellow]![/]", Text(f"{whose}: {remark.text}"))
-        _add_docs(table, remark)
-    return table
-
-
-def remarks_list(remarks: Sequence[tuple[str, Remark]]) -> RenderableType:
-    """Remarks: warnings in colour, notes in grey."""
+def remarks_list(remarks: Sequence[tuple[str, Remark]], title: str | None = "What looked odd") -> RenderableType:
+    """Remarks, each with what to do about it: warnings in colour, notes in grey."""
     if not remarks:
         return Text("Nothing looked odd.", "dim")
-    table = Table(box=None, show_header=False, pad_edge=False, title="What looked odd", title_justify="left")
+    table = Table(box=None, show_header=False, pad_edge=False, title=title, title_justify="left")
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for whose, remark in remarks:
         warning = remark.level == "warning"
-        table.add_row("[yellow]![/]" if warning else "[dim]·[/]", escape(f"{whose}: {remark.text}"),
-                      style="" if warning else "dim")  # fmt: skip
-        _add_docs(table, remark)
+        mark, style = ("[yellow]![/]", "") if warning else ("[dim]·[/]", "dim")
+        table.add_row(mark, Text(f"{whose}: {remark.text}"), style=style)
+        if remark.docs:
+            table.add_row("", Text(reference(remark.about), "dim"))
     return table
-
-
-def _add_docs(table: Table, remark: Remark) -> None:
-    if remark.docs:
-        table.add_row("", Text(reference(remark.about), "dim"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -28,11 +29,9 @@ from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.extras import installed
 from onebend.options import POSITIVE, option
-from onebend.report.pictures import draw
 from onebend.report.wording import length_words, significant
 from onebend.results import control_files
 from onebend.results.model import model_file
-from onebend.results.provenance import inputs_of
 
 # The screen of `onebend reach`.
 
@@ -48,7 +47,7 @@ def show_reach(console: Console, result: Reach, error: PredictedError | None, ou
     table.add_row("from the goal", f"{length_words(result.error)} in the model, after {result.iterations} iterations")
     table.add_row("sure to within", _sureness_of_goal(error))
     table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
-    console.print(table, highlight=False)
+    console.print(table)
     common.say_written(console, output, "path.csv, reach.png, summary.json")
 
 
@@ -92,12 +91,9 @@ def reach(
         if output is not None:
             from onebend.report.control_figures import reaching  # here: Matplotlib is for pictures alone
 
-            with common.workplace(output, control_files.REACH_FORMAT, overwrite) as place:
-                pictures = draw({"reach": lambda: reaching(found, error, _within(found))})
-                inputs = inputs_of([model_file(model)])
-                common.put_in_place(
-                    place, control_files.reach_writer(found, pictures, summary), pictures.failed, inputs=inputs
-                )
+            tables = partial(control_files.write_reach, result=found)
+            figures = {"reach": lambda: reaching(found, error, _within(found))}
+            common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
     common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
 
 
@@ -132,9 +128,9 @@ def show_shape(console: Console, result: ShapeResult, output: Path | None) -> No
     table.add_row("from the targets", f"{length_words(result.rms, 3)} rms: {_why(result)}")
     table.add_row("from buckling", f"margin {result.margin:.3f} (1 without loads, 0 where it buckles)")
     table.add_row("sure to within", _sureness_of_shape(result))
-    console.print(table, highlight=False)
+    console.print(table)
     for warning in result.warnings:
-        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
+        console.print(f"[yellow]![/] {escape(warning)}")
     common.say_written(console, output, "shape.csv, targets.csv, shape.png, summary.json")
 
 
@@ -164,9 +160,9 @@ def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, outp
     table.add_row(
         "from buckling", f"margin at least {float(np.min(way.margin)):.3f} (1 without loads, 0 where it buckles)"
     )
-    console.print(table, highlight=False)
+    console.print(table)
     for warning in way.warnings:
-        console.print(f"[yellow]![/] {escape(warning)}", highlight=False)
+        console.print(f"[yellow]![/] {escape(warning)}")
     messages = "YAML and bag" if bag else "YAML; for a bag: pip install 'onebend[ros]'"
     common.say_written(console, output, f"path.csv, ROS 2 messages ({messages}), path.png, summary.json")
 
@@ -272,12 +268,9 @@ def shape(
         if output is not None:
             from onebend.report.control_figures import shaping  # here: Matplotlib is for pictures alone
 
-            with common.workplace(output, control_files.SHAPE_FORMAT, overwrite) as place:
-                pictures = draw({"shape": lambda: shaping(stored.beam, found)})
-                inputs = inputs_of([model_file(model), targets])
-                common.put_in_place(
-                    place, control_files.shape_writer(found, pictures, summary), pictures.failed, inputs=inputs
-                )
+            tables = partial(control_files.write_shape, result=found)
+            figures = {"shape": lambda: shaping(stored.beam, found)}
+            common.save_results(output, overwrite, summary, tables, figures, [model_file(model), targets])
     common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
 
 
@@ -319,15 +312,9 @@ def path(
         if output is not None:
             from onebend.report.control_figures import path_figure  # here: Matplotlib is for pictures alone
 
-            with common.workplace(output, control_files.PATH_FORMAT, overwrite) as place:
-                pictures = draw({"path": lambda: path_figure(way)})
-                inputs = inputs_of([model_file(model), goals])
-                common.put_in_place(
-                    place,
-                    control_files.path_writer(way, pictures, summary, frame=frame, bag=bag),
-                    pictures.failed,
-                    inputs=inputs,
-                )
+            tables = partial(control_files.write_path, way=way, frame=frame, bag=bag)
+            figures = {"path": lambda: path_figure(way)}
+            common.save_results(output, overwrite, summary, tables, figures, [model_file(model), goals])
     common.answer(as_json, summary, lambda console: show_path(console, way, sure, output, bag=bag), output)
 
 
@@ -369,14 +356,14 @@ def show_loop(
         table.add_row("the robot's force", f"off by {rehearsed['force_off_N']:.3g} N, across it")
     if rehearsed["hidden"]:
         table.add_row("the point", "never seen")
-    console.print(table, highlight=False)
+    console.print(table)
     runs = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for trial in trials:
         steady = "the beam snapped away" if trial.run is None else f"{1e3 * trial.steady:.2f}"
         settled = trial.settled(SETTLED)
         runs.add_row(trial_name(trial), steady, "never" if math.isinf(settled) else f"{settled:.1f}")
     console.print()
-    console.print(runs, highlight=False)
+    console.print(runs)
     common.say_written(console, output, "loop.csv, loop.png, summary.json")
 
 

@@ -57,7 +57,7 @@ def plan_table(plan: Plan) -> Table:
 
 
 def show_plan(console: Console, plan: Plan) -> None:
-    console.print(say("known now", **vars(plan)), highlight=False)
+    console.print(say("known now", **vars(plan)))
     console.print(plan_table(plan))
     console.print("\n[bold]best:[/]", Text(words(plan.proposals[0].notice)))
     pair = "; then ".join(words(proposal.notice) for proposal in plan.pair)
@@ -192,33 +192,27 @@ def validate(
     with common.clean_errors():
         stored = read_trusted(model)
         known = observations_beside(model)
-        work = partial(
-            compare,
-            stored.beam,
-            recordings,
-            learned_from=known,
-            stiffness=stored.uncertain,
-            observing=_paired(observing, epsilon),
-        )
-        beam = stored.beam
-        if output is None:
-            with common.progress_of(quiet) as progress:
-                pairs = work(detect=detection_cache(onebend.__version__).detect, progress=progress)
+        with (
+            common.place_for(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
+            common.progress_of(quiet) as progress,
+        ):
+            inputs = () if place is None else inputs_of([model_file(model), *recording_files(recordings)])
+            pairs = compare(
+                stored.beam,
+                recordings,
+                learned_from=known,
+                stiffness=stored.uncertain,
+                observing=_paired(observing, epsilon),
+                detect=detection_cache(onebend.__version__, None if place is None else place.work).detect,
+                progress=progress,
+            )
             summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
-        else:
-            from onebend.report.figures import validation_figures  # here, as above
+            if place is not None:
+                from onebend.report.figures import validation_figures  # here, as above
 
-            with (
-                common.workplace(output, learned_files.VALIDATE_FORMAT, overwrite) as place,
-                common.progress_of(quiet) as progress,
-            ):
-                inputs = inputs_of([model_file(model), *recording_files(recordings)])
-                pairs = work(detect=detection_cache(onebend.__version__, place.work).detect, progress=progress)
-                summary = learned_files.validation_summary(str(model), pairs, written_by=BY)
-                pictures = draw(validation_figures(beam, pairs), progress)
-                common.put_in_place(
-                    place, learned_files.validation_writer(pairs, pictures, summary), pictures.failed, inputs=inputs
-                )
+                pictures = draw(validation_figures(stored.beam, pairs), progress)
+                tables = partial(learned_files.write_comparisons, comparisons=[comparison for comparison, _ in pairs])
+                common.put_results(place, summary, tables, pictures, figures="figures", inputs=inputs)
     common.answer(as_json, summary, lambda console: show_validation(console, pairs, output))
 
 
@@ -229,10 +223,8 @@ def plan(
     with common.clean_errors(), common.progress_of(quiet) as progress:
         read_trusted(model)  # warns where k(s) is in doubt
         found = plan_next(model, settings=settings, progress=progress)
-    if as_json:
-        common.print_json(learned_files.plan_summary(str(model), found, written_by=BY))
-    else:
-        show_plan(common.screen(), found)
+    summary = learned_files.plan_summary(str(model), found, written_by=BY)
+    common.answer(as_json, summary, lambda console: show_plan(console, found))
 
 
 def _paired(observing: ObserveSettings, epsilon: float | None) -> ObserveSettings:

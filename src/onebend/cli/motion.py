@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,9 +14,9 @@ from onebend.cli import BY, common
 from onebend.cli.models import read_trusted
 from onebend.cli.screens import show_damping, show_frequencies, show_sensed
 from onebend.errors import ResultsError
-from onebend.files.publish import OutputFolder, amend
+from onebend.files.publish import amend
 from onebend.files.single_file import check_name_free, write_file
-from onebend.learning.sensing.sense import Sensed, SenseSettings, sense as sense_force
+from onebend.learning.sensing.sense import SenseSettings, sense as sense_force
 from onebend.learning.swing import DampingSettings, FilmPart, learn_damping
 from onebend.learning.swing_frequencies import frequencies_of
 from onebend.options import Only
@@ -29,7 +29,7 @@ from onebend.results.detection_cache import detection_cache
 from onebend.results.learned_files import damp_summary, frequencies_summary
 from onebend.results.model import StoredModel, model_file, model_text
 from onebend.results.provenance import inputs_of, recording_files
-from onebend.results.sensing import SENSE_FORMAT, force_bag, sense_summary, sense_writer
+from onebend.results.sensing import SENSE_FORMAT, sense_summary, write_sensed
 
 ModelFile = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the model with its damping here.")
@@ -110,12 +110,8 @@ def damp(
             text = model_text(whole, written_by=BY)
             if not (overwrite and amend(output, text.encode())):  # a file of a results folder: the folder stays whole
                 write_file(output, text, overwrite=overwrite)
-    if as_json:
-        common.print_json(
-            {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
-        )
-    else:
-        show_damping(common.screen(), fit, output)
+    said = {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
+    common.answer(as_json, said, lambda console: show_damping(console, fit, output))
 
 
 def sense(
@@ -135,7 +131,7 @@ def sense(
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
         stored = read_trusted(model)
-        with nullcontext() if output is None else common.workplace(output, SENSE_FORMAT, overwrite) as work:
+        with common.place_for(output, SENSE_FORMAT, overwrite) as work:
             with common.progress_of(quiet) as progress:
                 seen = _observed(stored, recording, observing, progress)
             found = sense_force(
@@ -143,7 +139,11 @@ def sense(
             )
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
-                _write(work, model, recording, found, summary, bag=bag)
+                from onebend.report.control_figures import sensed_regions, sensing  # here: Matplotlib is for pictures
+
+                pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
+                inputs = inputs_of([model_file(model), *recording_files([recording])])
+                common.put_results(work, summary, partial(write_sensed, found=found, bag=bag), pictures, inputs=inputs)
     common.answer(as_json, summary, lambda console: show_sensed(console, found, output, bag=bag), output)
 
 
@@ -152,14 +152,3 @@ def _observed(stored: StoredModel, recording: Path, observing: ObserveSettings, 
     check_same_length(stored.beam.length, files)
     detect = detection_cache(onebend.__version__).detect
     return observe(files, settings=observing, detect=detect, progress=progress)
-
-
-def _write(
-    work: OutputFolder, model: Path, recording: Path, found: Sensed, summary: dict[str, object], *, bag: bool
-) -> None:
-    from onebend.report.control_figures import sensed_regions, sensing  # here: Matplotlib is for pictures alone
-
-    messages = force_bag(found.time, found.force, found.covariance) if bag else None
-    pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-    inputs = inputs_of([model_file(model), *recording_files([recording])])
-    common.put_in_place(work, sense_writer(found, pictures, summary, messages), pictures.failed, inputs=inputs)

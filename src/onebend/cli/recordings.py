@@ -197,13 +197,8 @@ def topics(bag: BagPath, *, definitions: Definitions = None, as_json: common.Jso
 def as_data(found: BagContents) -> dict[str, object]:
     """Plain data for `--json`."""
     rows = [dataclasses.asdict(row) for row in found.rows]
-    return {
-        "bag": str(found.path),
-        "topics": rows,
-        "force": found.force or None,
-        "image": found.image or None,
-        "fault": found.fault or None,
-    }
+    others = {name: getattr(found, name) or None for name in ("force", "image", "fault")}
+    return {"bag": str(found.path), "topics": rows, **others}
 
 
 def lines_to_write(found: BagContents) -> str:
@@ -254,11 +249,10 @@ def show_calibration(console: Console, calibration: Calibration, out: Path) -> N
     console.print(
         f"\n{len(calibration.frames)} views; corners {calibration.error:.3f} px from the model (RMS), worst view "
         f"{calibration.view_error.max():.3f} px; corners in {100 * calibration.coverage:.0f} % of the picture; the "
-        f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n",
-        highlight=False,
+        f"board turned by up to {np.rad2deg(calibration.turned):.0f} degrees.\n"
     )
     console.print(common.remarks_list([("camera", remark) for remark in calibration.remarks]))
-    console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, highlight=False, soft_wrap=True)
+    console.print(f"\nWrote {out}; put it into recording.toml:\n", markup=False, soft_wrap=True)
     typer.echo(calibration.camera_table())
 
 
@@ -305,17 +299,10 @@ def calibrate(
         with common.progress_of(quiet) as progress:
             found = calibrate_camera(video, wanted, topic=topic, most_views=views, progress=progress)
         write_file(output, found.camera_table(), overwrite=overwrite)
-    if as_json:
-        said = {
-            "format": CALIBRATE_FORMAT,
-            "written_by": BY,
-            "video": str(video),
-            "topic": topic or None,
-            **found.as_dict(),
-        }
-        common.print_json({**said, "output": str(output)})
-    else:
-        show_calibration(common.screen(), found, output)
+    said = {"format": CALIBRATE_FORMAT, "written_by": BY, "video": str(video), "topic": topic or None}
+    common.answer(
+        as_json, {**said, **found.as_dict()}, lambda console: show_calibration(console, found, output), output
+    )
 
 
 def _board(board: tuple[str, str], square: float, marker: float | None, dictionary: str) -> Board:

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from onebend.beam.model import Beam
 from onebend.beam.stiffness import Band, UncertainStiffness, half_width_words
-from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written, warnings_list
+from onebend.cli.common import facts_table, force_words, listing, remarks_list, say_written
 from onebend.learning.outcome import Comparison, Learned
 from onebend.learning.posterior import Nuisance, Posterior
 from onebend.learning.run import Run
@@ -247,15 +247,11 @@ def swing_table(fit: SwingFit) -> Table:
     table.add_row("damping ratio", f"{damping.ratio[0]:.4g}", f"{damping.ratio_sd:.2g}")
     for i in range(1, len(damping.frequency)):
         table.add_row(f"mode {i + 1}, simulated", f"{damping.frequency[i]:.4g} Hz", f"ratio {damping.ratio[i]:.3g}")
+    name, value, sd = "mass \\[g]", significant(1000 * fit.mass), 1000 * fit.mass_sd
     if fit.mass_known:
+        name, value = "k over mass, times the model's", f"{fit.factor:.4g}"
         sd = float(np.hypot(fit.factor_sd, fit.model_sd))
-        table.add_row("k over mass, times the model's", f"{fit.factor:.4g}", f"{sd:.2g}" if np.isfinite(sd) else "?")
-    else:
-        table.add_row(
-            "mass \\[g]",
-            significant(1000 * fit.mass),
-            f"{1000 * fit.mass_sd:.2g}" if np.isfinite(fit.mass_sd) else "?",
-        )
+    table.add_row(name, value, f"{sd:.2g}" if np.isfinite(sd) else "?")
     return table
 
 
@@ -282,12 +278,12 @@ def frequency_entries(found: FoundFrequencies) -> str:
 
 def show_frequencies(console: Console, found: FoundFrequencies) -> None:
     console.print(frequency_table(found))
-    console.print(say("swing's modes", **vars(found)), highlight=False)
+    console.print(say("swing's modes", **vars(found)))
     if found.remarks:
         console.print(remarks_list([(found.name, remark) for remark in worded(found.remarks)]))
         console.print()
-    console.print("For recording.toml:\n", highlight=False)
-    console.print(frequency_entries(found), markup=False, highlight=False)
+    console.print("For recording.toml:\n")
+    console.print(frequency_entries(found), markup=False)
 
 
 def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
@@ -295,10 +291,10 @@ def show_damping(console: Console, fit: SwingFit, out: Path | None) -> None:
     console.print(swing_table(fit))
     rms = ", ".join(f"{1000 * value:.2g}" for value in fit.rms)
     values = {"frames": len(fit.swing.time), "begin": fit.swing.begin, "end": end, "rms": rms}
-    console.print(say("swing's frames", **values), highlight=False)
+    console.print(say("swing's frames", **values))
     console.print(remarks_list([(fit.swing.name, remark) for remark in worded(fit.remarks)]))
     if out is not None:
-        console.print(f"\nWrote {out}.", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"\nWrote {out}.", markup=False, soft_wrap=True)
 
 
 def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bool = False) -> None:
@@ -335,7 +331,7 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
         table.add_row("against the log", f"{wording.significant(difference[0])} N RMS where the force is known best")
     for row in sensor_rows(found.sensor):
         table.add_row(*row)
-    console.print(table, highlight=False)
+    console.print(table)
     console.print(remarks_list([(found.name, one) for one in worded(found.remarks)]))
     say_written(console, output, f"force.csv, force.png, {'force.mcap, ' if bag else ''}regions.png, summary.json")
 
@@ -395,7 +391,7 @@ def show_run(
     remarks = all_remarks(run)
     warnings = [pair for pair in remarks if pair[1].level == "warning"]
     if warnings and not verbose:
-        console.print(warnings_list(warnings))
+        console.print(remarks_list(warnings, title=None))
     if (notes := len(remarks) - len(warnings)) and not verbose:
         what = "1 note is" if notes == 1 else f"{notes} notes are"
         where = "in the report, or here" if report else "shown"
@@ -473,12 +469,9 @@ def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
     if posterior.attributions:
         found.append(allowance_table(posterior))
     found.append(nuisance_table(posterior.nuisances()))
-    words = confidence.tradeoff_words(posterior)
-    return (
-        [*found, _sentences(["Hardly told apart (mean log k(s): over the identified places):", *words])]
-        if words
-        else found
-    )
+    if words := confidence.tradeoff_words(posterior):
+        found.append(_sentences(["Hardly told apart (mean log k(s): over the identified places):", *words]))
+    return found
 
 
 def show_times(console: Console, run: Run, seconds: Mapping[str, float]) -> None:
@@ -493,7 +486,7 @@ def _sentences(words: Sequence[str]) -> Text:
 
 def say_path(console: Console, what: str, path: Path) -> None:
     """Where something is, on one line whatever the width, so that it can be copied."""
-    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True, highlight=False)
+    console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True)
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
@@ -521,18 +514,18 @@ def show_model(console: Console, stored: StoredModel, *, log: bool = False) -> N
         console.print(band_plot(uncertain, log=log))
         console.print(band_table(uncertain, columns=61, modulus=confidence.modulus_rows(measured, band_places(61))))
         for text in confidence.unidentified_words(uncertain):
-            console.print(text, markup=False, highlight=False)
+            console.print(text, markup=False)
     for text in confidence.modulus_words(measured):
-        console.print(text, markup=False, highlight=False)
+        console.print(text, markup=False)
     lowest = float(beam.stiffness(np.linspace(0.0, 1.0, 401)).min())
     if lowest <= 0.0:
         console.print(
             f"[yellow]k(s) falls to {wording.significant(lowest)} N m: this is no beam and cannot be simulated.[/]"
         )
-    console.print(f"\nlength {1000 * beam.length:.4g} mm", highlight=False)
+    console.print(f"\nlength {1000 * beam.length:.4g} mm")
     if stored.damping is not None:
-        console.print(damping_words(stored.damping), markup=False, highlight=False)
+        console.print(damping_words(stored.damping), markup=False)
     if origin is not None:
         modes = "" if origin.n is None else f"n = {origin.n}, "
         text = f"learned from {origin.recording} by {origin.method}: {modes}m = {origin.m} {origin.family}"
-        console.print(text, markup=False, highlight=False)
+        console.print(text, markup=False)

@@ -72,14 +72,14 @@ def seal(folder: Path, more: Mapping[str, Any]) -> None:
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
     """The summary in `folder`, as onebend wrote it; None where there is none, or it was changed since."""
-    data = _read_object(folder / SUMMARY, LARGEST)
+    data = read_object(folder / SUMMARY, LARGEST)
     try:
         return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
     except (ValueError, TypeError, RecursionError):
         return None
 
 
-def _read_object(file: Path, most: int) -> dict[str, Any] | None:
+def read_object(file: Path, most: int) -> dict[str, Any] | None:
     """The object in a JSON file of up to `most` bytes; None where there is none."""
     try:
         if file.is_symlink() or not file.is_file() or file.stat().st_size > most:
@@ -340,7 +340,7 @@ def _literal(text: str) -> str:
 
 def _marker(folder: Path) -> dict[str, Any] | None:
     """The content of a workplace's marker; None where the folder is no workplace."""
-    data = None if folder.is_symlink() else _read_object(folder / MARKER, LARGEST_MARKER)
+    data = None if folder.is_symlink() else read_object(folder / MARKER, LARGEST_MARKER)
     return data if data is not None and data.get("format") == FORMAT else None
 
 

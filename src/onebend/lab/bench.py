@@ -181,6 +181,12 @@ class PushProfile:
         return np.asarray(self.direction + self.turn * (np.clip((time - begin) / (end - begin), 0.0, 1.0) - 0.5))
 
 
+def turned(xy: Array, angle: float) -> Array:
+    """Vectors (..., 2), turned counter-clockwise by `angle` [rad]."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.asarray(xy @ np.array([[cos, sin], [-sin, cos]]))
+
+
 def smooth(part: Array) -> Array:
     """0 to 1 with no jump of velocity or acceleration."""
     u = np.clip(part, 0.0, 1.0)

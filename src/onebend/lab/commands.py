@@ -124,14 +124,14 @@ def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, 
 
 def show_design(console: Console, expected: designs.Expected) -> None:
     design = expected.design
-    console.print(f"[bold]{escape(design.name)}[/]", highlight=False)
+    console.print(f"[bold]{escape(design.name)}[/]")
     console.print(design_table(expected))
     console.print(bends_table(expected))
     if design.modulus_log_sd > 0.0:
         factor = math.exp(half_width(design.modulus_log_sd))
-        console.print(say("modulus roughly known", factor=factor), highlight=False)
+        console.print(say("modulus roughly known", factor=factor))
     for remark in worded(design.remarks):
-        console.print(f"[yellow]![/] {escape(remark.text)}\n[dim]{reference(remark.about)}[/]", highlight=False)
+        console.print(f"[yellow]![/] {escape(remark.text)}\n[dim]{reference(remark.about)}[/]")
 
 
 def design_table(expected: designs.Expected) -> Table:
@@ -174,8 +174,7 @@ def show_parts(console: Console, made: fabrication.Mould, parts: Sequence[fabric
         table.add_row(part.name, size, f"{part.mesh.volume / 1e3:.1f}")
     console.print(table)
     console.print(
-        f"Pour {1e6 * made.volume:.1f} ml ({1e3 * made.pour:.1f} g) of silicone. Files are in {escape(str(out))}.",
-        highlight=False,
+        f"Pour {1e6 * made.volume:.1f} ml ({1e3 * made.pour:.1f} g) of silicone. Files are in {escape(str(out))}."
     )
 
 
@@ -292,7 +291,8 @@ def mould(
         others = (*fabrication.clamp(made.design, settings, seat), fabrication.carriers(made.design, settings, seat))
         parts = (*made.parts, *others, fabrication.PrintedPart("cast-beam", made.cast))
         summary = fabrication.parts_summary(made, parts, written_by=BY)
-        common.put_in_place(place, fabrication.parts_writer(parts, shape, summary), inputs=inputs_of([Path(name)]))
+        tables = partial(fabrication.write_parts, parts=parts, shape=shape)
+        common.put_results(place, summary, tables, inputs=inputs_of([Path(name)]))
         _write_all(_picture(picture, partial(fabrication.parts_figure, parts)), overwrite=overwrite)
     common.answer(as_json, summary, lambda console: show_parts(console, made, parts, output))
 

@@ -533,7 +533,7 @@ def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected
     return Expected(
         design=design,
         bends=tuple(bend(design, math.radians(turn)) for turn in turns_deg),
-        compliance=tip_compliance(beam),
+        compliance=_compliance(beam, 2),
         buckling=buckling_force(beam),
         frequency=tuple(float(f) for f in slowest),
         sag=-_lowered(across_depth(design)),
@@ -550,7 +550,7 @@ def bend(design: Design, turn: float) -> TipBend:
         solved = equilibrium(beam, follow_push((0.0, force)), resolution=FINE)
         return float(solved.angle(np.array([1.0]))[0, 0]) if solved.converged[0] else math.nan
 
-    first = turn / _turn_compliance(beam)
+    first = turn / _compliance(beam, 1)
     largest = first
     while turned(largest) < turn and largest < MOST_FORCE * first:
         largest *= GROWTH
@@ -563,16 +563,11 @@ def bend(design: Design, turn: float) -> TipBend:
     return TipBend(turn, force, np.asarray(solved.xy(np.array([1.0]))[0, 0]), float(np.max(strain)))
 
 
-def tip_compliance(beam: Beam) -> float:
-    """m/N: how far a small force across moves the tip, `L^2 int (1 - s)^2 / k ds`."""
+def _compliance(beam: Beam, power: int) -> float:
+    """How far a small force across moves the tip (power 2, m/N) or turns it (1, rad/N): `int (L (1 - s))^p / k ds`."""
     grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
-    return float(beam.length**2 * np.sum(grid.weights * (1.0 - grid.nodes) ** 2 / beam.stiffness(grid.nodes)))
-
-
-def _turn_compliance(beam: Beam) -> float:
-    """rad/N: how far a small force across turns the tip, `L int (1 - s) / k ds`."""
-    grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
-    return float(beam.length * np.sum(grid.weights * (1.0 - grid.nodes) / beam.stiffness(grid.nodes)))
+    arm = (1.0 - grid.nodes) ** power
+    return float(beam.length**power * np.sum(grid.weights * arm / beam.stiffness(grid.nodes)))
 
 
 def buckling_force(beam: Beam) -> float:

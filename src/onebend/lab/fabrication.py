@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from onebend.beam.stiffness import half_width
 from onebend.errors import MechanicsError
 from onebend.extras import package
-from onebend.files.publish import write_summary
 from onebend.lab.designs import Design
 from onebend.options import option
 from onebend.records import Array
@@ -388,20 +387,14 @@ def parts_summary(made: Mould, parts: tuple[PrintedPart, ...], *, written_by: st
     }
 
 
-def parts_writer(parts: tuple[PrintedPart, ...], shape: str, summary: dict[str, Any]) -> Callable[[Path], None]:
-    """A function that fills a folder with parts as files of the ending `shape`."""
-
-    def write(folder: Path) -> None:
-        for part in parts:
-            write_mesh(folder / f"{part.name}.{shape}", part.mesh)
-        write_summary(folder, summary)
-
-    return write
+def write_parts(folder: Path, parts: tuple[PrintedPart, ...], shape: str) -> None:
+    """Write each part as a file of the ending `shape`."""
+    for part in parts:
+        write_mesh(folder / f"{part.name}.{shape}", part.mesh)
 
 
 # Pictures of designs and of the parts to print.
 
-MM_PER_M = 1e3
 S = np.linspace(0.0, 1.0, 401)
 PIXELS = 420  # of a part's longer side
 VIEW = np.array([-0.45, -0.62, 0.64])  # towards the eye
@@ -412,26 +405,20 @@ LIGHT = np.array([-0.2, -0.55, 0.81])
 def design_figure(design: Design) -> Figure:
     """The outline that is cast, to scale, and k(s) with the band that the modulus leaves."""
     figure, (outline, stiffness) = blank(4.2, rows=2, height_ratios=(1.0, 2.2))
-    x, half = MM_PER_M * design.length * S, 0.5 * MM_PER_M * np.asarray(design.width(S))
+    x, half = MM * design.length * S, 0.5 * MM * np.asarray(design.width(S))
     outline.fill_between(x, -half, half, color=BLUE, alpha=0.25, linewidth=0.0)
     outline.plot(x, half, color=BLUE)
     outline.plot(x, -half, color=BLUE)
-    outline.set_aspect("equal")
-    outline.set_xlabel("along the beam [mm]")
-    outline.set_ylabel("across [mm]")
-    outline.set_title(
-        f"{figure_text(design.name)}: {MM_PER_M * design.length:g} mm long, {MM_PER_M * design.depth:g} mm deep"
-    )
+    sizes = f"{MM * design.length:g} mm long, {MM * design.depth:g} mm deep"
+    outline.set(aspect="equal", xlabel="along the beam [mm]", ylabel="across [mm]")
+    outline.set_title(f"{figure_text(design.name)}: {sizes}")
     k = np.asarray(design.along.stiffness(S))
     stiffness.plot(S, k, color=INK)
     if design.modulus_log_sd > 0.0:
         wide = np.exp(half_width(design.modulus_log_sd))
         stiffness.fill_between(S, k / wide, k * wide, color=INK, alpha=0.15, linewidth=0.0, label="95 %, modulus alone")
         stiffness.legend()
-    stiffness.set_xlim(0.0, 1.0)
-    stiffness.set_ylim(bottom=0.0)
-    stiffness.set_xlabel("place along the beam s")
-    stiffness.set_ylabel("k [N m]")
+    stiffness.set(xlim=(0.0, 1.0), ylim=(0.0, None), xlabel="place along the beam s", ylabel="k [N m]")
     stiffness.set_title(f"E = {design.modulus / 1e6:.3g} MPa ({figure_text(design.source)})")
     return figure
 

@@ -25,7 +25,7 @@ from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import Profile, Scaled, Uniform
 from onebend.beam.vibration import settle
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth
+from onebend.lab.bench import PushProfile, RealBench, log_of, rest_curvature, smooth, turned
 from onebend.lab.designs import RESOLUTION
 from onebend.lab.rendering import (
     Camera,
@@ -73,9 +73,7 @@ from onebend.text_files import plain
 def in_log_axes(force: Array, rotation: float, acts_on: str) -> Array:
     """(N, 2) N in the axes of a log whose x axis is turned by `rotation` [rad] against the beam's; the reaction where
     it `acts_on` the "robot"."""
-    cos, sin = np.cos(rotation), np.sin(rotation)
-    sign = -1.0 if acts_on == "robot" else 1.0
-    return np.asarray(sign * force @ np.array([[cos, -sin], [sin, cos]]))
+    return turned(-force if acts_on == "robot" else force, -rotation)
 
 
 def write_log(path: Path, log: ForceLog) -> None:
@@ -283,8 +281,7 @@ def rectangle(left: float, right: float, top: float, bottom: float) -> Array:
 
 def placed(loops: Array, pose: Array) -> Array:
     """Polygons (..., corners, 2) [m] of a thing that sits at `pose` (3,) x, y [m], angle [rad]."""
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    return np.asarray(loops @ np.array([[cos, sin], [-sin, cos]]) + pose[:2])
+    return np.asarray(turned(loops, pose[2]) + pose[:2])
 
 
 # Moving things as polygons on the table: beam, tags, the tool that pushes, a hand.
@@ -473,10 +470,9 @@ PRESET = "veryfast"
 
 def write_video(
     path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
-) -> int:
-    """Write frames (time [s], 8 bit planes) that come in order; return their number. Raises `RecordingError`: the
-    encoder is missing or refuses."""
-    count = 0
+) -> None:
+    """Write frames (time [s], 8 bit planes) that come in order. Raises `RecordingError`: the encoder is missing or
+    refuses."""
     try:
         with av.open(str(path), "w") as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
@@ -488,11 +484,9 @@ def write_video(
                 frame = video_frame(picture)
                 frame.pts, frame.time_base = round(time / TIME_BASE), TIME_BASE
                 container.mux(stream.encode(frame))
-                count += 1
             container.mux(stream.encode(None))
     except av.error.FFmpegError as wrong:
         raise RecordingError(f"{path} cannot be encoded as H.264: {wrong.strerror}") from None
-    return count
 
 
 def video_frame(picture: YuvFrame) -> av.VideoFrame:
@@ -632,9 +626,7 @@ def tag_faces(filming: Filming, shapes: BeamShapes, z: Array, slope: Array) -> A
 
 def in_room(pose: Array, base_angle: float) -> Array:
     """Poses (..., 3 or more) in the room, from the clamp's frame."""
-    cos, sin = np.cos(base_angle), np.sin(base_angle)
-    xy = pose[..., :2] @ np.array([[cos, sin], [-sin, cos]])
-    return np.concatenate([xy, pose[..., 2:3] + base_angle, pose[..., 3:]], axis=-1)
+    return np.concatenate([turned(pose[..., :2], base_angle), pose[..., 2:3] + base_angle, pose[..., 3:]], axis=-1)
 
 
 # The truth beside a filmed recording: `truth.npz` and `truth.json`.

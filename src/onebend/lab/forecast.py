@@ -22,8 +22,8 @@ from onebend.beam.stiffness import IDENTIFIED_SD
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench import FRANKA, WRIST, ForceSensor, PushProfile, TagNoise
 from onebend.lab.designs import find_design
-from onebend.lab.random_bench import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, check_name, push_of
-from onebend.lab.rendering import Camera, view_from
+from onebend.lab.random_bench import SENSORS, SWINGING, FilmRequest, SensorName, camera_of, push_of
+from onebend.lab.rendering import Camera, check_name, view_from
 from onebend.lab.virtual import LOG_BEFORE, VirtualBench, VirtualTag, tag_poses
 from onebend.learning.design import (
     PLACES,
@@ -270,20 +270,13 @@ _CLOCK_SHARE, _RELATION_MISFIT = 0.28, 0.03  # of the push's time; of the peak
 
 
 @dataclass(frozen=True)
-class PushUncertainty:
-    """Errors that every push has of its own; one sd."""
-
-    place: float = PLACE_SD  # m, along the beam
-    direction: float = DIRECTION_SD  # rad, of the force log's axes
-    load: float = 0.0  # N, each axis: error of the force that comes with the load
-
-
-@dataclass(frozen=True)
 class RehearsalInstruments:
-    """The instruments of a rehearsal, and the errors of a push."""
+    """The instruments of a rehearsal, and the errors that every push has of its own; one sd."""
 
     bench: Instruments
-    push: PushUncertainty
+    load: float  # N, each axis: error of the force that comes with the load
+    place: float = PLACE_SD  # m, along the beam
+    direction: float = DIRECTION_SD  # rad, of the force log's axes
 
 
 def even_push(push: PushProfile) -> PlannedPush:
@@ -324,10 +317,10 @@ def instruments(setup: Setup) -> RehearsalInstruments:
         shared=shared,
         shared_slope=np.zeros((len(prior), FUNCTIONS)),
         shared_covariance=np.diag(prior**2),
-        place_sd=0.0,  # what a push is off by stands in `PushUncertainty`
+        place_sd=0.0,  # what a push is off by stands in `RehearsalInstruments`
         direction_sd=0.0,
     )
-    return RehearsalInstruments(bench, PushUncertainty(load=_REVERSAL_SHARE * setup.sensor.reversal))
+    return RehearsalInstruments(bench, load=_REVERSAL_SHARE * setup.sensor.reversal)
 
 
 def clamp_sd(setup: Setup, own: float) -> float:
@@ -430,7 +423,7 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
 
 def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
     """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
-    bench, push, e = used.bench, used.push, _KNOWN_SHARE
+    bench, e = used.bench, _KNOWN_SHARE
     force = bench.force
     steady = replace(force.times(e), frame=force.frame)
     out = {
@@ -449,11 +442,9 @@ def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]
     if bench.clock_sd == 0.0:
         del out["clock"]
     return {name: replace(used, bench=better) for name, better in out.items()} | {
-        "force's bias and slow error": RehearsalInstruments(
-            replace(bench, force=steady), replace(push, load=e * push.load)
-        ),
-        "push's place": replace(used, push=replace(push, place=e * push.place)),
-        "force's axes": replace(used, push=replace(push, direction=e * push.direction)),
+        "force's bias and slow error": replace(used, bench=replace(bench, force=steady), load=e * used.load),
+        "push's place": replace(used, place=e * used.place),
+        "force's axes": replace(used, direction=e * used.direction),
     }
 
 
@@ -475,9 +466,9 @@ def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivative
 
 def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
     """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
-    bench, own = used.bench, used.push
+    bench = used.bench
     chosen = np.arange(len(bench.tags), dtype=np.int64)
-    sd = np.maximum([own.place, own.direction, own.load, own.load], _LEAST_SD)
+    sd = np.maximum([used.place, used.direction, used.load, used.load], _LEAST_SD)
     first, size = SPLINE.count, SPLINE.count + len(sd) + bench.shared_size
     last = np.arange(first, first + len(sd))
     order = np.concatenate([np.setdiff1d(np.arange(size), last), last])

@@ -14,7 +14,7 @@ from onebend.errors import RecordingError
 from onebend.lab.bench import FRANKA, PATCH_OVER_TAG, WRIST, ForceSensor, PushProfile, RealBench
 from onebend.lab.designs import Design, Kind, force_that_bends, random_stiffness
 from onebend.lab.filming import Filming
-from onebend.lab.rendering import Backdrop, Camera, Scene
+from onebend.lab.rendering import Backdrop, Camera, Scene, check_name
 from onebend.lab.virtual import DeclaredValues, VirtualBench, VirtualClock, VirtualTag
 from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
@@ -213,11 +213,9 @@ class FilmRequest:
 def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
     """The push that is asked for, with a peak that bends this beam as far. Raises `RecordingError`: a time, place or
     force that cannot be."""
-    push = PUSHES[check_name(request.push, PushName, "push")]
-    if not isnan(request.at_s):
-        push = replace(push, at_s=request.at_s)
-    if not isnan(request.direction):
-        push = replace(push, direction=request.direction)
+    asked = {"at_s": request.at_s, "direction": request.direction}
+    known = {name: value for name, value in asked.items() if not isnan(value)}
+    push = replace(PUSHES[check_name(request.push, PushName, "push")], **known)
     if not isnan(request.seconds):
         begin, end = push.contact
         share = request.seconds / (end - begin)
@@ -266,14 +264,6 @@ def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
         sensor_name=called,
         calibrated=request.calibrated,
     )
-
-
-def check_name(name: str, names: object, what: str) -> str:
-    """`name`, if it is one of them."""
-    known = get_args(names)
-    if name not in known:
-        raise RecordingError(f"there is no {what} {name!r}. Take one of {', '.join(known)}.")
-    return name
 
 
 PLACES = np.linspace(0.0, 1.0, 401)

@@ -7,7 +7,7 @@ import json
 import math
 import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from math import nan
@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 
 from onebend.beam.stiffness import half_width
 from onebend.errors import LearningError, MechanicsError, ObservationError
-from onebend.files.publish import write_summary
 from onebend.lab import forecast
+from onebend.lab.bench import turned
 from onebend.lab.virtual import (
     DeclaredValues,
     VirtualBench,
@@ -37,7 +37,6 @@ from onebend.learning.posterior import fit
 from onebend.learning.start import start_of
 from onebend.progress import Progress, Silent, interrupts_held, leave_interrupts_to_parent, one_blas_thread, track
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, Observations
-from onebend.report.pictures import Pictures
 from onebend.report.style import BLUE, FAINT, INK, MUTED, ORANGE, blank, styled
 from onebend.report.wording import direction_words
 from onebend.results.tables import write_csv
@@ -130,9 +129,7 @@ def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
 def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observations:
     virtual = virtual_recording(bench, seed=seed)
     turn = DIRECTION_SD * float(np.random.default_rng([seed, 32]).standard_normal())  # of the log's axes
-    cos, sin = np.cos(turn), np.sin(turn)
-    force = virtual.log.force @ np.array([[cos, sin], [-sin, cos]])
-    virtual = replace(virtual, log=replace(virtual.log, force=force))
+    virtual = replace(virtual, log=replace(virtual.log, force=turned(virtual.log.force, turn)))
     if math.isnan(setup.clock_sd):
         return observe_virtual(virtual)
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
@@ -341,8 +338,7 @@ def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
     _errors(error, rehearsal)
     for axes in (stiffness, error):
         _marks(axes, rehearsal)
-        axes.set_xlim(0.0, 1.0)
-        axes.set_ylim(bottom=0.0)
+        axes.set(xlim=(0.0, 1.0), ylim=(0.0, None))
     error.set_xlabel("place along the beam s  (squares: tags; triangles: pushes)")
     return figure
 
@@ -361,27 +357,25 @@ def _bands(axes: Axes, rehearsal: Rehearsal) -> None:
         axes.plot(PLACES, k * obtained, **style)  # type: ignore[arg-type]
     axes.plot(PLACES, k, color=INK, label="k(s), true")
     top = float(np.max((k * wide)[_best_known(p)]))
-    axes.set_ylim(0.0, 1.45 * max(top, min(float(np.max(k)), 1.3 * top)))
-    axes.set_ylabel("k [N m]")
+    axes.set(ylim=(0.0, 1.45 * max(top, min(float(np.max(k)), 1.3 * top))), ylabel="k [N m]")
     axes.set_title(f"{figure_text(rehearsal.setup.name)}: how well k(s) would come out")
     axes.legend(ncols=2, loc="upper left")
 
 
 def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
-    axes.plot(PLACES, _percent(MEDIAN * p.error), color=BLUE, label="median, predicted")
-    axes.plot(PLACES, _percent(NINETY * p.error), color=BLUE, linestyle=":", label="9 in 10 below, predicted")
-    known = _best_known(p)
-    highest = [float(np.max(_percent(NINETY * p.error)[known]))]
+    curves = [(MEDIAN * p.error, NINETY * p.error, BLUE, "median, predicted", "predicted")]
     if o is not None:
-        axes.plot(PLACES, _percent(o.median), color=ORANGE, label=f"median of {o.runs} fits")
-        axes.plot(PLACES, _percent(o.ninety), color=ORANGE, linestyle=":", label="9 in 10 below, of the fits")
-        highest.append(float(np.max(_percent(o.ninety)[known])))
+        curves.append((o.median, o.ninety, ORANGE, f"median of {o.runs} fits", "of the fits"))
+    for median, ninety, colour, name, whose in curves:
+        axes.plot(PLACES, _percent(median), color=colour, label=name)
+        axes.plot(PLACES, _percent(ninety), color=colour, linestyle=":", label=f"9 in 10 below, {whose}")
+    known = _best_known(p)
+    highest = [float(np.max(_percent(ninety)[known])) for _, ninety, *_ in curves]
     axes.fill_between(
         PLACES, 0.0, 2.0 * max(highest), where=~p.identified, color=FAINT, alpha=0.6, linewidth=0.0, step="mid"
     )
-    axes.set_ylim(0.0, 1.35 * max(highest))
-    axes.set_ylabel("error of k [%]")
+    axes.set(ylim=(0.0, 1.35 * max(highest)), ylabel="error of k [%]")
     axes.set_title("error along the beam" + ("" if np.all(p.identified) else " (grey: not identified)"))
     axes.legend(ncols=2, loc="upper left")
 
@@ -417,24 +411,15 @@ def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
     return {"format": REHEARSE_FORMAT, "written_by": written_by, **rehearsal.as_dict()}
 
 
-def writer_of(rehearsal: Rehearsal, pictures: Pictures, *, written_by: str) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        write_table(folder / "rehearsal.csv", rehearsal)
-        pictures.write(folder)
-        runs = [run.as_dict() for run in rehearsal.runs]
-        whole = {**summary_of(rehearsal, written_by=written_by), "runs": runs}
-        write_summary(folder, whole)
-
-    return write
-
-
-def write_table(path: Path, rehearsal: Rehearsal) -> None:
-    """A row a place; sizes are of log k, empty where nothing was simulated."""
+def write_table(folder: Path, rehearsal: Rehearsal) -> None:
+    """`rehearsal.csv`, a row a place; sizes are of log k, empty where nothing was simulated."""
     p, o = rehearsal.predicted, rehearsal.obtained
     columns = [PLACES, p.k, p.sd, MEDIAN * p.error, NINETY * p.error, p.identified]
     unknown = np.full(len(PLACES), np.nan)
     columns += [unknown] * 5 if o is None else [o.sd, o.median, o.ninety, o.identified, o.coverage]
-    write_csv(path, COLUMNS, ([_cell(value) for value in row] for row in zip(*columns, strict=True)))
+    write_csv(
+        folder / "rehearsal.csv", COLUMNS, ([_cell(value) for value in row] for row in zip(*columns, strict=True))
+    )
 
 
 def _cell(value: Any) -> str:

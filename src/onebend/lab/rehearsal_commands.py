@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,7 @@ from onebend.lab.rehearsal import (
     rehearse as make_rehearsal,
     setup_words,
     summary_of,
-    writer_of,
+    write_table,
 )
 from onebend.lab.sensed_force import FeltBy, felt_by
 from onebend.lab.study import StudyOutcome, StudySettings, printed_m3, quick_words, reproduce as run
@@ -45,7 +45,7 @@ from onebend.progress import available_cores
 from onebend.report.pictures import draw
 from onebend.report.sentences import say
 from onebend.report.wording import UNKNOWN, millimetres, significant, width_words
-from onebend.results.control_files import LOOP_FORMAT, loop_summary, loop_writer
+from onebend.results.control_files import loop_summary, write_loop
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
@@ -133,10 +133,8 @@ def loop(
         if output is not None:
             from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
 
-            with common.workplace(output, LOOP_FORMAT, overwrite) as place:
-                pictures = draw({"loop": lambda: looping(control, trials)})
-                inputs = inputs_of([model_file(model)])
-                common.put_in_place(place, loop_writer(trials, pictures, summary), pictures.failed, inputs=inputs)
+            tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
+            common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
     common.answer(
         as_json, summary, lambda console: show_loop(console, control, known, trials, output, rehearsed), output
     )
@@ -150,13 +148,13 @@ FEW = 12  # runs: with fewer, nine in ten mean little
 
 def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
     p, o = rehearsal.predicted, rehearsal.obtained
-    console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]", highlight=False)
-    console.print(say("would be known", quality=p.quality), highlight=False)
+    console.print(f"[bold]{escape(setup_words(rehearsal.setup))}[/]")
+    console.print(say("would be known", quality=p.quality))
     console.print(errors_table(rehearsal))
     if o is not None:
-        console.print(f"\n{obtained_words(o)}", highlight=False)
+        console.print(f"\n{obtained_words(o)}")
     elif rehearsal.runs:
-        console.print(f"\n[yellow]![/] Every fit failed: {escape(rehearsal.runs[0].failure)}", highlight=False)
+        console.print(f"\n[yellow]![/] Every fit failed: {escape(rehearsal.runs[0].failure)}")
     console.print()
     console.print(budget_table(rehearsal.budget))
     console.print()
@@ -282,29 +280,21 @@ def rehearse(
             tags=places_of(tags),
             known_to=known_to,
         )
-        work = partial(make_rehearsal, setup, runs=runs, seed=seed, jobs=jobs or available_cores(), count=count)
-        found = _carried_out(work, Path(design), output, overwrite=overwrite, quiet=quiet)
+        with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
+            inputs = () if place is None else inputs_of([Path(design)])
+            keep = None if place is None else place.work  # runs are kept there as they end
+            settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
+            found = make_rehearsal(setup, **settings, keep=keep, progress=progress)
+            if place is not None:
+                pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
+                whole = {**summary_of(found, written_by=BY), "runs": [run.as_dict() for run in found.runs]}
+                common.put_results(place, whole, partial(write_table, rehearsal=found), pictures, inputs=inputs)
     if as_json:
         common.print_json(summary_of(found, written_by=BY))
         return
     show_rehearsal(common.screen(), found)
     if output is not None:
         common.say(f"\nWrote {output}: rehearsal.png, rehearsal.csv, summary.json.")
-
-
-def _carried_out(
-    work: Callable[..., Rehearsal], source: Path, output: Path | None, *, overwrite: bool, quiet: bool
-) -> Rehearsal:
-    """The rehearsal; with an `output` its runs are kept there as they end, and its files are written there."""
-    if output is None:
-        with common.progress_of(quiet) as progress:
-            return work(progress=progress)
-    with common.workplace(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
-        inputs = inputs_of([source])
-        found = work(keep=place.work, progress=progress)
-        pictures = draw({"rehearsal": partial(rehearsal_figure, found)})
-        common.put_in_place(place, writer_of(found, pictures, written_by=BY), pictures.failed, inputs=inputs)
-    return found
 
 
 def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
@@ -359,11 +349,11 @@ def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> No
     below, known = study_report.below_printed(outcome)
     tasks = [done for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     reached = sum(done.found.converged for done in tasks)
-    console.print(f"\nThe fit is below the printed error in {below} of {known} validations.", highlight=False)
-    console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.", highlight=False)
+    console.print(f"\nThe fit is below the printed error in {below} of {known} validations.")
+    console.print(f"{reached} of {len(tasks)} manipulation tasks reached their goals.")
     if words := quick_words(outcome.setting):
-        console.print(words, highlight=False)
-    console.print(f"Wrote {output / 'report.html'}", highlight=False, markup=False)
+        console.print(words)
+    console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
 # Commands over many recordings: the paper's experiments made again, batches, populations.
@@ -396,6 +386,7 @@ def reproduce(
         found = run(place.work, setting, written_by=BY, processes=processes or 0, progress=progress)
         pictures = study_report.draw_figures(found, progress=progress)
         summary = study_report.summary_of(found, written_by=BY)
-        write = study_report.writer(found, pictures, summary, place.work, version=onebend.__version__)
-        common.put_in_place(place, write, pictures.failed, made_from=common.made_from_files((), {"study": setting}))
+        tables = partial(study_report.write_report, outcome=found, figures=pictures.drawn, version=onebend.__version__)
+        made_from = common.made_from_files((), {"study": setting})
+        common.put_results(place, summary, tables, pictures, figures="figures", made_from=made_from)
     common.answer(as_json, summary | {"output": str(output)}, lambda console: show_reproduced(console, found, output))

@@ -97,7 +97,21 @@ def coverage(loops: Array, box: PixelBox) -> Image:
 
 Colour = tuple[float, float, float]  # 0 to 1
 Backdrop = Literal["wood", "mat", "cloth", "plain"]
+BACKDROPS: dict[Backdrop, tuple[tuple[int, int], Colour, float]] = {  # grain [px], colour, how much it varies
+    "wood": ((3, 60), (0.55, 0.36, 0.19), 0.5),
+    "mat": ((14, 14), (0.22, 0.40, 0.30), 0.35),
+    "cloth": ((10, 10), (0.56, 0.57, 0.60), 0.35),
+    "plain": ((60, 60), (0.70, 0.70, 0.68), 0.03),
+}
 TO_YUV = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])  # BT.601
+
+
+def check_name(name: str, names: object, what: str) -> str:
+    """The name. Raises `RecordingError`: it is not one of the Literal's."""
+    known = get_args(names)
+    if name not in known:
+        raise RecordingError(f"there is no {what} {name!r}. Take one of {', '.join(known)}.")
+    return name
 
 
 @dataclass(frozen=True)
@@ -129,10 +143,7 @@ class Scene:
     crf: int = 20  # of H.264: 0 is lossless, 51 the worst
 
     def __post_init__(self) -> None:
-        if self.backdrop not in get_args(Backdrop):
-            raise RecordingError(
-                f"there is no backdrop {self.backdrop!r}. Take one of {', '.join(get_args(Backdrop))}."
-            )
+        check_name(self.backdrop, Backdrop, "backdrop")
         if (
             min(self.exposure, self.blur, self.noise, self.tool_width, self.print_dpi) < 0.0
             or not 0.0 <= self.falloff < 1.0
@@ -150,6 +161,13 @@ class Picture:
     u: Image
     v: Image
 
+    @property
+    def planes(self) -> tuple[Image, Image, Image]:
+        return self.y, self.u, self.v
+
+    def copy(self) -> Picture:
+        return Picture(*(plane.copy() for plane in self.planes))
+
 
 def yuv(colour: Colour) -> tuple[float, float, float]:
     """Brightness 0 to 1 and the two colour differences -0.5 to 0.5."""
@@ -160,13 +178,7 @@ def yuv(colour: Colour) -> tuple[float, float, float]:
 def backdrop(scene: Scene, view: View, shape: tuple[int, int], rng: np.random.Generator) -> Picture:
     """The table (H, W), as sharp as the lens shows it."""
     height, width = shape
-    grain = {"wood": (3, 60), "mat": (14, 14), "cloth": (10, 10), "plain": (60, 60)}[scene.backdrop]
-    base, swing = {
-        "wood": ((0.55, 0.36, 0.19), 0.5),
-        "mat": ((0.22, 0.40, 0.30), 0.35),
-        "cloth": ((0.56, 0.57, 0.60), 0.35),
-        "plain": ((0.70, 0.70, 0.68), 0.03),
-    }[scene.backdrop]
+    grain, base, swing = BACKDROPS[scene.backdrop]
     field = octaves(shape, grain, rng)
     y, u, v = yuv(base)
     bright = (y * (1.0 + swing * field)).astype(np.float32)
@@ -214,13 +226,8 @@ def spot(picture: Picture, centre: Array, radius: float, colour: Colour) -> None
     turn = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
     loop = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     height, width = picture.y.shape
-    paint(picture, loop[None], colour, width, height)
-
-
-def paint(picture: Picture, loops: Array, colour: Colour, width: int, height: int) -> None:
-    """Draw polygons (..., corners, 2) [px] over a whole picture, in place."""
-    box = box_around(loops, width, height)
-    blend(picture, coverage(loops, box), yuv(colour), box.slices, box.halved.slices)
+    box = box_around(loop, width, height)
+    blend(picture, coverage(loop[None], box), yuv(colour), box.slices, box.halved.slices)
 
 
 def blend(
@@ -529,13 +536,12 @@ def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.r
     seen = shifted(staged.table, middle.shift[1])
     under = Picture(seen.y[full], seen.u[half], seen.v[half])
     darken(under, middle, staged.view, scope)
-    mean = Picture(np.zeros_like(under.y), np.zeros_like(under.u), np.zeros_like(under.v))
+    mean = Picture(*map(np.zeros_like, under.planes))
     for moment in moments:
-        now = Picture(under.y.copy(), under.u.copy(), under.v.copy())
+        now = under.copy()
         draw(now, moment, staged.view, scope)
-        mean.y[:] += now.y
-        mean.u[:] += now.u
-        mean.v[:] += now.v
+        for total, plane in zip(mean.planes, now.planes, strict=True):
+            total += plane
     share = np.float32(1.0 / len(moments))
     rows, columns = (slice(BLURRED, side - BLURRED) for side in scope.shape)
     under.y[rows, columns] = gaussian_filter(mean.y * share, staged.scene.blur, truncate=3.5)[rows, columns]
@@ -546,12 +552,12 @@ def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.r
 def shifted(table: Picture, by: Array) -> Picture:
     """A copy of a picture, moved by (2,) px to the right and down."""
     if not np.any(by):
-        return Picture(table.y.copy(), table.u.copy(), table.v.copy())
-    y, u, v = (
+        return table.copy()
+    moved = (
         shift(plane, share * by[::-1], order=1, mode="nearest", prefilter=False)
-        for plane, share in ((table.y, 1.0), (table.u, 0.5), (table.v, 0.5))
+        for plane, share in zip(table.planes, (1.0, 0.5, 0.5), strict=True)
     )
-    return Picture(y, u, v)
+    return Picture(*moved)
 
 
 def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> YuvFrame:

@@ -14,7 +14,7 @@ from onebend.control.loop import Controller, Exposure, ForceSense, LoggedForce
 from onebend.control.loop_simulation import along
 from onebend.errors import ControlError
 from onebend.lab.bench import PushProfile, TagNoise, filmed
-from onebend.lab.virtual import VirtualBench, VirtualTag, from_base, tag_places, tag_poses_on
+from onebend.lab.virtual import VirtualBench, VirtualTag, from_base, markers_of, tag_places, tag_poses_on
 from onebend.learning.instruments import Instruments
 from onebend.learning.sensing.sense import LiveForce, OnlineSense
 from onebend.recording.beam_frame import beam_turn, rest_shape, to_beam_frame, turned
@@ -128,16 +128,7 @@ class SensedForce:
         """Detected tags on a beam whose poses at their places are `beam` (T, m, 3)."""
         pose = from_base(tag_poses_on(self._bench, beam[..., :2], beam[..., 2]), self._seen.base)
         poses, covariance = filmed(self._seen.noise, pose, _STEP, self._rng)
-        return Markers(
-            time=time,
-            tag_id=np.array([tag.id for tag in self._seen.tags], dtype=np.int64),
-            s=np.array([tag.s for tag in self._seen.tags]),
-            xy=poses[..., :2],
-            angle=poses[..., 2],
-            covariance=covariance,
-            base_angle=np.zeros(len(time)),
-            view=None,
-        )
+        return markers_of(self._seen.tags, time, poses, covariance)
 
 
 def _at_rest(shown: Markers, length: float, seen: SensedTags, push_s: float) -> Observations:

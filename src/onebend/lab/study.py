@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from math import degrees, radians
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, TypeVar, get_args
+from typing import Literal, TypeVar
 
 import numpy as np
 from scipy.integrate import solve_bvp
@@ -23,6 +23,7 @@ from onebend.lab.bench import FRANKA, ForceSensor
 from onebend.lab.designs import DESIGNS, Design, force_that_bends
 from onebend.lab.filming import Filming, film
 from onebend.lab.random_bench import FilmRequest, PushName, filming_of
+from onebend.lab.rendering import check_name
 from onebend.lab.virtual import observe_virtual, virtual_recording
 from onebend.learning.fit_data import at_rest
 from onebend.learning.instruments import instruments_of
@@ -96,8 +97,7 @@ class StudySettings:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise RecordingError(f"a seed is a whole number of at least 0, got {self.seed}")
-        if self.sensor not in get_args(SensorKind):
-            raise RecordingError(f"there is no sensor {self.sensor!r}. Take one of {', '.join(get_args(SensorKind))}.")
+        check_name(self.sensor, SensorKind, "sensor")
 
     @property
     def fps(self) -> float:
@@ -320,7 +320,26 @@ def learn_beam(job: LearnJob) -> LearnJob:
         observations = load_observations(job.training)
         job.folder.mkdir(parents=True, exist_ok=True)
         trials, chosen, paper = by_paper(observations)
-        _save(job, observations, trials, chosen, paper, by_fit(observations))
+        posterior = by_fit(observations)
+        if paper is not None:
+            save_model(job.folder / PAPER_FILE, paper, written_by=job.written_by)
+        save_model(
+            job.folder / FIT_FILE,
+            posterior.beam,
+            written_by=job.written_by,
+            origin=origin_of(None, posterior, (validate(posterior.beam, observations),)),
+            uncertain=posterior.stiffness,
+            bench=instruments_of(posterior),
+        )
+        facts = {
+            "trials": [to_data(trial) for trial in trials],
+            "chosen": chosen,
+            "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
+            "remarks": [f"{remark.level}: {remark.text}" for remark in worded(fit_notices(posterior))],
+        }
+        unfinished = job.folder / "facts.tmp"
+        unfinished.write_text(json.dumps(facts, indent=1), encoding="utf-8")  # NaN and infinity as Python writes them
+        unfinished.replace(job.folder / FACTS_FILE)
     return job
 
 
@@ -343,35 +362,6 @@ def by_fit(observations: Observations) -> Posterior:
     except LearningError:
         start = None
     return fit([observations], start_of([observations], start), gain_sd=observations.stated.gain_sd)
-
-
-def _save(
-    job: LearnJob,
-    observations: Observations,
-    trials: tuple[Trial, ...],
-    chosen: int | None,
-    paper: Beam | None,
-    posterior: Posterior,
-) -> None:
-    if paper is not None:
-        save_model(job.folder / PAPER_FILE, paper, written_by=job.written_by)
-    save_model(
-        job.folder / FIT_FILE,
-        posterior.beam,
-        written_by=job.written_by,
-        origin=origin_of(None, posterior, (validate(posterior.beam, observations),)),
-        uncertain=posterior.stiffness,
-        bench=instruments_of(posterior),
-    )
-    facts = {
-        "trials": [to_data(trial) for trial in trials],
-        "chosen": chosen,
-        "fitted_rms_m": fitted_rms(posterior)[0].tolist(),
-        "remarks": [f"{remark.level}: {remark.text}" for remark in worded(fit_notices(posterior))],
-    }
-    unfinished = job.folder / "facts.tmp"
-    unfinished.write_text(json.dumps(facts, indent=1), encoding="utf-8")  # NaN and infinity as Python writes them
-    unfinished.replace(job.folder / FACTS_FILE)
 
 
 def load_learned(folder: Path) -> LearnedBeam:
@@ -469,6 +459,10 @@ def true_place(beam: Beam, force: Array, s: float) -> Array:
     `MechanicsError`: the solver finds no shape.
     """
     length = beam.length
+
+    def ends(clamp: Array, free: Array) -> Array:
+        return np.array([clamp[0], free[1], clamp[2], clamp[3]])
+
     t, guess = np.linspace(0.0, 1.0, 101), np.zeros((4, 101))
     guess[2] = length * s * t
     for share in SHARES:
@@ -480,15 +474,11 @@ def true_place(beam: Beam, force: Array, s: float) -> Array:
             bend = moment / np.asarray(beam.stiffness(s * t))
             return np.asarray(s * np.stack([bend, pull, length * np.cos(alpha), length * np.sin(alpha)]))
 
-        solved = solve_bvp(slopes, _ends, t, guess, tol=1e-8, max_nodes=20000)
+        solved = solve_bvp(slopes, ends, t, guess, tol=1e-8, max_nodes=20000)
         if solved.status != 0:
             raise MechanicsError(f"the true beam has no shape under {np.hypot(*now):.3g} N: {solved.message}")
         t, guess = solved.x, solved.y
     return np.asarray(guess[2:, -1])
-
-
-def _ends(clamp: Array, free: Array) -> Array:
-    return np.array([clamp[0], free[1], clamp[2], clamp[3]])
 
 
 # All results of a study, gathered from its files; tables, figures and page are made from them.
@@ -545,25 +535,6 @@ class StudyOutcome:
 
 
 @one_blas_thread
-def gather(
-    work: Path,
-    setting: StudySettings,
-    films: list[FilmJob],
-    learned: dict[str, LearnJob],
-    *,
-    progress: Progress = Silent(),
-) -> StudyOutcome:
-    """Compare the beams with all recordings, solve the tasks, and collect the results."""
-    gain = gain_of(setting)
-    beams = track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
-    return StudyOutcome(
-        work,
-        setting,
-        gain,
-        tuple(beam_outcome(name, gain, films, load_learned(learned[name].folder)) for name in beams),
-    )
-
-
 def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
     """One beam: its films compared, its tasks done."""
     design = DESIGNS[name]
@@ -582,11 +553,6 @@ def _validated(job: FilmJob, learned: LearnedBeam, true: Beam) -> ValidatedFilm:
         fit=validate(learned.fit, observations),
         true=validate(true, observations),
     )
-
-
-def rms_or_nan(comparison: Comparison | None, count: int = 3) -> Array:
-    """(m,) m; NaN where there was no beam to compare."""
-    return np.full(count, np.nan) if comparison is None else comparison.rms
 
 
 SETTING_FILE, LEARNED = "setting.json", "learned"
@@ -620,7 +586,9 @@ def reproduce(
         if job.strategy.name == training
     }
     run_jobs(learn_beam, [wanted[name] for name in BEAMS], count, "learning from the training push", progress)
-    return gather(work, setting, films, wanted, progress=progress)
+    gain, names = gain_of(setting), track(progress, "comparing and manipulating", BEAMS, len(BEAMS))
+    beams = [beam_outcome(name, gain, films, load_learned(wanted[name].folder)) for name in names]
+    return StudyOutcome(work, setting, gain, tuple(beams))
 
 
 def claim(work: Path, setting: StudySettings) -> None:

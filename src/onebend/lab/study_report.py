@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import atan2, degrees, nan
@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from onebend.files.publish import write_summary
 from onebend.files.single_file import link_tree
 from onebend.lab import study
 from onebend.progress import Progress, Silent
@@ -42,9 +41,7 @@ class ResultTable:
     rows: tuple[tuple[Cell, ...], ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; what is not known is null."""
-        rows = [dict(zip(self.columns, map(_or_none, row), strict=True)) for row in self.rows]
-        return {"title": self.title, "rows": rows}
+        return {"title": self.title, "rows": [dict(zip(self.columns, row, strict=True)) for row in self.rows]}
 
 
 def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
@@ -99,7 +96,8 @@ def validation_table(beam: study.BeamOutcome) -> ResultTable:
 
 
 def _three(film: study.ValidatedFilm) -> tuple[float, ...]:
-    return tuple(float(v) for each in (film.paper, film.fit, film.true) for v in study.rms_or_nan(each))
+    columns = ((nan,) * 3 if each is None else each.rms for each in (film.paper, film.fit, film.true))
+    return tuple(float(value) for column in columns for value in column)
 
 
 def training_table(outcome: study.StudyOutcome) -> ResultTable:
@@ -116,24 +114,22 @@ def training_table(outcome: study.StudyOutcome) -> ResultTable:
 
 def manipulation_table(outcome: study.StudyOutcome) -> ResultTable:
     """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
-    rows: list[tuple[Cell, ...]] = []
-    for beam in outcome.beams:
-        for done in beam.tasks:
-            force = done.found.force
-            rows.append(
-                (
-                    beam.name,
-                    f"{done.task.name}, s = {done.task.s:g}",
-                    study.WAYS[done.way],
-                    *map(float, done.goal),
-                    float(np.hypot(*force)),
-                    degrees(atan2(force[1], force[0])),
-                    done.found.iterations,
-                    done.found.error,
-                    done.off,
-                    "" if done.found.converged else done.found.reason,
-                )
-            )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            beam.name,
+            f"{done.task.name}, s = {done.task.s:g}",
+            study.WAYS[done.way],
+            *map(float, done.goal),
+            float(np.hypot(*done.found.force)),
+            degrees(atan2(done.found.force[1], done.found.force[0])),
+            done.found.iterations,
+            done.found.error,
+            done.off,
+            "" if done.found.converged else done.found.reason,
+        )
+        for beam in outcome.beams
+        for done in beam.tasks
+    ]
     columns = ("beam", "point", "way", "goal_x_m", "goal_y_m", "force_N", "force_deg", "iterations", "model_error_m")
     return ResultTable(
         "manipulation", "The six manipulation tasks", (*columns, "true_error_m", "not_reached_because"), tuple(rows)
@@ -185,10 +181,6 @@ def write_table(path: Path, table: ResultTable) -> None:
 
 def _text(cell: Cell) -> str:
     return f"{cell:.9g}" if isinstance(cell, float) else str(cell)
-
-
-def _or_none(cell: Cell) -> Cell | None:
-    return None if isinstance(cell, float) and not np.isfinite(cell) else cell
 
 
 def below_printed(outcome: study.StudyOutcome) -> tuple[int, int]:
@@ -313,6 +305,12 @@ def training(outcome: study.StudyOutcome) -> Figure:
     return figure
 
 
+def _with_legend(figure: Figure) -> Figure:
+    """The figure, with the legend of its first panel below."""
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
 @styled
 def stiffness(outcome: study.StudyOutcome) -> Figure:
     """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
@@ -328,9 +326,7 @@ def stiffness(outcome: study.StudyOutcome) -> Figure:
         panel.plot(study.S, true, color=INK, linewidth=1.3, label="true")
         panel.set(ylim=(0.0, 1.6 * float(true.max())), xlabel="s", title=f"{beam.name} beam")
     axes[0].set_ylabel("k(s) [N m], on the scale of the log")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+    return _with_legend(figure)
 
 
 def ranked(outcome: study.StudyOutcome) -> tuple[tuple[str, study.BeamOutcome, study.ValidatedFilm], ...]:
@@ -350,9 +346,7 @@ def three_validations(outcome: study.StudyOutcome) -> Figure:
         title = f"{word}: {one.name}, {film.strategy.name}\n{MM * film.fit.rms[-1]:.1f} mm at M3"
         panel.set(aspect="equal", xlabel="x [mm]", title=title)
     axes[0].set_ylabel("y [mm]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+    return _with_legend(figure)
 
 
 def _shape(panel: Axes, one: study.BeamOutcome, film: study.ValidatedFilm, t: int) -> None:
@@ -376,9 +370,7 @@ def manipulations(outcome: study.StudyOutcome) -> Figure:
         draw_reach(panel, done.found, None)
         panel.plot(*(MM * done.landed), "+", color=GREEN, markersize=11, markeredgewidth=2, zorder=9, label="true beam")
         panel.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    return figure
+    return _with_legend(figure)
 
 
 # `report.html` of a run: one page that carries everything in itself.
@@ -479,13 +471,16 @@ def shown(table: ResultTable) -> dict[str, Any]:
             groups[-1]["wide"] += 1
         else:
             groups.append({"name": group, "wide": 1})
-    heads = [{"name": _head(name, said=alike), "text": _is_text(table, i)} for i, name in enumerate(table.columns)]
+    heads = [
+        {"name": _head(name, said=alike), "text": any(isinstance(row[i], str) for row in table.rows)}
+        for i, name in enumerate(table.columns)
+    ]
     rows = [
         {
-            "cells": [_cell(name, cell) for name, cell in zip(table.columns, row, strict=True)],
-            "chosen": "ours" in str(dict(zip(table.columns, row, strict=True)).get("chosen_by", "")),
+            "cells": [_cell(name, cell) for name, cell in row.items()],
+            "chosen": "ours" in str(row.get("chosen_by", "")),
         }
-        for row in table.rows
+        for row in (dict(zip(table.columns, cells, strict=True)) for cells in table.rows)
     ]
     return {
         "title": table.title,
@@ -508,10 +503,6 @@ def _head(column: str, *, said: bool) -> str:
     if not _group(column):
         return column
     return column.split("_")[1] + ("" if said else " [mm]")
-
-
-def _is_text(table: ResultTable, i: int) -> bool:
-    return any(isinstance(row[i], str) for row in table.rows)
 
 
 def _cell(column: str, cell: Cell) -> str:
@@ -544,19 +535,12 @@ def summary_of(outcome: study.StudyOutcome, *, written_by: str) -> dict[str, Any
     }
 
 
-def writer(
-    outcome: study.StudyOutcome, pictures: Pictures, summary: Mapping[str, Any], work: Path, *, version: str
-) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        (folder / "report.html").write_text(page(outcome, pictures.drawn, version=version), encoding="utf-8")
-        for name in ("tables", "figures"):
-            (folder / name).mkdir()
-        for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
-            write_table(folder / "tables" / f"{table.key}.csv", table)
-        pictures.write(folder / "figures")
-        for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
-            if (work / name).exists():
-                link_tree(work / name, folder / name)
-        write_summary(folder, summary)
-
-    return write
+def write_report(folder: Path, outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> None:
+    """Page, tables, recordings and learned beams. `figures`: PNGs by name."""
+    (folder / "report.html").write_text(page(outcome, figures, version=version), encoding="utf-8")
+    (folder / "tables").mkdir()
+    for table in (*all_tables(outcome), *map(stiffness_curves, outcome.beams)):
+        write_table(folder / "tables" / f"{table.key}.csv", table)
+    for name in (study.RECORDINGS, study.OBSERVED, study.LEARNED):
+        if (outcome.work / name).exists():
+            link_tree(outcome.work / name, folder / name)

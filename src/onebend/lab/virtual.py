@@ -6,6 +6,7 @@ steps after that are those of a real recording.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isnan, nan
 from pathlib import Path
@@ -25,6 +26,7 @@ from onebend.lab.bench import (
     instant_stiffness,
     log_of,
     posture_bias,
+    turned,
 )
 from onebend.lab.designs import RESOLUTION
 from onebend.lab.rod import STEP, RodMotion, RodTask, march, stretched
@@ -144,19 +146,24 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
         seen = motion.poses(time, np.clip(tag_places(bench), 0.0, 1.0))
         pose = tag_poses_on(bench, seen[..., :2], seen[..., 2])
     poses, covariance = filmed(bench.camera, from_base(pose, bench.base), 1.0 / bench.fps, camera_rng)
-    markers = Markers(
+    markers = markers_of(bench.tags, time, poses, covariance)
+    dense = np.arange(-LOG_BEFORE, bench.push.duration + LOG_BEFORE, DENSE)
+    log = log_of(bench.sensor, dense, sensed(bench, dense, motion), sensor_rng, offset=bench.clock.offset)
+    return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose, motion)
+
+
+def markers_of(tags: Sequence[VirtualTag], time: Array, poses: Array, covariance: Array) -> Markers:
+    """Detected tags: poses (T, m, 3) [m, m, rad] as seen from the base tag, and their covariance (T, m, 3, 3)."""
+    return Markers(
         time=time,
-        tag_id=np.array([tag.id for tag in bench.tags], dtype=np.int64),
-        s=np.array([tag.s for tag in bench.tags]),
+        tag_id=np.array([tag.id for tag in tags], dtype=np.int64),
+        s=np.array([tag.s for tag in tags]),
         xy=poses[..., :2],
         angle=poses[..., 2],
         covariance=covariance,
         base_angle=np.zeros(len(time)),
         view=None,
     )
-    dense = np.arange(-LOG_BEFORE, bench.push.duration + LOG_BEFORE, DENSE)
-    log = log_of(bench.sensor, dense, sensed(bench, dense, motion), sensor_rng, offset=bench.clock.offset)
-    return VirtualRecording(bench, declared_recording(bench), markers, log, force, pose, motion)
 
 
 def motion_of(
@@ -230,10 +237,7 @@ def tag_poses_on(bench: VirtualBench, xy: Array, angle: Array) -> Array:
 def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
     """Poses (T, m, 3) as seen from the base tag."""
     x, y, turn = base
-    cos, sin = np.cos(turn), np.sin(turn)
-    away = pose[..., :2] - np.array([x, y])
-    back = away @ np.array([[cos, -sin], [sin, cos]])
-    return np.concatenate([back, pose[..., 2:] - turn], axis=-1)
+    return np.concatenate([turned(pose[..., :2] - np.array([x, y]), -turn), pose[..., 2:] - turn], axis=-1)
 
 
 def declared_recording(bench: VirtualBench) -> Recording:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -197,7 +198,7 @@ def run_batch(
         _take(target)
         settings = tasks.TaskSettings(target, version("onebend"), folders)
         with tasks.cluster(scheduler, workers, processes=processes) as client:
-            began(tasks.dashboard_of(client))
+            began(str(client.dashboard_link or "") if find_spec("bokeh") else "")
             results = _all(client, items, settings, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
             left.unlink(missing_ok=True)  # begun by workers that were lost

@@ -1,8 +1,10 @@
-"""Commands over many recordings: the paper's experiments made again, batches, populations."""
+"""Commands over many recordings: the paper's experiments made again, batches, population_report."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +16,7 @@ from rich.table import Table
 import onebend
 from onebend.cli import BY, common
 from onebend.errors import ResultsError
-from onebend.many import batch as batches, population_report, population_report as populations
+from onebend.many import batch as batches, population_report
 from onebend.many.batch import BatchOutcome, run_batch
 from onebend.many.population import TABLES, read_batch, read_tolerance
 from onebend.report.wording import significant
@@ -34,16 +36,20 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
     if doubted:
         console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
     for title, rows in (("not learned", outcome.failed), ("unlike the others", outcome.outliers)):
-        if not rows:
-            continue
-        table = Table("recording", "why", title=f"{title}: {len(rows)}", title_justify="left")
-        for item, why in rows[:MOST_ROWS]:
-            table.add_row(one_line(item.name), one_line(why))
-        console.print(table)
+        _show_reasons(console, "recording", title, [(item.name, why) for item, why in rows])
     console.print(
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
     )
+
+
+def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[str, str]]) -> None:
+    """The first rows of names and reasons; nothing where there is none."""
+    if rows:
+        table = Table(head, "why", title=f"{title}: {len(rows)}", title_justify="left")
+        for row in rows[:MOST_ROWS]:
+            table.add_row(*map(one_line, row))
+        console.print(table)
 
 
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
@@ -62,12 +68,8 @@ def show_population(console: Console, outcome: population_report.PopulationOutco
         if np.isfinite(numbers[0]):
             console.print(f"{what}: {value} (95 %: {low} to {high})", markup=False)
     rows = [(name, why) for name, why in zip(named.objects, outcome.outliers, strict=True) if why]
-    for title, shown in (("unlike the others", rows), ("left out", named.left_out)):
-        if shown:
-            listed = Table("name", "why", title=f"{title}: {len(shown)}", title_justify="left")
-            for name, why in shown[:MOST_ROWS]:
-                listed.add_row(one_line(name), one_line(why))
-            console.print(listed)
+    _show_reasons(console, "name", "unlike the others", rows)
+    _show_reasons(console, "name", "left out", named.left_out)
     if words := population_report.judged_words(outcome):
         console.print(words, markup=False)
     console.print(f"Wrote {output / 'report.html'}", markup=False)
@@ -140,14 +142,17 @@ def population(
     """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
     with (
         common.clean_errors(),
-        common.workplace(output, populations.POPULATION_FORMAT, overwrite) as place,
+        common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,
         common.progress_of(quiet) as progress,
     ):
         setting = replace(setting, tolerance=None if tolerance is None else read_tolerance(tolerance))
         inputs = inputs_of([*(results / f"{name}.parquet" for name in TABLES), *filter(None, [tolerance])])
         found = population_report.population(read_batch(results, setting.by, setting.same), setting)
         pictures = population_report.draw_figures(found, progress=progress)
-        summary = populations.summary_of(found, written_by=BY)
-        write = populations.writer(found, pictures, summary, name=results.resolve().name, version=onebend.__version__)
-        common.put_in_place(place, write, pictures.failed, inputs=inputs)
+        summary = population_report.summary_of(found, written_by=BY)
+        name, version = results.resolve().name, onebend.__version__
+        tables = partial(
+            population_report.write_report, outcome=found, figures=pictures.drawn, name=name, version=version
+        )
+        common.put_results(place, summary, tables, pictures, figures=None, inputs=inputs)
     common.answer(as_json, summary | {"output": str(output)}, lambda console: show_population(console, found, output))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from itertools import combinations
@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from onebend.errors import ResultsError
-from onebend.files.publish import write_summary
 from onebend.files.single_file import as_csv, as_parquet
 from onebend.many import population as model
 from onebend.options import option
@@ -244,15 +244,18 @@ def means(outcome: PopulationOutcome) -> Figure:
     figure, (axes,) = blank(3.8)
     s, count = outcome.named.trial.s, min(len(outcome.named.groups), MOST)
     for i in range(count):
-        low, mean, high = (np.exp(one[i]) for one in (outcome.means.low, outcome.means.mean, outcome.means.high))
-        axes.fill_between(s, low, high, color=hue_of(i, count), alpha=0.2, linewidth=0)
-        axes.plot(s, mean, color=hue_of(i, count), label=figure_text(outcome.named.groups[i] or "all"))
+        _banded(axes, s, outcome.means, i, color=hue_of(i, count), label=outcome.named.groups[i] or "all")
     if (band := outcome.setting.tolerance) is not None:
         for edge in (band.low, band.high):
             axes.plot(band.s, edge, color=INK, linestyle="--", linewidth=1.2)
     axes.set(xlabel="s", ylabel="k(s) [N m]", yscale="log")
     axes.legend(ncols=4)
     return figure
+
+
+def _banded(axes: Axes, s: Array, curves: model.Curves, i: int, *, color: str, label: str) -> None:
+    axes.fill_between(s, np.exp(curves.low[i]), np.exp(curves.high[i]), color=color, alpha=0.2, linewidth=0)
+    axes.plot(s, np.exp(curves.mean[i]), color=color, label=figure_text(label))
 
 
 @styled
@@ -280,10 +283,8 @@ def ratios(outcome: PopulationOutcome) -> Figure:
     figure, (axes,) = blank(3.4)
     s, shown = outcome.named.trial.s, outcome.pairs[:6]
     for i, (one, other) in enumerate(shown):
-        low, mean, high = (np.exp(x[i]) for x in (outcome.ratios.low, outcome.ratios.mean, outcome.ratios.high))
-        axes.fill_between(s, low, high, color=hue_of(i), alpha=0.2, linewidth=0)
         name = f"{outcome.named.groups[one]} / {outcome.named.groups[other]}"
-        axes.plot(s, mean, color=hue_of(i), label=figure_text(name))
+        _banded(axes, s, outcome.ratios, i, color=hue_of(i), label=name)
     axes.axhline(1.0, color=INK, linewidth=1.0)
     axes.set(xlabel="s", ylabel="ratio of k(s)", yscale="log")
     axes.legend(ncols=3)
@@ -441,14 +442,11 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
     }
 
 
-def writer(
-    outcome: PopulationOutcome, pictures: Pictures, summary: Mapping[str, Any], *, name: str, version: str
-) -> Callable[[Path], None]:
-    def write(folder: Path) -> None:
-        for key, table in tables(outcome).items():
-            (folder / f"{key}.parquet").write_bytes(as_parquet(table))
-            (folder / f"{key}.csv").write_bytes(as_csv(table))
-        (folder / "report.html").write_text(page(outcome, pictures.drawn, name=name, version=version), encoding="utf-8")
-        write_summary(folder, summary)
-
-    return write
+def write_report(
+    folder: Path, outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str
+) -> None:
+    """Tables and page. `figures`: PNGs by name."""
+    for key, table in tables(outcome).items():
+        (folder / f"{key}.parquet").write_bytes(as_parquet(table))
+        (folder / f"{key}.csv").write_bytes(as_csv(table))
+    (folder / "report.html").write_text(page(outcome, figures, name=name, version=version), encoding="utf-8")

@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
-from importlib.util import find_spec
 from logging import getLogger
 from pathlib import Path
 from typing import Any
@@ -420,11 +419,6 @@ def _prepared(library: Any) -> Any:
             getLogger("distributed").setLevel("CRITICAL")
 
     return Prepared()
-
-
-def dashboard_of(client: Any) -> str:
-    """The link of the cluster's page; empty where it has none."""
-    return str(client.dashboard_link or "") if find_spec("bokeh") else ""
 
 
 def here(item: Item, settings: TaskSettings) -> ItemResult:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
@@ -67,9 +69,14 @@ def _reach_arrow(axes: Axes, result: Reach, at: Array) -> None:
     if size == 0.0:
         return
     head = at + MM * ARROW * result.beam.length * result.force / size
-    axes.annotate("", tuple(head), tuple(at), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
-    axes.plot(*head, alpha=0.0)  # so that the arrow is inside the picture
+    _arrow(axes, at, head, far=head)
     axes.plot([], [], color=ORANGE, label="force")
+
+
+def _arrow(axes: Axes, tail: Array, head: Array, *, far: Array) -> None:
+    """An arrow in mm. The end that is `far` from the beam is inside the picture too."""
+    axes.annotate("", tuple(head), tuple(tail), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
+    axes.plot(*far, alpha=0.0)
 
 
 def draw_reachable(axes: Axes, within: ReachableSet) -> None:
@@ -108,7 +115,9 @@ def shaping(beam: Beam, result: ShapeResult) -> Figure:
     _targets(axes, result, beam.length)
     largest = max(float(np.max(np.hypot(*result.forces.T), initial=0.0)), 1e-300)
     for pusher, force in zip(result.state.actuators.pushes, result.forces, strict=True):
-        _force_arrow(axes, result.xy(pusher.at_s)[0], ARROW * beam.length * force / largest)
+        at = result.xy(pusher.at_s)[0]
+        tail = MM * (at - ARROW * beam.length * force / largest)
+        _arrow(axes, tail, MM * at, far=tail)
         axes.plot([], [], color=ORANGE, label=f"{significant(float(np.hypot(*force)))} N at s = {pusher.at_s:.3g}")
     if result.wrench is not None:
         _jaw(axes, result.pose, beam.length)
@@ -183,13 +192,6 @@ def _targets(axes: Axes, result: ShapeResult, length: float) -> None:
         axes.plot(*ends.T, color=ORANGE, lw=1.4, zorder=6, label=label)
 
 
-def _force_arrow(axes: Axes, at: Array, force: Array) -> None:
-    tail = MM * (at - force)
-    style = {"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}
-    axes.annotate("", tuple(MM * at), tuple(tail), arrowprops=style, zorder=7)
-    axes.plot(*tail, alpha=0.0)  # so that the arrow is inside the picture
-
-
 def _jaw(axes: Axes, pose: Array, length: float) -> None:
     across = TICK * length * np.array([-np.sin(pose[2]), np.cos(pose[2])])
     axes.plot(*(MM * np.stack([pose[:2] - across, pose[:2] + across]).T), color=ORANGE, lw=5, zorder=4)
@@ -213,7 +215,8 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
         away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash)
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
-    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at {_place(control)} mm")
+    x, y = MM * control.goal
+    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at ({x:.4g}, {y:.4g}) mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
@@ -227,11 +230,6 @@ def _said(axes: Axes, height: float, text: str) -> None:
     axes.text(0.01, 1.03 * height, text, fontsize=8, color=MUTED, va="bottom", transform=axes.get_yaxis_transform())
 
 
-def _place(control: Controller) -> str:
-    x, y = MM * control.goal
-    return f"({x:.4g}, {y:.4g})"
-
-
 _FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
 _BEYOND = 1.6  # of the largest force: the axes show no more of a band
@@ -243,7 +241,8 @@ def sensing(found: Sensed) -> Figure:
     more = int(found.moment is not None)
     figure, (x, y, *others, place, misfit) = blank(8.0 + 1.6 * more, 4 + more, 1, sharex=True)
     if found.moment is not None:
-        _band(others[0], found.time, found.moment.moment, found.moment.sd, "moment [N m]")
+        _band(others[0], found.time, found.moment.moment, found.moment.sd, ORANGE)
+        others[0].set_ylabel("moment [N m]")
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
     x.set_title("Force from the shape, 95 % bands", loc="left")
@@ -266,10 +265,10 @@ def sensing(found: Sensed) -> Figure:
     return figure
 
 
-def _band(axes: Axes, time: Array, middle: Array, sd: Array, name: str) -> None:
-    axes.fill_between(time, middle - WIDE * sd, middle + WIDE * sd, color=ORANGE, alpha=0.25, lw=0.0)
-    axes.plot(time, middle, color=ORANGE)
-    axes.set_ylabel(name)
+def _band(axes: Axes, time: Array, middle: Array, sd: Array, colour: str, alpha: float = 0.25, **line: Any) -> None:
+    """The middle with its 95 % band. `line`: of the middle alone."""
+    axes.fill_between(time, middle - WIDE * sd, middle + WIDE * sd, color=colour, alpha=alpha, lw=0.0)
+    axes.plot(time, middle, color=colour, **line)
 
 
 def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> None:
@@ -280,13 +279,10 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
         axes.fill_between(
             found.time, 0.0, 1.0, where=weak, transform=across, label=shaded, color=FAINT, alpha=0.7, lw=0.0
         )
-    axes.fill_between(found.time, middle - WIDE * sd, middle + WIDE * sd, color=colour, alpha=0.25, lw=0.0)
-    axes.plot(found.time, middle, color=colour, label="from the shape")
+    _band(axes, found.time, middle, sd, colour, label="from the shape")
     if found.smoothed is not None:
         smooth, spread = found.smoothed.force[:, c], np.sqrt(found.smoothed.covariance[:, c, c])
-        low, high = smooth - WIDE * spread, smooth + WIDE * spread
-        axes.fill_between(found.time, low, high, color=ORANGE, alpha=0.35, lw=0.0)
-        axes.plot(found.time, smooth, color=ORANGE, lw=1.0, label="smoothed")
+        _band(axes, found.time, smooth, spread, ORANGE, 0.35, lw=1.0, label="smoothed")
     axes.plot(found.time, found.logged[:, c], "--", color=INK, lw=1.0, label="log")
     axes.set_ylabel(f"force along {name} [N]")
     size = np.linalg.norm(found.force[found.touched], axis=1)

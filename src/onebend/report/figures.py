@@ -447,18 +447,14 @@ def force(observations: Observations, fitted: Explained | None = None) -> Figure
             axes.plot(*_unbroken(there.time - start, there.force[:, axis]), color=tint, linewidth=1.2,
                       **_DASHED, alpha=0.9, label=f"F{name} as fitted")  # fmt: skip
     axes.axhline(0, color=MUTED, linewidth=0.8)
-    for first, last in _flagged_spans(observations.time - start, observations.loaded):
-        axes.axvspan(first, last, color=ORANGE, alpha=0.08, linewidth=0)
+    for first, end in runs(observations.loaded):
+        axes.axvspan(*(observations.time[[first, end - 1]] - start), color=ORANGE, alpha=0.08, linewidth=0)
     axes.axvline(0.0, color=MUTED, linestyle=":", linewidth=1)
     axes.axvline(float(observations.time[-1]) - start, color=MUTED, linestyle=":", linewidth=1)
     axes.set(xlabel="time since the first frame [s]", ylabel="force [N]")
     axes.set_title("force on the beam (shaded: in contact; dotted: first and last frame)")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=1 if fitted is None else 2)
     return figure
-
-
-def _flagged_spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    return [(float(time[first]), float(time[end - 1])) for first, end in runs(flags)]
 
 
 @styled
@@ -581,12 +577,9 @@ def fit(
         found = dict((kept or KeptFrames()).pictures(film, [wanted], colour=True))
     except OnebendError:
         return None
-    image = found.get(wanted)
-    return (
-        None
-        if image is None
-        else fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
-    )
+    if (image := found.get(wanted)) is None:
+        return None
+    return fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
 
 
 ROWS = 4000  # of the log that are drawn
@@ -594,16 +587,12 @@ ARROW = 0.3  # of the beam's length
 _EDGED_NARROW: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground="white")]}
 
 
-def check_picture(found: Overview) -> Figure | None:
+def check_png(found: Overview) -> bytes | None:
     """A frame with tags, axis and largest force, and the force over time; without a film the tags in the plane, or
     None."""
-    return None if found.preview is None and found.observations is None else _drawn(found)
-
-
-def check_png(found: Overview) -> bytes | None:
-    """`check_picture` as PNG."""
-    figure = check_picture(found)
-    return None if figure is None else png_of(figure, software=SOFTWARE)
+    if found.preview is None and found.observations is None:
+        return None
+    return png_of(_drawn(found), software=SOFTWARE)
 
 
 @styled
@@ -710,7 +699,9 @@ def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
     else:
         clock = None if found.observations is None else found.observations.source.clock
         as_found = clock is not None and clock.found
-        how = "as found" if as_found else "at start_s as written" + _give(found.recording)
+        doubt = found.recording.start[1]
+        within = f" (to {doubt:.2g} s)" if np.isfinite(doubt) and doubt > 0.0 else ""
+        how = "as found" if as_found else f"at start_s as written{within}"
         axes.set_title(f"force on the beam; film, rest and push {how}")
         for at in span:
             axes.axvline(at, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
@@ -744,11 +735,6 @@ def _film_span(found: Overview) -> tuple[float, float] | None:
     if found.preview is None or not np.isfinite(start):
         return None
     return start, start + found.preview.looked[-1].time
-
-
-def _give(description: Recording) -> str:
-    doubt = description.start[1]
-    return f" (to {doubt:.2g} s)" if np.isfinite(doubt) and doubt > 0.0 else ""
 
 
 def _ids(ids: list[int]) -> str:

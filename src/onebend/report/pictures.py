@@ -204,7 +204,8 @@ class Pictures:
     film: FilmStrip | None = None  # frames to look through on the page
 
     def write(self, folder: Path) -> None:
-        """Write each as `NAME.png`."""
+        """Write each as `NAME.png` into the folder, which is made where it is missing."""
+        folder.mkdir(exist_ok=True)
         for name, png in self.drawn.items():
             (folder / f"{name}.png").write_bytes(png)
 

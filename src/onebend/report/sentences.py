@@ -232,8 +232,6 @@ _WORDS_OF: dict[str, Callable[[Any], str]] = {  # by the name that a field of a 
     "are": lambda ids: (
         f"tag {ids[0]} is" if len(ids) == 1 else f"tags {', '.join(map(str, ids[:-1]))} and {ids[-1]} are"
     ),
-    "prior": lambda stated: ". Or --force-prior-N is far too small for this force" if stated else "",
-    "shares": lambda axes: " and ".join(f"{name} ({100.0 * share:.0f} %)" for name, share in axes),
     "ratios": lambda rows: ", ".join(f"{r:.3g} at s = {s:g} ({low:.3g} to {high:.3g})" for s, r, low, high in rows),
     "validated": lambda rows: "; ".join(_swing(row, "validated") for row in rows),
     "fitted": lambda rows: "; ".join(_swing(row, "fitted") for row in rows),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,6 @@ from onebend.control.path import FollowedPath, PathSpread
 from onebend.control.reach import SURE, PredictedError, Reach
 from onebend.control.shape import ShapeResult
 from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
-from onebend.files.publish import write_summary
-from onebend.report.pictures import Pictures
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
@@ -61,22 +58,11 @@ def reach_summary(model: str, result: Reach, error: PredictedError | None, *, wr
     }  # fmt: skip
 
 
-def write_path(path: Path, result: Reach) -> None:
-    """One row a step from rest: the load, and where it holds the point; each an equilibrium on one branch."""
+def write_reach(folder: Path, result: Reach) -> None:
+    """`path.csv`, one row a step from rest: the load, and the point under it. All are equilibria on one branch."""
     pairs = zip(result.path, result.path_points, strict=True)
     rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))
-    write_csv(path, PATH_COLUMNS, rows)
-
-
-def reach_writer(result: Reach, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder."""
-
-    def write(folder: Path) -> None:
-        write_path(folder / "path.csv", result)
-        pictures.write(folder)
-        write_summary(folder, summary)
-
-    return write
+    write_csv(folder / "path.csv", PATH_COLUMNS, rows)
 
 
 SHAPE_FORMAT = "onebend-shape-1"
@@ -124,20 +110,14 @@ def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[s
     }
 
 
-def shape_writer(result: ShapeResult, pictures: Pictures, summary: Mapping[str, Any]) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder with a shape."""
-
-    def write(folder: Path) -> None:
-        targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
-        sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
-        here = (*result.xy(targets.s).T, result.angle(targets.s))
-        _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
-        s = np.linspace(0.0, 1.0, 201)
-        _rows(folder / "shape.csv", SHAPE_ROWS, (s, *result.xy(s).T, result.angle(s)))
-        pictures.write(folder)
-        write_summary(folder, summary)
-
-    return write
+def write_shape(folder: Path, result: ShapeResult) -> None:
+    """`targets.csv` and `shape.csv`."""
+    targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
+    sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
+    here = (*result.xy(targets.s).T, result.angle(targets.s))
+    _rows(folder / "targets.csv", TARGET_ROWS, (targets.s, *targets.xy.T, targets.angle, *here, *sd))
+    s = np.linspace(0.0, 1.0, 201)
+    _rows(folder / "shape.csv", SHAPE_ROWS, (s, *result.xy(s).T, result.angle(s)))
 
 
 def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
@@ -160,20 +140,12 @@ def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, writ
     }
 
 
-def path_writer(
-    way: FollowedPath, pictures: Pictures, summary: Mapping[str, Any], *, frame: str, bag: bool
-) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder with a path: CSV, ROS 2 YAML, a picture; with `bag` a ROS 2 bag as well."""
-
-    def write(folder: Path) -> None:
-        write_samples(folder / "path.csv", way)
-        write_yaml(folder, way, frame=frame)
-        if bag:
-            write_bag(folder / "bag", way, frame=frame)
-        pictures.write(folder)
-        write_summary(folder, summary)
-
-    return write
+def write_path(folder: Path, way: FollowedPath, *, frame: str, bag: bool) -> None:
+    """CSV and ROS 2 YAML; with `bag` a ROS 2 bag as well."""
+    write_samples(folder / "path.csv", way)
+    write_yaml(folder, way, frame=frame)
+    if bag:
+        write_bag(folder / "bag", way, frame=frame)
 
 
 def _rows(file: Path, names: tuple[str, ...], columns: tuple[Any, ...]) -> None:
@@ -210,10 +182,10 @@ def loop_summary(
         "rate_per_s": control.gains.rate,
         "corner_rad_per_s": control.gains.corner,
         "margins": {
-            "gain": _finite(known.gain),
-            "phase_rad": _finite(known.phase),
-            "delay_s": _finite(known.delay),
-            "softest": _finite(known.softest),
+            "gain": known.gain,
+            "phase_rad": known.phase,
+            "delay_s": known.delay,
+            "softest": known.softest,
         },
         **rehearsed,
         "rehearsals": [
@@ -221,37 +193,20 @@ def loop_summary(
                 "k_factor": trial.factor,
                 "drawn": trial.beam.drawn,
                 "stands": trial.run is not None,
-                "steady_m": _finite(trial.steady),
-                "settled_s": _finite(trial.settled(SETTLED)),
+                "steady_m": trial.steady,
+                "settled_s": trial.settled(SETTLED),
             }
             for trial in trials
         ],
     }
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def write_loop(path: Path, trials: tuple[LoopTrial, ...]) -> None:
-    """One row a moment of every rehearsal."""
+def write_loop(folder: Path, trials: tuple[LoopTrial, ...]) -> None:
+    """`loop.csv`, one row a moment of every rehearsal."""
     rows = (
         (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
         for trial in trials
         if trial.run is not None
         for i, time in enumerate(trial.run.time)
     )
-    write_csv(path, LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))
-
-
-def loop_writer(
-    trials: tuple[LoopTrial, ...], pictures: Pictures, summary: Mapping[str, Any]
-) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder."""
-
-    def write(folder: Path) -> None:
-        write_loop(folder / "loop.csv", trials)
-        pictures.write(folder)
-        write_summary(folder, summary)
-
-    return write
+    write_csv(folder / "loop.csv", LOOP_COLUMNS, ([f"{value:.7g}" for value in row] for row in rows))

@@ -50,7 +50,7 @@ def learned_writer(
             shown = shown_made_from(made_from)
             html = page(findings, pictures.drawn, version=version, made_from=shown, film=pictures.film)
             (folder / "report.html").write_text(html, encoding="utf-8")
-            _write_figures(folder, pictures)
+            pictures.write(folder / "figures")
         write_summary(folder, summary)
 
     return write
@@ -91,25 +91,10 @@ def _write_tables(folder: Path, findings: Run, version: str) -> None:
         save_observations(folder / f"observations{'' if i == 1 else f'-{i}'}.parquet", recording)
 
 
-def validation_writer(
-    pairs: Sequence[tuple[Comparison, Observations]], pictures: Pictures, summary: Mapping[str, Any]
-) -> Writer:
-    """What `publish` needs to fill a folder with a validation."""
-
-    comparisons = [comparison for comparison, _ in pairs]
-
-    def write(folder: Path) -> None:
-        write_validation(folder / "validation.csv", comparisons)
-        write_markers(folder / "markers.csv", comparisons)
-        _write_figures(folder, pictures)
-        write_summary(folder, summary)
-
-    return write
-
-
-def _write_figures(folder: Path, pictures: Pictures) -> None:
-    (folder / "figures").mkdir()
-    pictures.write(folder / "figures")
+def write_comparisons(folder: Path, comparisons: Sequence[Comparison]) -> None:
+    """`validation.csv` and `markers.csv`."""
+    write_validation(folder / "validation.csv", comparisons)
+    write_markers(folder / "markers.csv", comparisons)
 
 
 # `summary.json`: SI units; `null` for a number that is unknown or not finite.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +11,10 @@ import numpy as np
 
 from onebend.errors import ExportError
 from onebend.extras import require
-from onebend.files.publish import write_summary
 from onebend.learning.sensing.forces import LEVEL
 from onebend.learning.sensing.sense import Sensed
 from onebend.learning.sensing.sensor import SensorCheck
 from onebend.records import Array
-from onebend.report.pictures import Pictures
 from onebend.report.sentences import worded
 from onebend.results.tables import write_csv
 
@@ -148,19 +145,11 @@ def _cell(value: float) -> str:
     return f"{value:.9g}" if math.isfinite(value) else ""
 
 
-def sense_writer(
-    found: Sensed, pictures: Pictures, summary: Mapping[str, Any], bag: bytes | None = None
-) -> Callable[[Path], None]:
-    """What `publish` needs to fill a folder, with the content of `force.mcap` where there is one."""
-
-    def write(folder: Path) -> None:
-        write_forces(folder / "force.csv", found)
-        pictures.write(folder)
-        if bag is not None:
-            (folder / BAG).write_bytes(bag)
-        write_summary(folder, summary)
-
-    return write
+def write_sensed(folder: Path, found: Sensed, *, bag: bool = False) -> None:
+    """`force.csv`; with `bag` `force.mcap` as well."""
+    write_forces(folder / "force.csv", found)
+    if bag:
+        (folder / BAG).write_bytes(force_bag(found.time, found.force, found.covariance))
 
 
 FORCE_TOPIC, COVARIANCE_TOPIC = "/beam/force", "/beam/force_covariance"

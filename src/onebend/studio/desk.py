@@ -127,7 +127,7 @@ class Desk:
         client = Client(socket)
         self.clients.add(client)
         writer = asyncio.create_task(client.write())
-        about = {"folder": str(self.places.root), "job": self._job(), "recording": self.recorder.shown()}
+        about = {"folder": str(self.places.root), "job": self.jobs.shown(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:
             while (message := await socket.receive())["type"] == "websocket.receive":
@@ -163,7 +163,7 @@ class Desk:
     async def _open(self, client: Client, model: str) -> None:
         if model not in self.beams:
             folder = self.places.result(model)
-            bending = await self._in_thread(lambda: _opened(model, folder))
+            bending = await self._in_thread(lambda: import_module("onebend.studio.bending").Bending.of(model, folder))
             while len(self.beams) >= _MOST_BEAMS:
                 self.forget(next(iter(self.beams)))
             self.beams.setdefault(model, bending)
@@ -291,15 +291,11 @@ class Desk:
         for client in tuple(self.clients):
             client.put(message, passing=passing)
 
-    def _job(self) -> dict[str, Any] | None:
-        return None if self.jobs.job is None else self.jobs.job.shown()
-
     def _work_changed(self, room: str) -> None:
-        job = self.works[room].job
-        self.tell({"what": "work", "room": room, "job": None if job is None else job.shown()})
+        self.tell({"what": "work", "room": room, "job": self.works[room].shown()})
 
     def _job_changed(self) -> None:
-        shown = self._job()
+        shown = self.jobs.shown()
         self.tell({"what": "job", "job": shown})
         if shown is None:
             return
@@ -346,9 +342,3 @@ def _load() -> None:
         import_module("onebend.studio.bending")
     finally:
         sys.setswitchinterval(before)
-
-
-def _opened(model: str, folder: Any) -> Bending:
-    from onebend.studio.bending import Bending
-
-    return Bending.of(model, folder)

@@ -74,6 +74,10 @@ class Jobs:
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
 
+    def shown(self) -> dict[str, Any] | None:
+        """The job, for the page; None before the first."""
+        return None if self.job is None else self.job.shown()
+
     async def start(self, wanted: dict[str, Any]) -> None:
         """Begin. Raises `StudioError` while another job of this kind runs."""
         if self.job is not None and self.job.state in ("running", "stopping"):

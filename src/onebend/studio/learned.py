@@ -11,7 +11,7 @@ import numpy as np
 
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import StudioError
-from onebend.files.publish import LARGEST, SUMMARY
+from onebend.files.publish import LARGEST, SUMMARY, read_object
 from onebend.results.model import StoredModel, read_model
 
 REPORT = "report.html"
@@ -27,7 +27,7 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
     Raises `ResultsError` where the model cannot be read.
     """
     stored = read_model(folder)
-    summary = _summary(folder)
+    summary = read_object(folder / SUMMARY, LARGEST) or {}
     fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
     return {
         "name": name,
@@ -87,17 +87,6 @@ def film_data(folder: Path) -> dict[str, Any] | None:
     if not isinstance(film, dict):
         return None
     return film | {"tag_id": _object(data.get("curve")).get("tag_id", [])}
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    path = folder / SUMMARY
-    try:
-        if path.stat().st_size > LARGEST:
-            return {}
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return _object(data)
 
 
 def _object(value: Any) -> dict[str, Any]:

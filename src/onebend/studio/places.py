@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import secrets
@@ -19,6 +18,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from onebend.errors import StudioError
+from onebend.files.publish import read_object
 from onebend.files.single_file import FILMS, LOGS
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
@@ -84,18 +84,17 @@ class StudioFolder:
 
     def recording(self, name: str) -> Path:
         """The folder of a recording. Raises `StudioError` where there is none."""
-        path = self.path(name)
-        if not is_file(path / RECORDING):
-            raise StudioError(f"{name} holds no {RECORDING}")
-        self.path(f"{name}/{RECORDING}")  # no link to elsewhere
-        return path
+        return self._holding(name, RECORDING, "")
 
     def result(self, name: str) -> Path:
         """The folder of a learned beam. Raises `StudioError` where there is none."""
+        return self._holding(name, MODEL, ": learn a recording first")
+
+    def _holding(self, name: str, file: str, advice: str) -> Path:
         path = self.path(name)
-        if not is_file(path / MODEL):
-            raise StudioError(f"{name} holds no {MODEL}: learn a recording first")
-        self.path(f"{name}/{MODEL}")
+        if not is_file(path / file):
+            raise StudioError(f"{name} holds no {file}{advice}")
+        self.path(f"{name}/{file}")  # no link to elsewhere
         return path
 
     def found(self) -> list[Found]:
@@ -151,10 +150,8 @@ def _changed(path: Path) -> float:
 
 
 def _about(path: Path) -> dict[str, Any]:
+    data = read_object(path, _LARGEST_SUMMARY) or {}
     try:
-        if path.stat().st_size > _LARGEST_SUMMARY:
-            return {}
-        data = json.loads(path.read_text(encoding="utf-8"))
         verdict = data["verdict"]
         return {
             "recordings": data["recordings"],
@@ -162,7 +159,7 @@ def _about(path: Path) -> dict[str, Any]:
             "known": verdict["known"],
             "length_m": data["length_m"],
         }
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (KeyError, TypeError):
         return {}
 
 
@@ -316,10 +313,14 @@ def rounded(value: float, digits: int) -> str:
 
 def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
     """The command that gives the force of a dragged point; `digits` of the goal in metres."""
-    places = [] if push_s == 1.0 else ["--push-at", number(push_s)]
-    places += [] if point_s == 1.0 else ["--point", number(point_s)]
     goals = [rounded(one, digits) for one in goal[:2]]
-    return line("reach", model, "--goal", *goals, *places, "--max-force-N", number(max_force))
+    return line("reach", model, "--goal", *goals, *_places(push_s, point_s), "--max-force-N", number(max_force))
+
+
+def _places(push_s: float, point_s: float) -> list[str]:
+    """Options of the push's place and the point's, where they are not the tip."""
+    pairs = (("--push-at", push_s), ("--point", point_s))
+    return [word for name, s in pairs if s != 1.0 for word in (name, number(s))]
 
 
 def hand_line(model: str, goal: Sequence[float]) -> str:
@@ -342,8 +343,7 @@ def check_line(name: str) -> str:
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
     """The command that rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
-    places = [] if wanted["push_s"] == 1.0 else ["--push-at", number(wanted["push_s"])]
-    places += [] if wanted["point_s"] == 1.0 else ["--point", number(wanted["point_s"])]
+    places = _places(wanted["push_s"], wanted["point_s"])
     beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
     bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]
     timing = ["--delay-ms", number(wanted["delay_ms"]), "--fps", number(wanted["fps"])]

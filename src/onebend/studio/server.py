@@ -100,8 +100,7 @@ class Asked:
         return _said(await _of_room("learned", "film_data", self.desk.places.result(_name(request))))
 
     async def job(self, _request: Request) -> Response:
-        job = self.desk.jobs.job
-        return _said({"job": None if job is None else job.shown()})
+        return _said({"job": self.desk.jobs.shown()})
 
     async def recordings(self, request: Request) -> Response:
         what, asked = request.path_params["what"], await _posted(request)
@@ -126,8 +125,8 @@ class Asked:
         return _said(await self.desk.reach(*wanted))
 
     async def work(self, request: Request) -> Response:
-        job = self._work(request).job
-        return _said({"job": None if job is None else job.shown(), "found": [] if job is None else job.found})
+        work = self._work(request)
+        return _said({"job": work.shown(), "found": [] if work.job is None else work.job.found})
 
     async def begin_work(self, request: Request) -> Response:
         work, what, asked = self._work(request), request.path_params["what"], await _posted(request)

@@ -22,7 +22,7 @@ from onebend.records import Array, Observations
 from onebend.report.control_figures import sensed_regions, sensing
 from onebend.report.pictures import draw
 from onebend.report.sentences import worded
-from onebend.results.sensing import sense_summary, sense_writer
+from onebend.results.sensing import sense_summary, write_sensed
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
 from tests.learning.design.test_identifiability import bench
@@ -206,7 +206,8 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     summary = sense_summary("model.json", found, written_by="test")
     to_json(summary)
     pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
-    sense_writer(found, pictures, summary)(tmp_path)
+    write_sensed(tmp_path, found)
+    pictures.write(tmp_path)
     rows = list(csv.reader((tmp_path / "force.csv").read_text(encoding="utf-8").splitlines()))
     assert ",".join(rows[0]) == (
         "frame,time_s,fx_N,fy_N,fx_sd_N,fy_sd_N,fx_fy_covariance_N2,fx_prior_share,fy_prior_share,"
