@@ -29,8 +29,8 @@ def share(widening: float = 1.0, shift: float = 0.0, sds: float = 0.0) -> Attrib
 @pytest.mark.parametrize(
     ("one", "words"),
     [
-        (share(), "relaxation (left out, k(s) might be 1 % off)"),
-        (share(shift=0.1, sds=1.0), "relaxation (left out, k(s) might be 11 % off)"),  # or it is chance
+        (share(), "relaxation (ignoring it could shift k(s) by 1 %)"),
+        (share(shift=0.1, sds=1.0), "relaxation (ignoring it could shift k(s) by 11 %)"),  # or it is chance
         (share(shift=0.1, sds=5.0), "relaxation (left out, k(s) would be 11 % off)"),
         (share(shift=2.0, sds=5.0), "relaxation (left out, another k(s))"),  # more than first order tells
         (share(widening=1.25), "relaxation (band 1.25 times as wide)"),
