@@ -254,7 +254,7 @@ class Device:
         return self._fault(why) if self._clock.now() - self._heard > longest else None
 
 
-class Source(Protocol):
+class AnySource(Protocol):
     """A camera or a force sensor."""
 
     name: str  # for messages
@@ -265,7 +265,7 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-class CameraSource(Source, Protocol):
+class CameraSource(AnySource, Protocol):
     """A camera."""
 
     def read(self, wait: float) -> Frame | End | None:
@@ -273,7 +273,7 @@ class CameraSource(Source, Protocol):
         ...
 
 
-class ForceSource(Source, Protocol):
+class ForceSource(AnySource, Protocol):
     """A force sensor."""
 
     columns: tuple[str, ...]  # of the log, with units: fx_N, fy_N and so on
