@@ -87,6 +87,11 @@ def test_nothing_that_is_lost_late_or_doubled_stops_it() -> None:
     assert np.max(latency[-3:]) < 0.1  # those before waited for the review, which this process made
 
 
+def test_no_sample_at_a_time_is_refused() -> None:
+    with pytest.raises(RecordingError, match="at least one sample"):
+        Disturbances(samples_each=0)
+
+
 def test_after_the_last_frame_the_band_is_that_of_learn() -> None:
     """Of the same film and log, undisturbed, read as a recording is."""
     live = Live(described(), settings=NEVER, beside=False)

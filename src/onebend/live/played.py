@@ -47,6 +47,10 @@ class Disturbances:
     sample_jitter: float = 0.0  # s, one sd of its stamp
     samples_each: int = 10  # that come together
 
+    def __post_init__(self) -> None:
+        if self.samples_each < 1:
+            raise RecordingError(f"at least one sample comes at a time, got samples_each = {self.samples_each}")
+
 
 @dataclass(frozen=True)
 class Arrival:
