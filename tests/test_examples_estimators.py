@@ -10,11 +10,13 @@ from sklearn.model_selection import LeaveOneOut, cross_val_score
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from examples.estimators import StiffnessDistribution, StiffnessRegression, regression_rows
-from onebend.beam.stiffness import equidistant, gaussian_basis
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import Uniform, equidistant, gaussian_basis
 from onebend.errors import LearningError
 from onebend.learning.paper import RegressionSettings, regress
-from onebend.records import Observations
+from onebend.records import Observations, StatedSection
 from tests.learning.bench import SOFT, forces, in_family, observed
+from tests.made_up import with_stated
 
 NOISE = (2e-5, 5e-4)
 
@@ -66,10 +68,26 @@ def test_k_of_s_comes_with_its_sd(pushes: list[Observations]) -> None:
     assert not hasattr(copy, "posterior_")
 
 
+def test_the_modulus_of_a_beam_that_goes_with_its_section() -> None:
+    k, size = 0.02, np.full(2, 0.005)
+    section = StatedSection("circle", np.array([0.0, 1.0]), size, size)
+    push = observed(Beam(0.15, Uniform(k)), forces(12), noise=NOISE)
+    found = StiffnessDistribution(functions=8).fit([with_stated(push, stiffness_along="section", section=section)])
+    assert found.modulus_ is not None
+    _, low, high = found.modulus_
+    assert low < k * 0.15 / (np.pi / 64.0 * 0.005**4) < high
+    assert StiffnessDistribution(functions=8).fit([push]).modulus_ is None
+
+
 def test_cross_validation_leaves_whole_recordings_out(pushes: list[Observations]) -> None:
     scores = cross_val_score(StiffnessDistribution(functions=8), pushes[:2], cv=LeaveOneOut())
     assert scores.shape == (2,)
     assert np.all((scores < 0.0) & (scores > -1e-3))
+
+
+def test_a_wider_gain_widens_the_sd(pushes: list[Observations]) -> None:
+    one, other = (StiffnessDistribution(8, gain_sd=sd).fit(pushes[:1]).predict([0.3], True)[1][0] for sd in (0.0, 0.1))
+    assert other > 1.5 * one
 
 
 def test_what_is_no_recording_is_refused(pushes: list[Observations]) -> None:

@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -241,10 +242,21 @@ def test_overview_without_force_or_calibration(tmp_path: Path) -> None:
     assert "not calibrated" in rows["camera"]
 
 
+MARKUP = re.compile(r"\[/?(?:bold|dim|red|yellow|green)[^\]]*\]|\[/\]")
+EATEN = re.compile(r"(?<!\\)\[[a-z]")
+
+
 def test_no_heading_or_help_loses_its_brackets_to_markup() -> None:
     """rich takes [mm] for a tag unless it is escaped."""
-    sources = [*Path(cli.__file__).parent.glob("*.py"), *(Path(cli.__file__).parents[1] / "terminal").glob("*.py")]
-    for source in sources:
+    modules = {import_module(place.function.split(":")[0]).__file__ for place in cli.all_commands().values()}
+    sources = {*Path(cli.__file__).parent.glob("*.py"), *(Path(str(module)) for module in modules)}
+    for source in sorted(sources):
         for text in re.findall(r"(?:title|help)=f?\"([^\"\n]*)\"", source.read_text(encoding="utf-8")):
-            bare = re.sub(r"\[/?(?:bold|dim|red|yellow|green)[^\]]*\]|\[/\]", "", text)
-            assert not re.search(r"(?<!\\)\[[a-z]", bare), f"{source.name}: {text}"
+            assert not EATEN.search(MARKUP.sub("", text)), f"{source.name}: {text}"
+
+
+def test_no_option_loses_its_brackets_to_markup() -> None:
+    """Those that are declared on the fields of settings, too."""
+    for name, place in cli.all_commands().items():
+        helps = [getattr(one, "help", None) or "" for one in cli.Command(name, place).loaded().params]
+        assert [text for text in helps if EATEN.search(text)] == [], name

@@ -117,10 +117,8 @@ def _parameters(settings: Any) -> Iterator[Parameter]:
             shown, (low, high) = said.shown(default), said.within
             kind = list[get_args(kind)[0]] if get_origin(kind) is tuple else kind  # type: ignore[misc]
             info = typer.Option(said.name, help=said.help, metavar=said.metavar, min=low, max=high)
-            yield Parameter(
-                _key(said), Parameter.KEYWORD_ONLY, default=shown,
-                annotation=Annotated[kind | None if shown is None else kind, info],
-            )  # fmt: skip
+            annotation: Any = Annotated[kind | None if shown is None else kind, info]
+            yield Parameter(_key(said), Parameter.KEYWORD_ONLY, default=shown, annotation=annotation)
 
 
 def _filled(settings: Any, given: Mapping[str, Any]) -> Any:

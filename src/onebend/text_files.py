@@ -218,17 +218,20 @@ def plain(value: Any) -> Any:
     """`value` as JSON knows it: arrays as lists, numbers that are not finite as None."""
     import numpy as np  # here: `--version`, `--help` and most errors need no arrays
 
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and np.all(np.isfinite(value)):
-        return value.tolist()
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value
+    def walked(one: Any) -> Any:
+        if isinstance(one, Mapping):
+            return {str(key): walked(item) for key, item in one.items()}
+        if isinstance(one, np.ndarray) and one.dtype.kind in "fiub" and np.all(np.isfinite(one)):
+            return one.tolist()
+        if isinstance(one, np.ndarray | list | tuple):
+            return [walked(item) for item in one]
+        if isinstance(one, np.generic):
+            return walked(one.item())
+        if isinstance(one, float) and not isfinite(one):
+            return None
+        return one
+
+    return walked(value)
 
 
 def to_json(data: Any, *, ascii_only: bool = False, readable: bool = True) -> str:

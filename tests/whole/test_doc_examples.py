@@ -18,6 +18,7 @@ from onebend.beam.stiffness import UncertainStiffness, Uniform
 from onebend.lab.bench import PushProfile
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
 from onebend.records import Observations
+from onebend.report.sentences import words
 from onebend.results.model import save_model
 from tests.learning.swinging import HEAVY, released
 
@@ -158,7 +159,10 @@ def assert_sound(page: str, number: int, there: dict[str, Any]) -> None:
         assert np.all(there["k"] > there["sd"])
         assert np.all(there["error_m"] < 0.05)
     else:
-        assert there["found"].advice if number else there["found"].proposals
+        found = there["found"]
+        said = [one.text for one in found.advice] if number else [words(one.notice) for one in found.proposals]
+        assert all(said)
+        assert said
 
 
 def assert_reached(number: int, there: dict[str, Any]) -> None:

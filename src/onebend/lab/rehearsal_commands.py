@@ -389,4 +389,4 @@ def reproduce(
         tables = partial(study_report.write_report, outcome=found, figures=pictures.drawn, version=onebend.__version__)
         made_from = common.made_from_files((), {"study": setting})
         common.put_results(place, summary, tables, pictures, figures="figures", made_from=made_from)
-    common.answer(as_json, summary | {"output": str(output)}, lambda console: show_reproduced(console, found, output))
+    common.answer(as_json, summary, lambda console: show_reproduced(console, found, output), output)

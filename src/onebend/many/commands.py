@@ -118,7 +118,7 @@ def batch(
             )
         summary = batches.summary_of(outcome, written_by=BY)
         batches.write_batch(outcome, summary, version=onebend.__version__)
-    common.answer(as_json, {**summary, "output": str(output)}, lambda console: show_batch(console, outcome))
+    common.answer(as_json, summary, lambda console: show_batch(console, outcome), output)
 
 
 Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results folder of a batch.")]
@@ -155,4 +155,4 @@ def population(
             population_report.write_report, outcome=found, figures=pictures.drawn, name=name, version=version
         )
         common.put_results(place, summary, tables, pictures, figures=None, inputs=inputs)
-    common.answer(as_json, summary | {"output": str(output)}, lambda console: show_population(console, found, output))
+    common.answer(as_json, summary, lambda console: show_population(console, found, output), output)
