@@ -1,10 +1,13 @@
-"""Neighbouring frames of a push, averaged in windows.
+"""The frames that the fit uses: neighbouring frames of a push, averaged in windows, EACH_PUSH windows of each push.
+
+More windows hardly narrow the band, because neighbouring frames share their errors. They only cost time.
 
 A window spans at most STEP of the largest displacement, TURN of the force's direction, and SECONDS. No window crosses a
 gap or an instant where the load begins, reverses or ends.
 
 The mean of poses is not the pose under the mean force: both bend in time. Half the second derivative times the variance
-of the window's instants is subtracted, so that both are values at the mean instant.
+of the window's instants is subtracted, so that both are values at the mean instant. The derivative comes from the means
+of neighbouring windows.
 
 The noise of the tags is partly white and partly slow: only the white part averages down. Third differences of a film
 estimate the white part.
@@ -16,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from onebend.learning.allowances import second_derivative, tag_accelerations
+from onebend.learning.allowances import tag_accelerations
 from onebend.learning.frames import learnable_frames, push_places, usable_frames
 from onebend.recording.force import TURN as REVERSAL, displacement, turning_points
 from onebend.recording.signals import bridged, runs
@@ -25,34 +28,42 @@ from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations
 STEP = 0.02  # of the largest displacement
 TURN = 0.05  # rad, of the force
 SECONDS = 0.2
-_FEW = 60  # frames: so many cost little as they are
+EACH_PUSH = 60  # windows of one push, there and back (benchmarks/notes/one_recording.md)
 _FIRM = 0.2  # of the largest force: the direction of a smaller one is noise
 _THIRD = 20.0  # variance of the third difference of white noise of variance one
-_COARSER = 1.1  # times the steps, until there are few enough windows
 
 
-def condensed(o: Observations, most: int) -> Observations:
-    """The film with its learnable frames averaged into about `most`; all else is unchanged."""
+def condensed(o: Observations) -> Observations:
+    """The film with its learnable frames averaged in windows; all else is unchanged."""
     if o.static or o.known_loads is not None or (o.held is not None and np.any(o.held)):
         return o
     learnable = learnable_frames(o)
-    if np.sum(learnable) <= min(_FEW, most):
+    if np.sum(learnable) <= EACH_PUSH:
         return o
-    windows = windows_of(o, learnable, most)
+    parts = windows_of(o, learnable)
     bent = usable_frames(o) & ~learnable  # their force is distorted, but they show when the load ends
-    return averaged(replace(o, force=np.where(bent[:, None], np.nan, o.force)), windows)
+    return averaged(replace(o, force=np.where(bent[:, None], np.nan, o.force)), parts)
 
 
-def windows_of(o: Observations, learnable: BoolArray, most: int) -> list[IntArray]:
-    """The frames of each window, in order; `learnable` (T,)."""
-    size = displacement(o.time, o.xy, o.rest_xy)
+def worth(o: Observations) -> int:
+    """How many frames of a recording the fit uses at most: all of static poses, EACH_PUSH of each push of a film."""
+    if o.static:
+        return len(o.time)
+    size, loaded = displacement(o.time, o.xy, o.rest_xy), usable_frames(o)
+    turns = turning_points(size[loaded], REVERSAL * float(np.max(size[loaded], initial=0.0)))
+    return EACH_PUSH * max((len(turns) + 1) // 2, 1)
+
+
+def windows_of(o: Observations, learnable: BoolArray) -> list[list[IntArray]]:
+    """The frames of each window, in order, by the parts of the push; `learnable` (T,)."""
+    size, most = displacement(o.time, o.xy, o.rest_xy), worth(o)
     parts = [(frames, _window_spans(o, frames, size)) for frames in _parts(o, learnable, size)]
     coarser = 1.0
     while True:
-        windows = [window for frames, along in parts for window in _split(frames, along, coarser)]
-        if len(windows) <= max(most, len(parts)):
+        windows = [_split(frames, along / coarser) for frames, along in parts]
+        if sum(map(len, windows)) <= max(most, len(parts)):
             return windows
-        coarser *= _COARSER
+        coarser *= 1.05
 
 
 def _parts(o: Observations, learnable: BoolArray, size: Array) -> list[IntArray]:
@@ -83,19 +94,23 @@ def _window_spans(o: Observations, frames: IntArray, size: Array) -> Array:
     return np.asarray(time + sum(np.maximum.accumulate(term) for term in terms))
 
 
-def _split(frames: IntArray, along: Array, coarser: float) -> list[IntArray]:
-    """Windows of about equal span of the progress `along` (n,), larger by a factor."""
-    count = max(int(np.ceil(along[-1] / coarser)), 1)
+def _split(frames: IntArray, along: Array) -> list[IntArray]:
+    """Windows of about equal span of the progress `along` (n,)."""
+    count = max(int(np.ceil(along[-1])), 1)
     number = np.minimum((count * along / max(along[-1], 1e-300)).astype(int), count - 1)
     return np.split(frames, np.flatnonzero(np.diff(number)) + 1)
 
 
-def averaged(o: Observations, windows: list[IntArray]) -> Observations:
-    """The observations with the mean of each window's frames, which are neighbours; all others as they are."""
-    first = np.ones(len(o.time), dtype=bool)
-    for window in windows:
-        first[window[1:]] = False
+def averaged(o: Observations, parts: list[list[IntArray]]) -> Observations:
+    """The observations with the mean of each window's frames, which are neighbours; all others as they are. Windows of
+    one part follow each other without a kink."""
+    first, part = np.ones(len(o.time), dtype=bool), -1 - np.arange(len(o.time))
+    for number, windows in enumerate(parts):
+        for window in windows:
+            first[window[1:]] = False
+            part[window] = number
     starts = np.flatnonzero(first)
+    part = part[starts]
     count = np.diff(np.append(starts, len(first)))
 
     def total(values: Array) -> Array:
@@ -108,9 +123,9 @@ def averaged(o: Observations, windows: list[IntArray]) -> Observations:
     variance = mean((o.time - np.repeat(time, count)) ** 2)  # s^2, of the instants in each window
 
     def at_mean_instant(values: Array) -> Array:
-        second = second_derivative(o.time, values)
-        bent = 0.0 if second is None else mean(second) * variance.reshape(-1, *[1] * (values.ndim - 1))
-        return mean(values) - 0.5 * bent
+        means = mean(values)
+        bent = second_differences(time, means.reshape(len(means), -1), part).reshape(means.shape)
+        return np.asarray(means - 0.5 * bent * variance.reshape(-1, *[1] * (means.ndim - 1)))
 
     filled = bridged(o.time, poses.reshape(len(poses), -1)).reshape(poses.shape)
     seen = mean(np.isfinite(poses).astype(float))
@@ -136,6 +151,19 @@ def averaged(o: Observations, windows: list[IntArray]) -> Observations:
         by_camera=None if o.by_camera is None else mean(o.by_camera),
         means=FrameMeans(count, None if acceleration is None else mean(acceleration)),
     )
+
+
+def second_differences(time: Array, values: Array, part: IntArray) -> Array:
+    """(N, n) second derivatives of values (N, n) at `time` (N,) from neighbours of the same `part` (N,); at the ends of
+    a part as beside it, zero in parts of fewer than three."""
+    out = np.zeros_like(values)
+    inner = np.flatnonzero((part[2:] == part[1:-1]) & (part[:-2] == part[1:-1])) + 1
+    slopes = np.diff(values, axis=0) / np.diff(time)[:, None]
+    out[inner] = 2.0 * (slopes[inner] - slopes[inner - 1]) / (time[inner + 1] - time[inner - 1])[:, None]
+    for step in (1, -1):
+        ends = np.setdiff1d(inner + step, inner)
+        out[ends] = out[ends - step]
+    return out
 
 
 def mean_variance(white: Array, frames: Array) -> Array:

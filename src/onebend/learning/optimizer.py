@@ -11,6 +11,7 @@ import numpy as np
 from onebend.beam.stiffness import Profile
 from onebend.errors import LearningError
 from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, AllowanceName, Sizes, between_recordings
+from onebend.learning.condensed import worth
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.frames import chosen_frames, distances, marker_rms
 from onebend.learning.frequencies import frequency_data
@@ -569,7 +570,7 @@ class FitSettings:
     """How the marker-space fit runs."""
 
     functions: int = 45  # of the spline of log k
-    most_frames: int = 500  # of each recording, after neighbours are averaged (`condensed`)
+    most_frames: int = 500  # of each recording, after neighbours are averaged; `condensed.worth` may be fewer
     most_frames_together: int = 5000  # of all recordings
     first_frames: int = 24  # of each recording, for the way from the start to near the optimum
     first_recordings: int = 10  # evenly chosen, for the same
@@ -606,7 +607,8 @@ def first_problem(
 
 def whole_problem(recordings: Sequence[Observations], problem: FitProblem, settings: FitSettings) -> FitProblem:
     """The problem with all frames of all recordings."""
-    spline, frames = problem.layout.spline, each(lambda o: chosen_frames(o, settings.most_frames), recordings)
+    spline = problem.layout.spline
+    frames = each(lambda o: chosen_frames(o, min(settings.most_frames, worth(o))), recordings)
     data, layout = _prepared(recordings, frames, spline, settings)
     expected = replace(problem.expected, noise=tuple(expected_recording_noise(d) for d in data))
     return FitProblem(data, layout, problem.level, expected, frequency_data(recordings, spline))

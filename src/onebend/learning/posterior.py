@@ -434,7 +434,7 @@ def _fit(
     progress.start("fitting k(s) in marker space", early.rounds + late.rounds)
 
     settings = optimizer.shared_among(settings, len(recordings))
-    recordings = with_shared_shape([condensed(one, settings.most_frames) for one in recordings])
+    recordings = with_shared_shape([condensed(one) for one in recordings])
     some = optimizer.first_recordings(recordings, settings)
     problem, x = optimizer.first_problem([recordings[i] for i in some], start, settings)
     few, near = optimizer.find_on_branches(problem, optimizer.estimate_at(problem, x), early, progress)

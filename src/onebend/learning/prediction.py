@@ -305,7 +305,7 @@ def tag_blocks(motion: TagMotion) -> dict[str, Array]:
 
 
 _SETTLED = 1e-7  # rad, of the last change of a shape that relaxes
-_FALLING = 0.2  # of the change before: one that is larger takes a new tangent
+_FALLING = 0.5  # of the change before: one that is larger takes a new tangent
 _FARTHEST = 5.0  # rad, of the curvature in one update of Newton's method
 _MOST_PASSES = 16
 _KEY_FRAMES = 24  # at most, through which derivatives follow the memory of the material

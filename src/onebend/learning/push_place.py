@@ -68,9 +68,9 @@ class AtPlace:
 
 
 def at_written(problem: FitProblem, optimum: Optimum, place: float) -> AtPlace | None:
-    """The fit with the push at the written place and a noise of its own; None if it fails."""
+    """The fit with the push at the written place, under its own noise; None if it fails."""
     found = MapEstimate(optimum.x, optimum.hyperparameters, optimum.predictions)
-    return with_own_noise(AtPlace(place, problem, found, np.nan))
+    return under(AtPlace(place, problem, found, np.nan), coarsened(optimum.hyperparameters, problem))
 
 
 def with_own_noise(fit: AtPlace) -> AtPlace | None:

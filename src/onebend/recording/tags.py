@@ -361,8 +361,8 @@ def detect_tags(
     tag_id = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
     threads = threads or min(available_cores(), MOST_THREADS)
     first, finders = Finder(tags.family), SimpleQueue[Finder]()
-    # Tags: for fewer, one more detector is not worth its memory (20 MB) and its start.
-    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // 4) - 1))):
+    # Two tags for each detector: a further one takes 20 MB.
+    for finder in (first, *(Finder(tags.family) for _ in range(min(threads, len(tag_id) // 2) - 1))):
         finders.put(finder)
 
     def each(work: Callable[[Finder, int], None], count: int) -> None:
