@@ -158,6 +158,7 @@ FAR = float(np.sqrt(2.0 * ACCUSED))  # sds: there the place's own prior has fall
 BY_HAND, MEASURED = 0.5, 0.01  # probability of a mistake before the data; MEASURED: stated more closely than PLACE_SD
 LEFT_OUT = 0.05  # probability of a mistake below which the band does not hold it: a 95 % band leaves out as much
 LIKELIER = 1.0 - LEFT_OUT  # and beyond which a warning says so
+_BEYOND_DOUBT = 2.0 * ACCUSED  # gain of log evidence at one place, with which the written one is accused in any case
 _HELD = 0.95  # probability of the places that are named
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
 _STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
@@ -262,9 +263,10 @@ def _every_place(here: AtPlace, settings: FitSettings, *, thorough: bool) -> lis
 
 
 def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, list[AtPlace]]:
-    """The fits at the written place and at others, under the noise of the place of greatest evidence."""
+    """The fits at the written place and at others, under the noise of the place of greatest evidence; as they are where
+    nothing depends on it: no other place is better, or one is far better under the written place's larger noise."""
     best = max(found, key=lambda one: one.log_evidence)
-    if best.log_evidence <= here.log_evidence:
+    if not 0.0 < best.log_evidence - here.log_evidence < _BEYOND_DOUBT:
         return here, found
     settled = with_own_noise(best)
     again = None if settled is None else under(here, settled.estimate.hyperparameters)
