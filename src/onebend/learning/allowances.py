@@ -55,6 +55,7 @@ class PushCourse:
     back: Array  # (T,) 1 after the largest displacement
     elapsed: Array  # (T,) 0 to 1: integral of `bend` over time so far, over its end
     turn: Array  # (T, m) rad of each tag since rest; 0 where it was not seen
+    largest: float  # m, the largest displacement of the tags, root mean square
 
 
 def course(observations: Observations, frames: BoolArray) -> PushCourse:
@@ -66,13 +67,14 @@ def course(observations: Observations, frames: BoolArray) -> PushCourse:
     seen = np.isfinite(squares)
     total = np.sum(np.where(seen, squares, 0.0), axis=1)
     away = np.sqrt(total / np.maximum(np.sum(seen, axis=1), 1))
-    bend = away / max(float(np.max(away)), np.finfo(float).tiny)
+    largest = max(float(np.max(away)), np.finfo(float).tiny)
+    bend = away / largest
     step = np.gradient(time) if len(time) > 1 else np.ones(1)
     elapsed = np.cumsum(bend * step)
     elapsed = elapsed / max(float(elapsed[-1]), np.finfo(float).tiny)
     back = np.asarray(np.arange(len(time)) > int(np.argmax(bend)), dtype=float)
     turn = angle - np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0)
-    return PushCourse(time, bend, back, elapsed, np.where(np.isfinite(turn), turn, 0.0))
+    return PushCourse(time, bend, back, elapsed, np.where(np.isfinite(turn), turn, 0.0), largest)
 
 
 def with_rest(values: Array, count: int) -> Array:

@@ -212,7 +212,7 @@ class FitData:
     error_weights: Array  # (F, K)
     push_s: Array  # (F,)
     problem: Problem  # grid and what does not change
-    beyond: Array  # (F, Q) 1 where the push lies beyond the node
+    beyond: Array  # (F, Q) 1 where the push lies beyond the node; 0 at rest, where nothing pushes
     farther: Array  # (F, Q) 1/m: what is added to it where the push lies farther out; see `share_farther`
     weight: Array  # (F, Q, 2) N beyond the node: weight, the mass as written down, and the loads known besides
     ends: HeldEnds | None  # of frames whose end an unknown wrench holds
@@ -222,6 +222,11 @@ class FitData:
     offset: Array  # (Q,) or (F, Q): what is known of log k there, but for its level
     rest_on_nodes: Array  # (Q, 3) or (F, Q, 3)
     allowances: tuple[Allowance, ...] = ()
+
+    @property
+    def resting(self) -> BoolArray:
+        """(F,) which frame shows the beam at rest."""
+        return np.asarray(np.arange(len(self.measured)) >= np.sum(self.frames))
 
     def entering(self, enters: Entry) -> list[Allowance]:
         """The allowances that enter the model here."""
@@ -289,7 +294,7 @@ def fit_data(
         error_weights=weights,
         push_s=push_s,
         problem=problem,
-        beyond=np.asarray(nodes < push_s[:, None], dtype=float),
+        beyond=(nodes < push_s[:, None]) * (np.arange(len(force)) < len(time))[:, None].astype(float),
         farther=share_farther(problem, push_s),
         weight=problem.dead_force + inertia,
         ends=ends,

@@ -21,7 +21,8 @@ from onebend.recording.force import displacement, load_changes
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
-_MARGIN = 0.2  # s, kept away from contact when a rest is read
+_MARGIN = 0.2  # s, kept away from contact when a rest is read, besides the low-pass's memory:
+_MEMORY = 1.0  # periods of its cut-off
 _MOST_KNOTS = 100
 _SPACING = 0.25  # of the period of the cut-off: half of Nyquist's
 _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so that it can be inverted
@@ -156,7 +157,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     if clean is not None and np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
         cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
-    rest_time, rest_force = _in_rests(observations, 0.5 * spacing)
+    rest_time, rest_force = _in_rests(observations, 0.5 * spacing, _MARGIN + _MEMORY / cutoff)
     everything = np.concatenate([time, rest_time])
     begin, end = float(np.min(everything)), float(np.max(everything))
     count = int(np.clip(np.ceil((end - begin) / spacing) + 3, 4, _MOST_KNOTS))
@@ -177,16 +178,19 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     )
 
 
-def _in_rests(observations: Observations, step: float) -> tuple[Array, Array]:
-    """(R,) s and (R, 2) N: instants at least `step` [s] apart at which nothing touches the beam, and the log there."""
+def _in_rests(observations: Observations, step: float, margin: float) -> tuple[Array, Array]:
+    """(R,) s and (R, 2) N: instants at least `step` [s] apart, and `margin` [s] from any contact, and the log there.
+
+    The margin covers what the low-pass makes of the contact: read as an error of the log, it would shift k(s).
+    """
     clean, loaded = observations.source.clean_force, observations.time[observations.loaded]
     if clean is None or not len(loaded):
         return np.zeros(0), np.zeros((0, 2))
     free = np.zeros(len(clean.time), dtype=bool)
     if not observations.loaded[0]:
-        free |= clean.time < loaded[0] - _MARGIN
+        free |= clean.time < loaded[0] - margin
     if not observations.loaded[-1]:  # held to the end of the film, the log after it says nothing
-        free |= clean.time > loaded[-1] + _MARGIN
+        free |= clean.time > loaded[-1] + margin
     free &= np.all(np.isfinite(clean.force), axis=1)
     pick = _spread(clean.time, np.flatnonzero(free).astype(np.int64), step)
     return clean.time[pick], clean.force[pick]

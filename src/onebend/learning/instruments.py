@@ -7,14 +7,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from onebend.beam.setup import PARTS, SetUp
 from onebend.errors import LearningError
+from onebend.learning.allowances import (
+    BETWEEN,
+    BETWEEN_SD,
+    POSTURE_SD,
+    USUAL_THICKNESS,
+    course,
+    on_each_axis,
+    powers,
+)
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
 from onebend.learning.frames import moved_by, typical
 from onebend.learning.linear import Hyperparameters, log_k_map
 from onebend.learning.parameters import Layout
 from onebend.progress import one_blas_thread
-from onebend.records import DIRECTION_SD, PLACE_SD, Array, Observations, covariance_with_camera
+from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
     from onebend.learning.posterior import Posterior
@@ -282,3 +292,92 @@ def _check(bench: Instruments) -> None:
             raise ValueError(f"{name} is not as it must be")
     if not set(bench.shared) <= set(SHARED):
         raise ValueError("shared names no nuisances")
+
+
+_KEPT = 1e-11  # of the largest eigenvalue of log k's covariance: directions below are fixed
+
+
+@one_blas_thread
+def setup_of(posterior: Posterior) -> SetUp | None:
+    """The set-up of the last recording, jointly with log k; None of poses, or where no force log shows a push."""
+    number = len(posterior.recordings) - 1
+    data, at = posterior.recordings[number], posterior.layout
+    o, run = data.observations, course(data.observations, data.frames)
+    if o.static or not len(data.error.knots):
+        return None
+    sizes: dict[str, int] = {}
+    rows, mean, prior_sd = [_coefficient_rows(posterior)], [np.zeros(0)], [np.zeros(0)]
+    stiffness, unlike = posterior.stiffness, {"log k": BETWEEN, "force error": ""}
+
+    def add(name: str, where: slice, weights: Array, before: Array) -> None:
+        sizes[name] = len(weights)
+        rows.append((where, weights))
+        mean.append(weights @ posterior.mean[where])
+        prior_sd.append(before)
+
+    for name in PARTS:
+        keys = ((unlike.get(name, name), whose) for whose in (-1, number))
+        block = next((at.index[key] for key in keys if key in at.index and at.index[key].start >= 0), None)
+        if block is not None:
+            add(name, block.where, np.eye(len(block.prior_sd)), block.prior_sd)
+    where, weights, left = _force_error_rows(posterior, number, powers(run.bend))
+    largest = int(np.nanargmax(np.linalg.norm(data.force, axis=1)))
+    size = float(np.linalg.norm(data.force[largest]))
+    add("force error", where, weights, np.full(len(weights), POSTURE_SD * size))
+    joint, p = posterior.covariance.of_functionals(rows), len(stiffness.mean)
+    slope = joint[p:, :p] @ np.linalg.pinv(joint[:p, :p], rcond=_KEPT, hermitian=True)
+    covariance = joint[p:, p:] - slope @ joint[:p, p:]
+    exact = {"gain": np.hypot(posterior.gain_sd, max(posterior.gain_sd, GAIN_SD)) * np.ones(1), "log k": BETWEEN_SD}
+    for name, before in exact.items():  # of this set-up they are part of log k
+        if name not in sizes:
+            sizes[name] = len(before)
+            mean.append(np.zeros(len(before)))
+            prior_sd.append(before)
+            covariance = np.pad(covariance, (0, len(before)))
+            slope = np.pad(slope, ((0, len(before)), (0, 0)))
+    stated = o.stated.thickness
+    return SetUp(
+        push_s=float(data.push_s[largest]),
+        force=(float(data.force[largest, 0]), float(data.force[largest, 1])),
+        moved=run.largest,
+        tags=tuple(float(s) for s in o.marker_s),
+        thickness=stated if np.isfinite(stated) else USUAL_THICKNESS * o.length,
+        sizes=sizes,
+        mean=np.concatenate(mean),
+        slope=slope,
+        covariance=0.5 * (covariance + covariance.T),
+        prior_sd=np.concatenate(prior_sd),
+        force_sd=float(np.hypot(left, posterior.optimum.hyperparameters.noise[number].force)),
+        discrepancy=_discrepancy(posterior.recordings, posterior.optimum.hyperparameters)[0],
+    )
+
+
+def _coefficient_rows(posterior: Posterior) -> tuple[slice, Array]:
+    """The coefficients of log k's band as functions of the shared parameters."""
+    index, onto = log_k_map(posterior.problem)
+    weights = np.zeros((len(onto), posterior.layout.shared))
+    weights[:, index] = onto
+    return slice(0, posterior.layout.shared), weights
+
+
+def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[slice, Array, float]:
+    """The force that the fit adds to the log, as a polynomial in the displacement: `terms` (T, 2) of its frames.
+
+    Returns where the parameters stand, the polynomial's coefficients as functions of them, and what is left [N].
+    """
+    data, at = posterior.recordings[number], posterior.layout
+    posture, slow = at.index.get(("posture", number)), at.index["force", number]
+    blocks = [block for block in (posture, slow) if block is not None and block.start >= 0]
+    where = slice(min(b.where.start for b in blocks), max(b.where.stop for b in blocks))
+    fitted = np.linalg.pinv(terms)  # (2, T)
+    weights, added = np.zeros((4, where.stop - where.start)), np.zeros((len(terms), 2, where.stop - where.start))
+    for block in blocks:
+        inside = slice(block.start - where.start, block.start - where.start + len(block.prior_sd))
+        if block is posture:
+            added[:, :, inside] = on_each_axis(terms)
+        else:
+            added[:, :, inside] = -np.einsum("tk,cd->tckd", data.error.weights, np.eye(2)).reshape(*added.shape[:2], -1)
+    weights = np.einsum("it,tcp->icp", fitted, added).reshape(4, -1)
+    force = added @ posterior.mean[where]
+    left = force - np.einsum("ti,ic->tc", terms, (weights @ posterior.mean[where]).reshape(2, 2))
+    return where, weights, float(np.sqrt(np.mean(left**2)))

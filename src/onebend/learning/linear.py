@@ -418,6 +418,9 @@ class ResidualRows:
 def residual_rows(now: Prediction, noise: RecordingNoise, slopes: Slopes | None = None) -> ResidualRows:
     """Rows of one recording, weighted by Student's t on the residuals less the effect of their frame's force.
 
+    The beam at rest is a mean of many frames and no outlier: it counts in full. Otherwise a search that begins far from
+    it may end where the rest is missed and an error of all forces explains the push.
+
     `slopes`: derivatives to use instead of `whitened_slopes`.
     """
     plain = unweighted_rows(now, slopes)
@@ -425,7 +428,8 @@ def residual_rows(now: Prediction, noise: RecordingNoise, slopes: Slopes | None 
     unexplained, _ = split_off_force(plain, plain.r, noise)
     squares = np.sum(unexplained.reshape(frames, -1, 3) ** 2, axis=-1) / noise.marker**2
     numbers = np.sum(known.reshape(frames, -1, 3), axis=-1)
-    root = np.repeat(np.sqrt((_ROBUST + numbers) / (_ROBUST + squares)), 3, axis=1) * known
+    weight = np.where(now.data.resting[:, None], 1.0, (_ROBUST + numbers) / (_ROBUST + squares))
+    root = np.repeat(np.sqrt(weight), 3, axis=1) * known
     return ResidualRows(root * plain.r, plain.whitened, known, root)
 
 

@@ -154,7 +154,7 @@ def low_pass(time: Array, values: Array, cutoff: float, *, longest_gap: float) -
         even = resampled(t, bridge, grid)
         reflected = np.concatenate([even, even[-2:0:-1]])
         ratio = np.tan(np.pi * np.fft.rfftfreq(len(reflected))) / np.tan(np.pi * cutoff * dt)
-        gain = 1.0 / (1.0 + ratio[:, None] ** (2 * FILTER_ORDER))
+        gain = flattened(1.0 / (1.0 + ratio[:, None] ** (2 * FILTER_ORDER)))
         smooth = np.fft.irfft(gain * np.fft.rfft(reflected, axis=0), len(reflected), axis=0)[: len(even)]
         filtered[rows] = resampled(grid, smooth, time[rows])
     return filtered
@@ -204,7 +204,12 @@ def line_at(time: Array, values: Array, at: float) -> tuple[Array, Array]:
 
 def low_pass_power(frequency: Array, cutoff: float) -> Array:
     """Share of a signal's power that `low_pass` lets through at `frequency` [Hz]: the filter's gain runs twice."""
-    return np.asarray(1.0 / (1.0 + (frequency / cutoff) ** (2 * FILTER_ORDER)) ** 2)
+    return np.asarray(flattened(1.0 / (1.0 + (frequency / cutoff) ** (2 * FILTER_ORDER))) ** 2)
+
+
+def flattened(gain: Array) -> Array:
+    """The gain of a filter that is run again over what it took away (Tukey's twicing): a loss becomes its square."""
+    return gain * (2.0 - gain)
 
 
 def at_times(time: Array, values: Array, at: Array, *, longest_gap: float) -> Array:

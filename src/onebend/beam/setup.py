@@ -1,0 +1,290 @@
+"""A learned beam in the set-up that it was learned in: its mounting, the tool that pushes it and the sensor.
+
+A recording tells where a point goes under a logged force far better than it tells k(s): errors of k(s), of the place of
+the push, of the clamp, of the force's axes, of the length and others cancel. So all of them are kept, jointly normal
+with the coefficients of log k, and predictions take them together. Parts that are new, such as another tool, are drawn
+from their priors instead.
+
+The force on the beam is `R(direction) F + e1 b + e2 b^2`: F is the logged force, b the displacement of the tags over
+the largest one of the recording. It acts at `s_a L + place + slide t`, t being the turn of the beam there. The clamp is
+at `origin` and turned by `clamp + gives t_1`, t_1 being the turn at the first tag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, get_args
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from onebend.beam.continuation import follow, refine
+from onebend.beam.grid import Modes
+from onebend.beam.loads import push, weight
+from onebend.beam.model import Beam
+from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.statics import Equilibrium
+from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
+from onebend.errors import MechanicsError
+from onebend.records import Array, BoolArray
+
+Renewed = Literal["tool", "sensor", "mounting"]
+# The parts of a set-up, the unit of each, and with what they are new.
+PARTS: dict[str, tuple[str, Renewed | None]] = {
+    "curvature": ("rad", None),  # (3) Legendre states of the rest curvature; their mean is that of the beam
+    "length": ("1", None),  # its log, over the stated length
+    "section": ("1", None),  # share of the stretch and shear that the set-up's thickness gives, less one
+    "relaxation": ("1", None),  # shares of the stiffness that relax; predictions take k(s), the secant stiffness
+    "along": ("m", None),  # (m) of each tag
+    "across": ("m", None),
+    "turn": ("rad", None),
+    "clamp": ("rad", "mounting"),
+    "clamp gives": ("1", "mounting"),
+    "origin": ("m", "mounting"),  # (2)
+    "log k": ("1", "mounting"),  # (3) level, slope and bow of log k that are a mounting's own
+    "place": ("m", "tool"),
+    "slide": ("m/rad", "tool"),
+    "direction": ("rad", "sensor"),
+    "force error": ("N", "sensor"),  # (4) e1 and e2, x and y in turn
+    "gain": ("1", "sensor"),  # log of the sensor's scale over that of the sensor that taught k(s)
+}
+_RESOLUTION = Resolution(order=12, widest=0.5)
+_PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
+_FITTED = 6  # Legendre polynomials of log k that the equivalent beam differs by
+_SHARES, _TURNS = (0.25, 0.5, 0.75, 1.0), (-0.35, 0.0, 0.35)  # of the largest force, rad: where it is compared
+_PLACES = np.linspace(0.1, 1.0, 10)
+_DRAWS = 200
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """What a recording told of its set-up; n numbers, p coefficients of log k, m tags."""
+
+    push_s: float  # where the tool was stated to act
+    force: tuple[float, float]  # N, the largest logged
+    moved: float  # m, the largest displacement of the tags, root mean square
+    tags: tuple[float, ...]  # (m,) s, as stated
+    thickness: float  # m, to which `section` is relative
+    sizes: Mapping[str, int]  # of the parts that are there, in order
+    mean: Array  # (n,) at the mean of log k
+    slope: Array  # (n, p) of the mean with the coefficients of log k
+    covariance: Array  # (n, n) that is left once these are known
+    prior_sd: Array  # (n,) before the data
+    force_sd: float = 0.0  # N, of each axis: error of a push that no part explains
+    discrepancy: float = 0.0  # of a displacement: error of a point that no part explains
+
+    def __post_init__(self) -> None:
+        n = sum(self.sizes.values())
+        if not set(self.sizes) <= set(PARTS):
+            raise MechanicsError(f"a set-up has no part {sorted(set(self.sizes) - set(PARTS))[0]!r}")
+        shapes = (self.mean.shape, self.slope.shape[:1], self.covariance.shape, self.prior_sd.shape)
+        if shapes != ((n,), (n,), (n, n), (n,)):
+            raise MechanicsError(f"a set-up of {n} numbers cannot hold arrays of {shapes}")
+
+    @cached_property
+    def columns(self) -> dict[str, slice]:
+        """Where each part stands."""
+        ends = np.cumsum([0, *self.sizes.values()]).tolist()
+        return {name: slice(a, b) for name, a, b in zip(self.sizes, ends[:-1], ends[1:], strict=True)}
+
+    def renewed(self, new: Iterable[Renewed] = ()) -> SetUp:
+        """The set-up with another tool, another sensor or a new mounting: their parts have their priors again."""
+        wanted = set(new)
+        if wanted - set(get_args(Renewed)):
+            raise MechanicsError(f"new may be of {', '.join(get_args(Renewed))}, got {sorted(wanted)}")
+        mean, slope, covariance = self.mean.copy(), self.slope.copy(), self.covariance.copy()
+        for name, where in self.columns.items():
+            if PARTS[name][1] in wanted:
+                mean[where], slope[where] = 0.0, 0.0
+                covariance[where], covariance[:, where] = 0.0, 0.0
+                covariance[where, where] = np.diag(self.prior_sd[where] ** 2)
+        return replace(self, mean=mean, slope=slope, covariance=covariance)
+
+    @property
+    def origin(self) -> Array:
+        """(2,) m, the clamp's mean place in the frame of the recording."""
+        return self._part(self.mean, "origin", 2)
+
+    def draw(self, known: UncertainStiffness, count: int, *, seed: int) -> tuple[Array, Array]:
+        """(count, p) coefficients of log k and (count, n) numbers of the set-up, as probable as the data say."""
+        rng = np.random.default_rng(seed)
+        of_k = rng.standard_normal((count, len(known.mean))) @ _root(known.covariance)
+        rest = rng.standard_normal((count, len(self.mean))) @ _root(self.covariance)
+        return known.mean + of_k, self.mean + of_k @ self.slope.T + rest
+
+    def bent(
+        self,
+        beam: Beam,
+        known: UncertainStiffness,
+        force: Array,
+        at: tuple[Array, Array] | None = None,
+        *,
+        push_s: float | None = None,
+        gravity: tuple[float, float] = (0.0, 0.0),
+    ) -> Bent:
+        """The beam under logged forces (T, 2) [N], with log k and numbers `at` (T, p), (T, n); default: their means.
+
+        `push_s`: where the tool is stated to act; default: as in the recording. `beam` gives mass and rest curvature.
+        """
+        count = len(force)
+        coefficients, x = (known.mean[None], self.mean[None]) if at is None else at
+        x = np.broadcast_to(x, (count, len(self.mean)))
+        push_s = self.push_s if push_s is None else push_s
+
+        def part(name: str, size: int = 1) -> Array:
+            return self._part(x, name, size)
+
+        still = push(np.zeros((count, 2)), push_s)
+        plain = make_problem(beam, still + weight(gravity) if any(gravity) else still, _RESOLUTION)
+        nodes, weights = plain.grid.nodes, plain.weights
+        log_k = coefficients @ known.basis(nodes).T + part("log k", 3) @ Modes(3).curvature(nodes).T
+        k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
+        length = beam.length * np.exp(part("length"))
+        stretch, shear = RectangularSection(self.thickness).compliance(k, weights, length)
+        share = np.maximum(1.0 + part("section"), 0.0) if "section" in self.sizes else np.zeros((1, 1))
+        q0 = plain.q0 + (part("curvature", 3) - self._part(self.mean, "curvature", 3)) @ Modes(3).curvature(nodes).T
+        logged = np.exp(-part("gain")) * _turned(force, part("direction")[:, 0])
+        base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
+        last = np.arange(len(nodes)) == int(np.sum(nodes < push_s)) - 1
+        beyond, farther = (nodes < push_s).astype(float), last / (length * weights)
+        rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
+        looked_at, turn, bend, solved = (
+            np.array([push_s, self.tags[0]]),
+            np.zeros((count, 2)),
+            np.zeros((count, 1)),
+            None,
+        )
+        for _ in range(_PASSES):
+            place = part("place") + part("slide") * turn[:, :1]
+            alpha0 = part("clamp") + part("clamp gives") * turn[:, 1:]
+            acting = logged + bend * part("force error", 4)[:, :2] + bend**2 * part("force error", 4)[:, 2:]
+            dead = plain.dead_force + (beyond + place * farther)[..., None] * acting[:, None, :]
+            now = replace(base, alpha0=beam.clamp_angle + alpha0, dead_force=dead)
+            solved = follow(now) if solved is None else refine(now, solved.q)
+            turn = solved.angle(looked_at) - rest.angle(looked_at)
+            away = solved.xy(tags) - rest.xy(tags)
+            bend = np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1))[:, None] / self.moved
+        assert solved is not None
+        return Bent(self, solved, x)
+
+    def equivalent(
+        self,
+        beam: Beam,
+        known: UncertainStiffness,
+        *,
+        push_s: float | None = None,
+        gravity: tuple[float, float] = (0.0, 0.0),
+    ) -> Beam:
+        """The inextensible beam on a rigid clamp that goes where this one goes under the logged forces.
+
+        Length, clamp and rest curvature are those of the set-up; log k differs by a few Legendre polynomials. It is
+        compared under forces up to the largest of the recording. What reaches for a point, a shape or a path with it
+        moves the beam in the set-up. Raises `MechanicsError`: no equilibrium under these forces.
+        """
+        size, angle = float(np.hypot(*self.force)), float(np.arctan2(self.force[1], self.force[0]))
+        polar = [(share * size, angle + turn) for share in _SHARES for turn in _TURNS]
+        force = np.array([[f * np.cos(a), f * np.sin(a)] for f, a in polar])
+        there = self.bent(beam, known, force, push_s=push_s, gravity=gravity)
+        stands = there.solved.converged
+        if not np.any(stands):
+            raise MechanicsError("the beam does not stand in its set-up under the forces that it was learned from")
+        force, wanted = force[stands], there.solved.xy(_PLACES)[stands]
+        s = np.linspace(0.0, 1.0, 8 * len(known.mean))
+        onto = np.linalg.lstsq(known.basis(s), Modes(_FITTED).curvature(s), rcond=None)[0]
+        plain = replace(
+            beam,
+            length=beam.length * float(np.exp(self._part(self.mean, "length", 1)[0])),
+            clamp_angle=beam.clamp_angle + float(self._part(self.mean, "clamp", 1)[0]),
+            thickness=None,
+        )
+        loads = push(force, self.push_s if push_s is None else push_s)
+        loads = loads + weight(gravity) if any(gravity) else loads
+        knots, offset = tuple(known.knots.tolist()), known.offset
+
+        def of(c: Array) -> Beam:
+            logs = tuple((known.mean + onto @ c).tolist())
+            return replace(plain, stiffness=LogSpline(knots, logs, known.degree, offset))
+
+        def away(c: Array) -> Array:
+            solved = follow(make_problem(of(c), loads, _RESOLUTION))
+            return (np.where(solved.converged[:, None, None], solved.xy(_PLACES) - wanted, beam.length)).ravel()
+
+        begin = np.zeros(_FITTED)
+        found = least_squares(away, begin, x_scale=0.05, xtol=1e-6, ftol=1e-8, max_nfev=20)
+        return of(found.x)
+
+    def _part(self, x: Array, name: str, size: int) -> Array:
+        """(..., size) of numbers (..., n); zeros where the set-up lacks the part."""
+        where = self.columns.get(name)
+        return np.zeros((*x.shape[:-1], size)) if where is None else x[..., where]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        plain = asdict(self) | {"sizes": dict(self.sizes)}
+        return {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in plain.items()}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> SetUp:
+        """From `as_dict`. Raises `MechanicsError` where an entry is missing, unknown or not finite."""
+        try:
+            mean, prior_sd = (np.asarray(data[name], dtype=float) for name in ("mean", "prior_sd"))
+            found = SetUp(
+                push_s=float(data["push_s"]),
+                force=(float(data["force"][0]), float(data["force"][1])),
+                moved=float(data["moved"]),
+                tags=tuple(map(float, data["tags"])),
+                thickness=float(data["thickness"]),
+                sizes={str(name): int(count) for name, count in data["sizes"].items()},
+                mean=mean,
+                slope=np.asarray(data["slope"], dtype=float).reshape(len(mean), -1),
+                covariance=np.asarray(data["covariance"], dtype=float).reshape(len(mean), len(mean)),
+                prior_sd=prior_sd,
+                force_sd=float(data["force_sd"]),
+                discrepancy=float(data["discrepancy"]),
+            )
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise MechanicsError(f"describes no set-up ({error})") from error
+        if not all(np.all(np.isfinite(np.asarray(v))) for name, v in vars(found).items() if name != "sizes"):
+            raise MechanicsError("a set-up holds numbers that are not finite")
+        return found
+
+
+@dataclass(frozen=True)
+class Bent:
+    """The beam in its set-up under T forces."""
+
+    setup: SetUp
+    solved: Equilibrium
+    numbers: Array  # (T, n) of the set-up
+
+    @property
+    def stands(self) -> BoolArray:
+        """(T,) whether there is a stable equilibrium."""
+        return np.asarray(self.solved.converged & self.solved.stable)
+
+    def xy(self, s: Array) -> Array:
+        """(T, S, 2) m, places of the beam in the frame of the recording."""
+        return np.asarray(self.solved.xy(s) + self.setup._part(self.numbers, "origin", 2)[:, None])
+
+    def tags(self) -> Array:
+        """(T, m, 3) m, m, rad: the tags in that frame."""
+        s, size = np.array(self.setup.tags), len(self.setup.tags)
+        along, across, turn = (self.setup._part(self.numbers, one, size) for one in ("along", "across", "turn"))
+        angle = self.solved.angle(s)
+        cos, sin = np.cos(angle), np.sin(angle)
+        away = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
+        return np.concatenate([self.xy(s) + away, (angle + turn)[..., None]], axis=-1)
+
+
+def _root(covariance: Array) -> Array:
+    """(n, n) symmetric root of a covariance, the same on every machine."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _turned(force: Array, angle: Array) -> Array:
+    """(T, 2) forces turned by angles (T,) [rad]."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([cos * force[:, 0] - sin * force[:, 1], sin * force[:, 0] + cos * force[:, 1]], axis=-1)
