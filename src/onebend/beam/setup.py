@@ -164,7 +164,7 @@ class SetUp:
             now = replace(base, alpha0=beam.clamp_angle + alpha0, dead_force=dead)
             solved = follow(now) if solved is None else refine(now, solved.q)
             turn = solved.angle(looked_at) - rest.angle(looked_at)
-            away = solved.xy(tags) - rest.xy(tags)
+            away = solved.xy(np.array(self.tags)) - rest.xy(np.array(self.tags))
             bend = np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1))[:, None] / self.moved
         assert solved is not None
         return Bent(self, solved, x)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,12 +121,11 @@ def test_what_is_no_film_of_many_frames_stays_as_it_is() -> None:
 
 def test_every_push_is_worth_as_many_frames() -> None:
     one, poses = pushed(400), replace(pushed(40), static=True)
-    again = replace(
-        one,
-        time=np.concatenate([one.time, one.time[-1] + one.time + 0.01]),
-        **{name: np.concatenate([getattr(one, name)] * 2) for name in ("frame", "xy", "angle", "covariance", "force")},
-        **{name: np.concatenate([getattr(one, name)] * 2) for name in ("push_s", "loaded", "gravity")},
-    )
+    twice: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name)] * 2)
+        for name in ("frame", "xy", "angle", "covariance", "force", "push_s", "loaded", "gravity")
+    }
+    again = replace(one, time=np.concatenate([one.time, one.time[-1] + one.time + 0.01]), **twice)
     assert (worth(one), worth(again), worth(poses)) == (EACH_PUSH, 2 * EACH_PUSH, 40)
     assert 0.8 * EACH_PUSH < len(condensed(one).time) <= EACH_PUSH
 
