@@ -45,7 +45,7 @@ def causal_allowances(marker_s: Array, beam_length: float, tag_size: float, *, t
     tags = tuple(f"tag {i}" for i in range(1, len(marker_s) + 1))
     no_functions = np.zeros((0, len(_LINEAR)))
     empty = np.zeros(0)
-    none = PushCourse(empty, empty, empty, empty, np.zeros((0, len(marker_s))))
+    none = PushCourse(empty, empty, empty, empty, np.zeros((0, len(marker_s))), 0.0)
     return (
         allowances.section(known=thick),
         allowances.relaxation(none),
@@ -93,7 +93,7 @@ class CourseSoFar:
         self._turn = np.where(visible, turn, self._turn)
         out = np.empty(TERMS)
         once = np.zeros(1)
-        run = PushCourse(once, np.array([bend]), np.array([float(back)]), once, self._turn[None])
+        run = PushCourse(once, np.array([bend]), np.array([float(back)]), once, self._turn[None], 0.0)
         out[SLIDE] = allowances.turn_at_push(self._marker_s, run.turn, np.array([push_s]))
         out[CLAMP], out[POSTURE], out[SMOOTH] = (
             self._turn[0],

@@ -78,11 +78,13 @@ def test_a_tag_far_off_counts_by_students_t() -> None:
     pose = recording.measured.copy()
     pose[2, 1, 0] += 30 * 2e-5
     pose[3, 0, 2] -= 8 * 1e-3
+    pose[-1, 1, 1] += 20 * 2e-5  # at rest, a mean of many frames: no outlier
     now = replace(now, pose=pose)
     rows = residual_rows(now, RecordingNoise(2.0, 1e-12))
     squares = np.zeros(pose.shape[:2])
     squares[2, 1], squares[3, 0] = (30 / 2.0) ** 2, (8 / 2.0) ** 2
     weight = (6.0 + 3.0) / (6.0 + squares)  # six degrees of freedom, three numbers
+    weight[-1] = 1.0
     np.testing.assert_allclose(
         rows.root_weight.reshape(*squares.shape, 3) ** 2, weight[..., None] * np.ones(3), rtol=1e-6
     )
