@@ -24,7 +24,7 @@ from onebend.beam.continuation import follow, refine
 from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.problem import first_resolution, make_problem
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
@@ -50,7 +50,6 @@ PARTS: dict[str, tuple[str, Renewed | None]] = {
     "force error": ("N", "sensor"),  # (4) e1 and e2, x and y in turn
     "gain": ("1", "sensor"),  # log of the sensor's scale over that of the sensor that taught k(s)
 }
-_RESOLUTION = Resolution(order=12, widest=0.5)
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
 _FITTED = 6  # Legendre polynomials of log k that the equivalent beam differs by
 _SHARES, _TURNS = (0.25, 0.5, 0.75, 1.0), (-0.35, 0.0, 0.35)  # of the largest force, rad: where it is compared
@@ -137,7 +136,8 @@ class SetUp:
             return self._part(x, name, size)
 
         still = push(np.zeros((count, 2)), push_s)
-        plain = make_problem(beam, still + weight(gravity) if any(gravity) else still, _RESOLUTION)
+        loads = still + weight(gravity) if any(gravity) else still
+        plain = make_problem(beam, loads, first_resolution(beam, loads)[0])
         nodes, weights = plain.grid.nodes, plain.weights
         log_k = coefficients @ known.basis(nodes).T + part("log k", 3) @ Modes(3).curvature(nodes).T
         k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
@@ -201,6 +201,7 @@ class SetUp:
         )
         loads = push(force, self.push_s if push_s is None else push_s)
         loads = loads + weight(gravity) if any(gravity) else loads
+        resolution, _ = first_resolution(beam, loads)
         knots, offset = tuple(known.knots.tolist()), known.offset
 
         def of(c: Array) -> Beam:
@@ -208,7 +209,7 @@ class SetUp:
             return replace(plain, stiffness=LogSpline(knots, logs, known.degree, offset))
 
         def away(c: Array) -> Array:
-            solved = follow(make_problem(of(c), loads, _RESOLUTION))
+            solved = follow(make_problem(of(c), loads, resolution))
             return (np.where(solved.converged[:, None, None], solved.xy(_PLACES) - wanted, beam.length)).ravel()
 
         begin = np.zeros(_FITTED)
