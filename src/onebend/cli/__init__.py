@@ -11,6 +11,8 @@ from __future__ import annotations
 import gc
 import json
 import os
+import sys
+import warnings
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from functools import wraps
@@ -289,6 +291,9 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 def main() -> NoReturn:
     """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
     gc.set_threshold(MOST_NEW)
+    if not sys.warnoptions:  # numbers that are none are checked for, and NumPy's warnings of them tell a user nothing
+        os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of processes that are begun beside, too
+        warnings.simplefilter("ignore", RuntimeWarning)
     if COMPLETE in os.environ:
         from typer.completion import completion_init  # type: ignore[attr-defined]
 

@@ -193,7 +193,8 @@ def record(
             kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
             if outcome.film is None and not outcome.fault:
                 kept += " To film whatever is wrong with the picture, add --now."
-            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
+            why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
+            raise RecordingError(f"{why} {kept}")
     if as_json:
         print_json(live.outcome_data(outcome))
         return

@@ -23,11 +23,12 @@ from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState,
 from onebend.live.live import Live, seen_by
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.review import Seen, observed_in
-from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of
+from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.pipeline import learn_observed
 from onebend.progress import interrupts_held, leave_interrupts_to_parent
 from onebend.recording.entries import Recording
 from onebend.recording.observe import ObserveSettings
+from onebend.recording.pairing import read_log
 from onebend.recording.tags import Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -274,6 +275,7 @@ class _Session:
             else:
                 self._force_end = item.why
             return
+        item = measurable(item) if isinstance(item, Samples) else item
         self._logs.see(item)
         if self._film is not None:
             self._keep(item)
@@ -414,6 +416,16 @@ class _Session:
             except OSError as wrong:
                 self._fault = True
                 self._why = say("recorded: not closed", why=self._why, wrong=wrong.strerror or wrong)
+        if not self._fault:
+            self._read_back()
+
+    def _read_back(self) -> None:
+        """A recording whose log nothing can be learned from is none, whatever it ended by."""
+        try:
+            read_log(self._places.rec)
+        except OnebendError as wrong:
+            self._fault = True
+            self._why = say("recorded: no log", why=self._why, wrong=wrong)
 
     def _outcome(self) -> CaptureOutcome:
         places, state, why = self._places, self._state, self._why or "its sources ended"
