@@ -58,7 +58,12 @@ class Client:
     async def write(self) -> None:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                await self.socket.send_text(text_of(await self.waiting.get()))
+                message = await self.waiting.get()
+                try:
+                    text = text_of(message)
+                except (ValueError, TypeError, RecursionError) as error:  # ours: the tab is told, and goes on
+                    text = text_of({"what": "error", "text": said_of(error)})
+                await self.socket.send_text(text)
 
 
 def text_of(message: dict[str, Any]) -> str:
@@ -126,7 +131,7 @@ class Desk:
         await socket.accept()
         client = Client(socket)
         self.clients.add(client)
-        writer = asyncio.create_task(client.write())
+        writer = asyncio.create_task(self._watched(client.write(), self.tell))
         about = {"folder": str(self.places.root), "job": self.jobs.shown(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:
