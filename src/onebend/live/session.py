@@ -108,6 +108,7 @@ class Follower:
         ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(ids, rec.tags.family)
         self._live: Live | None = None
+        self._widening = guidance.Widening()
         self._next = NextPush(beside=settings.live_beside)
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
@@ -146,13 +147,15 @@ class Follower:
             self._live.force(time, force, place)
 
     def known(self) -> dict[str, Any]:
-        """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
+        """Of `CaptureState`: k(s), its half width, why it is wider than it was, and all that `Live` says."""
         if self._live is None:
             return {}
         state, width = self._live.state(), math.nan
-        if state.stiffness is not None and identified_ranges(state.stiffness):
+        ranges = [] if state.stiffness is None else identified_ranges(state.stiffness)
+        if state.stiffness is not None and ranges:
             width = float(np.expm1(typical_half_width(state.stiffness)))
-        return {"live": state, "stiffness": state.stiffness, "half_width": width}
+        wider = self._widening.why(width, sum(end - begin for begin, end in ranges), state.sizes)
+        return {"live": state, "stiffness": state.stiffness, "half_width": width, "wider": wider}
 
     def plan(self) -> None:
         if self._live is not None:
