@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,7 +25,7 @@ from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlace
 from onebend.live.review import Seen, observed_in
 from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.pipeline import learn_observed
-from onebend.progress import interrupts_held, leave_interrupts_to_parent
+from onebend.progress import end_now, interrupts_held, leave_interrupts_to_parent
 from onebend.recording.entries import Recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.pairing import read_log
@@ -86,13 +86,8 @@ class NextPush:
             self._coming = self._pool.submit(next_push_words, seen, observing)
 
     def close(self) -> None:
-        if self._pool is None:
-            return
-        processes = list(getattr(self._pool, "_processes", {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            with suppress(OSError):
-                process.terminate()
+        if self._pool is not None:
+            end_now(self._pool)
         self._pool = None
 
 

@@ -216,7 +216,7 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
     x, y = MM * control.goal
-    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at ({x:.4g}, {y:.4g}) mm")
+    away.set(ylabel="from the goal [mm]", title=f"The loop, simulated: goal at ({x:.4g}, {y:.4g}) mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")

@@ -23,7 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import onebend
 from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
-from onebend.progress import end_with_parent
+from onebend.progress import end_now, end_with_parent
 from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -86,7 +86,7 @@ class Desk:
         self.places = places
         self.clients: set[Client] = set()
         self.jobs = Jobs("learner", self._job_changed)
-        rooms = {"check": "recordings", "rehearse": "rehearsing"}
+        rooms = {"check": "recordings", "loop": "looping"}
         self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
         self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
@@ -124,7 +124,7 @@ class Desk:
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
-        self.beside.shutdown(wait=False, cancel_futures=True)
+        end_now(self.beside)
 
     async def serve(self, socket: WebSocket) -> None:
         """One tab, from its coming to its going."""

@@ -370,7 +370,7 @@ def check_line(name: str) -> str:
 
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
-    """The command that rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
+    """The command that simulates the same; `wanted` as from `looping.wanted_work`."""
     places = _places(wanted["push_s"], wanted["point_s"])
     beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
     bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]

@@ -119,11 +119,11 @@ class Asked:
 
     async def beam(self, request: Request) -> Response:
         name = _name(request)
-        return _said(await _of_room("rehearsing", "beam_data", name, self.desk.places.result(name)))
+        return _said(await _of_room("looping", "beam_data", name, self.desk.places.result(name)))
 
     async def reach(self, request: Request) -> Response:
         asked = await _posted(request)
-        wanted = await _of_room("rehearsing", "reach_asked", self.desk.places, asked)
+        wanted = await _of_room("looping", "reach_asked", self.desk.places, asked)
         return _said(await self.desk.reach(*wanted))
 
     async def work(self, request: Request) -> Response:
