@@ -3,11 +3,13 @@
 A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
 from the schema. docs/troubleshooting.md has the list of the warnings on results, made from their sentences. The text
-around these parts is written by hand; tests/whole/test_docs.py compares the parts with the code.
+around these parts is written by hand; tests/whole/test_docs.py compares the parts with the code. `options.json` of
+the command line is written too; tests/test_startup.py compares it.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import tomllib
@@ -18,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
-from onebend.cli import Command, all_commands
+from onebend.cli import OPTIONS, Command, all_commands, as_data
 from onebend.errors import SECTIONS
 from onebend.recording.description import RECORDS
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
@@ -179,7 +181,19 @@ def as_toml(value: Any, scale: float = 1.0) -> str:
     return f"{value / scale:.3g}" if isinstance(value, int | float) else f'"{value}"'
 
 
+def options() -> str:
+    """The text of `options.json`, from which `--help` is made: a row a parameter."""
+    found = {name: as_data(Command(name, place).function()) for name, place in all_commands().items()}
+    return "{\n" + ",\n".join(f"{json.dumps(name)}: {_options_of(one)}" for name, one in found.items()) + "\n}\n"
+
+
+def _options_of(command: Mapping[str, Any]) -> str:
+    rows = ",\n".join(f"  {json.dumps(one)}" for one in command["parameters"])
+    return f'{{"help": {json.dumps(command["help"])}, "parameters": [\n{rows}\n]}}'
+
+
 def _from_the_command_line() -> None:
+    OPTIONS.write_text(options(), encoding="utf-8")
     for page, parts in pages().items():
         page.write_text(renewed(page.read_text(encoding="utf-8"), parts), encoding="utf-8")
         print(f"{page.relative_to(ROOT)}: {len(parts)} generated parts")

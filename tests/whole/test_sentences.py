@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 from string import Formatter
 from typing import get_args
@@ -72,6 +73,12 @@ def test_numbers_are_shown_in_the_unit_of_their_field() -> None:
     assert "about s = 0.8," in say("push elsewhere", where=(0.8, 0.801), written=0.9)
     assert "between s = 0.7 and 0.8," in say("push elsewhere", where=(0.7, 0.8), written=0.9)
     assert [odds(-2.5), odds(-5.0), odds(-99.0)] == ["1 in 320", "1 in 100 000", "1 in 1 000 000 000 or less"]
+
+
+def test_g_is_grams_and_no_form_of_a_number() -> None:
+    after = {code: re.findall(r"\{[^}:]*:g\}(.{0,3})", one.text) for code, one in SENTENCES.items()}
+    assert {code: found for code, found in after.items() if any(not re.match(r" g\b", text) for text in found)} == {}
+    assert say("recorded: short rest", wanted=3.0).startswith("the first rest was shorter than 3 s")
 
 
 def test_poses_and_films_have_their_own_remedies() -> None:

@@ -2,21 +2,28 @@
 
 Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do, or a fault of
 onebend itself, with the file that says more; 130 interrupted.
-The list of commands stands here as text, so that `--version` and `--help` load no command; each loads what it needs.
+The list of commands stands here as text, and their options in `options.json` (`make docs` writes it), so that
+`--version` and every `--help` load no command; each loads what it needs.
 """
 
 from __future__ import annotations
 
 import gc
+import json
 import os
+import sys
+import warnings
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from functools import wraps
 from importlib import import_module
-from typing import Annotated, Any, Literal, NoReturn
+from inspect import Parameter, Signature, getdoc, signature
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.models import OptionInfo
 
 import onebend
 from onebend.crash import guarded
@@ -26,6 +33,8 @@ from onebend.wings import Place, wings
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
 MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700 they take a 20th of the time
+HELP = ("-h", "--help")
+OPTIONS = Path(__file__).parent / "options.json"
 COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
 
 
@@ -132,6 +141,68 @@ def all_commands() -> dict[str, Place]:
     return {name: place for table in (COMMANDS, *brought) for name, place in table.items()}
 
 
+# The options of a command as data: for each parameter its name, kind, default and what `--help` says of it.
+
+KINDS: dict[str, Any] = {"bool": bool, "int": int, "float": float, "str": str, "Path": Path, "None": None}
+MADE_OF: dict[str, Any] = {"tuple": tuple, "list": list, "one of": Literal, "either": Union}
+SAID = ("help", "metavar", "min", "max")
+
+
+def as_data(function: Callable[..., None]) -> dict[str, Any]:
+    """The help of a command's function, and its parameters."""
+    return {
+        "help": getdoc(function),
+        "parameters": [_parameter_data(one) for one in signature(function).parameters.values()],
+    }
+
+
+def _parameter_data(one: Parameter) -> dict[str, Any]:
+    kind, info = get_args(one.annotation)
+    asked = isinstance(info, OptionInfo)
+    names = [name for name in (info.default, *(info.param_decls or ())) if isinstance(name, str)] if asked else None
+    said = {key: getattr(info, key) for key in SAID if getattr(info, key) is not None}
+    default = {} if one.default is Parameter.empty else {"default": one.default}
+    data = {"name": one.name, "kind": _kind_data(kind), "options": names, **said, **default}
+    return dict(json.loads(json.dumps(data, default=str)))
+
+
+def _kind_data(kind: Any) -> Any:
+    inside, origin = get_args(kind), get_origin(kind)
+    if not inside:
+        return kind if isinstance(kind, str) else "None" if kind is type(None) else kind.__name__
+    name = {tuple: "tuple", list: "list", Literal: "one of"}.get(origin, "either")
+    return [name, *(one if origin is Literal else _kind_data(one) for one in inside)]
+
+
+def function_of(data: Mapping[str, Any]) -> Callable[..., None]:
+    """A function with these parameters, which does nothing."""
+
+    def nothing(**_: Any) -> None:
+        pass
+
+    parameters = [_parameter(one) for one in data["parameters"]]
+    nothing.__doc__ = data["help"]
+    nothing.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    nothing.__annotations__ = {one.name: one.annotation for one in parameters}
+    return nothing
+
+
+def _parameter(data: Mapping[str, Any]) -> Parameter:
+    said, kind = {key: data[key] for key in SAID if key in data}, _kind(data["kind"])
+    info = typer.Argument(**said) if data["options"] is None else typer.Option(*data["options"], **said)
+    default = data.get("default", Parameter.empty)
+    if isinstance(default, list):
+        default = tuple(default)
+    return Parameter(data["name"], Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
+
+
+def _kind(data: Any) -> Any:
+    if isinstance(data, str):
+        return KINDS[data]
+    inside = tuple(data[1:]) if data[0] == "one of" else tuple(map(_kind, data[1:]))
+    return MADE_OF[data[0]][inside]
+
+
 class Command(TyperCommand):
     """A name and a line of help; what the command does, and its options, are loaded when it is called."""
 
@@ -141,9 +212,17 @@ class Command(TyperCommand):
 
     def loaded(self) -> Any:
         """The command itself. It works with one BLAS thread."""
+        return self._made(one_blas_thread(remembered(self.function())))
+
+    def described(self) -> Any:
+        """The command as `options.json` has it, which only says its help; None where that has no such command."""
+        options = json.loads(OPTIONS.read_text(encoding="utf-8")).get(self.name)
+        return None if options is None else self._made(function_of(options))
+
+    def _made(self, function: Callable[..., None]) -> Any:
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
-        single.command(self.name, epilog="\n\n".join(lines))(one_blas_thread(remembered(self.function())))
+        single.command(self.name, epilog="\n\n".join(lines))(function)
         return typer.main.get_command(single)
 
     def function(self) -> Callable[..., None]:
@@ -152,8 +231,10 @@ class Command(TyperCommand):
 
         return expanded(self.place.load())
 
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        return self.loaded().make_context(*args, **kwargs)
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any) -> Any:
+        if {*HELP} & {*args} and (described := self.described()) is not None:
+            described.make_context(info_name, list(args), *more, **kwargs)  # goes on only where it is no question
+        return self.loaded().make_context(info_name, args, *more, **kwargs)
 
 
 class Commands(TyperGroup):
@@ -170,7 +251,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": [*HELP]},
 )
 
 
@@ -210,6 +291,9 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 def main() -> NoReturn:
     """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
     gc.set_threshold(MOST_NEW)
+    if not sys.warnoptions:  # numbers that are none are checked for, and NumPy's warnings of them tell a user nothing
+        os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of processes that are begun beside, too
+        warnings.simplefilter("ignore", RuntimeWarning)
     if COMPLETE in os.environ:
         from typer.completion import completion_init  # type: ignore[attr-defined]
 

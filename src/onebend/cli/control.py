@@ -1,4 +1,4 @@
-"""Commands that bend a learned beam, or rehearse to."""
+"""Commands that bend a learned beam, or simulate to."""
 
 from __future__ import annotations
 
@@ -339,7 +339,7 @@ def show_loop(
     known: Margins,
     trials: tuple[LoopTrial, ...],
     output: Path | None,
-    rehearsed: Mapping[str, object],
+    further: Mapping[str, object],
 ) -> None:
     table = common.facts_table()
     x, y = control.reference.ends
@@ -350,11 +350,11 @@ def show_loop(
     turn = "any" if math.isinf(known.phase) else f"{math.degrees(known.phase):.0f} deg"
     table.add_row("margins", f"gain {known.gain:.2f} times, phase {turn}, delay {later}")
     table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
-    if rehearsed["felt"] != "nothing":
-        table.add_row("the force is felt", "by a log" if rehearsed["felt"] == "log" else "by the beam's shape")
-    if rehearsed["force_off_N"]:
-        table.add_row("the robot's force", f"off by {rehearsed['force_off_N']:.3g} N, across it")
-    if rehearsed["hidden"]:
+    if further["felt"] != "nothing":
+        table.add_row("the force is felt", "by a log" if further["felt"] == "log" else "by the beam's shape")
+    if further["force_off_N"]:
+        table.add_row("the robot's force", f"off by {further['force_off_N']:.3g} N, across it")
+    if further["hidden"]:
         table.add_row("the point", "never seen")
     console.print(table)
     runs = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -368,7 +368,7 @@ def show_loop(
 
 
 def trial_name(trial: LoopTrial) -> str:
-    """Which beam a rehearsal was made on."""
+    """Which beam was simulated."""
     share = 100.0 * abs(trial.factor - 1.0)
     way = "lower" if trial.factor < 1.0 else "higher"
     if trial.beam.drawn:

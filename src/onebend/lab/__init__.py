@@ -11,7 +11,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 COMMANDS = {
     "loop": Place(
         "onebend.lab.rehearsal_commands:loop",
-        "Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
+        "Simulate a closed loop: force for a goal, corrected by a camera, on beams that are not the model.",
         "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
     ),
     "design": Place(

@@ -49,24 +49,24 @@ from onebend.results.control_files import loop_summary, write_loop
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
-# Commands that bend a learned beam, or rehearse to.
+# Commands that bend a learned beam, or simulate to.
 
 
 @dataclass(frozen=True)
-class LoopRehearsal:
-    """The beams, the robot and the sensor that a loop is rehearsed with."""
+class SimulatedLoop:
+    """The beams, the robot and the sensor that a loop is simulated with."""
 
     k_error: float = option(
         "--k-error",
         0.3,
-        "Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
+        "Simulate beams this share softer and stiffer, for which the gains are chosen too.",
         metavar="SHARE",
         within=(0.0, 0.95),
     )
     draws: int | None = option(
         "--draws",
         None,
-        "Rehearse on N beams drawn from the band of k(s) instead.",
+        "Simulate N beams drawn from the band of k(s) instead.",
         metavar="N",
         within=(1, loop_simulation.MOST_DRAWN),
     )
@@ -84,7 +84,7 @@ class LoopRehearsal:
         within=(0.0, 1000.0),
     )
     hidden: bool = option("--hidden", False, "The camera never sees the point, nor a tag on it.")
-    duration: float = option("--duration-s", 8.0, "Of each rehearsal; at least two.", metavar="S", within=(2.0, 600.0))
+    duration: float = option("--duration-s", 8.0, "Of each simulation; at least two.", metavar="S", within=(2.0, 600.0))
 
 
 def loop(
@@ -95,12 +95,12 @@ def loop(
     point: common.Point = 1.0,
     gravity: common.Gravity = (0.0, 0.0),
     camera: loop_simulation.LoopCamera,
-    asked: LoopRehearsal,
+    asked: SimulatedLoop,
     output: common.Output = None,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
+    """Simulate a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
     with common.clean_errors():
         stored = read_trusted(model)
         beam = stored.beam
@@ -128,16 +128,14 @@ def loop(
             )
         )
         known = control.margins()
-        rehearsed = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
-        summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
+        further = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
+        summary = loop_summary(str(model), control, known, trials, further, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
 
             tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(
-        as_json, summary, lambda console: show_loop(console, control, known, trials, output, rehearsed), output
-    )
+    common.answer(as_json, summary, lambda console: show_loop(console, control, known, trials, output, further), output)
 
 
 # The screen of `onebend rehearse`.

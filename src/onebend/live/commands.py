@@ -95,7 +95,8 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     if not math.isnan(state.half_width):
         wanted = "" if math.isnan(state.until) else f", wanted ± {100 * state.until:.2g} %"
         bar = "█" * max(1, round(_BAR * min(state.half_width, 1.0)))
-        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}"))
+        why = f"\n{state.wider}" if state.wider else ""
+        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}{why}"))
     elif state.live is not None:
         rows.append(("k(s)", state.live.verdict.headline))
     if state.frames:
@@ -193,7 +194,8 @@ def record(
             kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
             if outcome.film is None and not outcome.fault:
                 kept += " To film whatever is wrong with the picture, add --now."
-            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
+            why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
+            raise RecordingError(f"{why} {kept}")
     if as_json:
         print_json(live.outcome_data(outcome))
         return

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +20,7 @@ from scipy.special import ndtri
 
 from onebend.errors import RecordingError, ResultsError
 from onebend.extras import require
-from onebend.files.publish import check_place, enter
+from onebend.files.publish import SUMMARY, check_place, enter, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
@@ -138,6 +142,11 @@ class BatchOutcome:
         return tuple((item.name, one) for item, one in rows if one.k is not None)
 
     @property
+    def in_doubt(self) -> tuple[tuple[str, str], ...]:
+        """Names of the learned recordings that `onebend learn` would doubt, each with the doubts."""
+        return tuple((name, "; ".join(one.doubts) or NOWHERE) for name, one in self.learned if one.in_doubt)
+
+    @property
     def outliers(self) -> tuple[tuple[tasks.Item, str], ...]:
         """Recordings unlike the others of their group, each with its reason."""
         return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
@@ -201,7 +210,8 @@ def run_batch(
             began(str(client.dashboard_link or "") if find_spec("bokeh") else "")
             results = _all(client, items, settings, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
-            left.unlink(missing_ok=True)  # begun by workers that were lost
+            with suppress(OSError):
+                left.unlink()  # begun by workers that were lost
     finally:
         place.remove()
     records = [_record(target, item, result) for item, result in zip(items, results, strict=True)]
@@ -273,7 +283,7 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
 
     return pa.table(
         {
-            "name": pa.array([name for name, _ in there for _ in tasks.PLACES], pa.string()),
+            "name": _texts(name for name, _ in there for _ in tasks.PLACES),
             "s": np.tile(tasks.PLACES, len(there)),
             "k_N_m": joined("k", float),
             "k_lo_N_m": joined("low", float),
@@ -290,7 +300,7 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
     """
     there, places = outcome.learned, tasks.PLACES[:: tasks.EVERY]
     columns: dict[str, Any] = {
-        "name": pa.array([name for name, _ in there for _ in places], pa.string()),
+        "name": _texts(name for name, _ in there for _ in places),
         "s": np.tile(places, len(there)),
     }
     for head, field in (("with", "covariance"), ("prior_with", "prior_part")):
@@ -302,22 +312,23 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:
     """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
     rows = [(name, one) for name, record in outcome.learned for one in record.nuisances]
-    text, number = pa.string(), pa.float64()
-    columns = {"name": pa.array([name for name, _ in rows], text)}
-    for name, field, kind in (
-        *(("nuisance", "name", text), ("unit", "unit", text)),
-        *(("value", "value", number), ("sd", "sd", number), ("prior_sd", "prior_sd", number)),
-    ):
-        columns[name] = pa.array([getattr(one, field) for _, one in rows], kind)
+    columns = {"name": _texts(name for name, _ in rows)}
+    columns |= {"nuisance": _texts(one.name for _, one in rows), "unit": _texts(one.unit for _, one in rows)}
+    for name in ("value", "sd", "prior_sd"):
+        columns[name] = pa.array([getattr(one, name) for _, one in rows], pa.float64())
     return pa.table(columns)
 
 
+def _texts(words: Iterable[str]) -> pa.Array:
+    return pa.array([tasks.as_text(one) for one in words], pa.string())
+
+
 def _columns(outcome: BatchOutcome) -> dict[str, Any]:
-    records, text = outcome.records, pa.string()
+    items, records = outcome.items, outcome.records
     found: dict[str, Any] = {
-        **{name: pa.array([getattr(one, name) for one in outcome.items], text) for name in ("name", "group")},
-        **{name: pa.array([getattr(one, name) for one in records], text) for name in ("reason", "grade")},
-        **{name: pa.array(["; ".join(getattr(one, name)) for one in records], text) for name in ("doubts", "warnings")},
+        **{name: _texts(getattr(one, name) for one in items) for name in ("name", "group")},
+        **{name: _texts(getattr(one, name) for one in records) for name in ("reason", "grade")},
+        **{name: _texts("; ".join(getattr(one, name)) for one in records) for name in ("doubts", "warnings")},
         LENGTH: np.array([one.length for one in records]),
     }
     for i in AT:
@@ -332,12 +343,12 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
         "error_m": np.array([one.error for one in records]),
         "level_z": outcome.scores.level,
         "shape_z": outcome.scores.shape,
-        "outlier": pa.array(outcome.scores.reasons, text),
+        "outlier": _texts(outcome.scores.reasons),
         "frames": np.array([one.frames for one in records], dtype=np.int64),
         "seconds": np.array([one.seconds for one in records]),
-        "finished": pa.array([one.finished for one in records], text),
-        "hash": pa.array([one.hash for one in records], text),
-        "path": pa.array([str(item.folder) for item in outcome.items], text),
+        "finished": _texts(one.finished for one in records),
+        "hash": _texts(one.hash for one in records),
+        "path": _texts(str(item.folder) for item in items),
     }
 
 
@@ -354,7 +365,60 @@ def _column(cells: Sequence[str]) -> pa.Array:
     return pa.array(cells, pa.string())
 
 
-# `index.html` of a batch: a table to sort, a small picture of each k(s), what is unlike the others and why.
+# The answer of a batch, in one row a recording: k at s = 0.5 with its band, where k is identified, the verdict.
+
+MIDDLE = 50  # of PLACES
+NOT_LEARNED, NOWHERE = "not learned", "identified nowhere"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a batch says first of a recording; NaN where nothing was learned."""
+
+    name: str
+    group: str
+    k: float  # N m at s = 0.5
+    low: float  # N m, of the 95 % band
+    high: float  # N m
+    told: bool  # whether k is identified there
+    identified: float  # share of s
+    verdict: str
+    warnings: int
+    report: str  # the address of the recording's own report beside `index.html`; empty: there is none
+
+    @property
+    def k_words(self) -> str:
+        """k as people read it, in brackets where it is not identified."""
+        words = known(self.k)
+        return words if self.told or not np.isfinite(self.k) else f"({words})"
+
+    @property
+    def identified_words(self) -> str:
+        return f"{100.0 * self.identified:.0f} %" if np.isfinite(self.identified) else UNKNOWN
+
+
+def answers(outcome: BatchOutcome) -> list[Answer]:
+    return [_answer(outcome.out, item, one) for item, one in zip(outcome.items, outcome.records, strict=True)]
+
+
+def _answer(out: Path, item: tasks.Item, one: tasks.Record) -> Answer:
+    k, low, high = (np.nan if curve is None else float(curve[MIDDLE]) for curve in (one.k, one.low, one.high))
+    told = one.identified is not None and bool(one.identified[MIDDLE])
+    share = np.nan if one.identified is None else float(one.identified.mean())
+    verdict = NOT_LEARNED if one.k is None else one.grade if one.doubts or share else NOWHERE
+    report = PurePosixPath(tasks.FOLDERS, item.name, "report.html")
+    there = one.k is not None and (out / report).is_file()
+    address = quote(str(report)) if there else ""
+    return Answer(item.name, item.group, k, low, high, told, share, verdict, len(one.warnings), address)
+
+
+def known(value: float) -> str:
+    """A number as people read it; a dash where it is not known."""
+    return significant(value) if np.isfinite(value) else UNKNOWN
+
+
+# `index.html` of a batch: the answers, what is doubted or unlike the others and why, a small picture of each k(s), and
+# a table of all columns.
 
 LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns of the Parquet table that the page does not show
 WIDE, HIGH = 100.0, 60.0  # of a small picture
@@ -364,12 +428,16 @@ STEP = 4  # of PLACES: points of a small picture
 def page(outcome: BatchOutcome, *, version: str) -> str:
     least, most = _range(outcome.records)
     names = sorted({item.group for item in outcome.items})
+    rows = answers(outcome)
     content = {
         "version": version,
         "title": one_line(f"Batch {outcome.out.name}"),
         "cards": _cards(outcome),
-        "outliers": [(one_line(item.name), why) for item, why in outcome.outliers],
-        "failed": [(one_line(item.name), one_line(why)) for item, why in outcome.failed],
+        "grouped": any(names),
+        "answers": [{"name": one_line(one.name), "group": one_line(one.group), "one": one} for one in rows],
+        "known": known,
+        "reports": any(one.report for one in rows),
+        "reasons": _reasons(outcome),
         "alarms": significant(200.0 * FALSE_ALARMS),
         **_table(outcome),
         "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
@@ -381,11 +449,26 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
 
 
 def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
-    doubted = sum(bool(one.doubts) for _, one in outcome.learned)
     return [
         {"what": "learned", "value": f"{len(outcome.learned)} of {len(outcome.records)}", "note": "recordings"},
-        {"what": "in doubt", "value": str(doubted), "note": "with a doubt as to all of k(s)"},
+        {"what": "in doubt", "value": str(len(outcome.in_doubt)), "note": "k(s) is not to be trusted, or not known"},
         {"what": "unlike the others", "value": str(len(outcome.outliers)), "note": "of their group"},
+    ]
+
+
+def _reasons(outcome: BatchOutcome) -> list[dict[str, Any]]:
+    """Names and reasons under their headings; no heading without a name."""
+    warned = [(name, text) for name, one in outcome.learned for text in one.warnings]
+    kinds = {
+        "In doubt": outcome.in_doubt,
+        "Not learned": [(item.name, why) for item, why in outcome.failed],
+        "Unlike the others": [(item.name, why) for item, why in outcome.outliers],
+        "Warnings": warned,
+    }
+    return [
+        {"title": title, "rows": [(one_line(name), one_line(" ".join(why.split()))) for name, why in rows]}
+        for title, rows in kinds.items()
+        if rows
     ]
 
 
@@ -438,8 +521,6 @@ def _points(s: Array, k: Array, least: float, most: float) -> list[str]:
 
 # The files of a batch and its summary; each is written whole or not at all.
 
-SUMMARY = "summary.json"
-
 
 def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
     return {
@@ -449,21 +530,23 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
         "learned": len(outcome.learned),
         "worked_on_now": outcome.learned_now,
         "failed": [{"name": item.name, "reason": why} for item, why in outcome.failed],
-        "in_doubt": [item.name for item, one in zip(outcome.items, outcome.records, strict=True) if one.doubts],
+        "in_doubt": [{"name": name, "reason": why} for name, why in outcome.in_doubt],
         "outliers": [{"name": item.name, "reason": why} for item, why in outcome.outliers],
     }
 
 
 def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str) -> None:
-    """Tables, page and summary into the results folder, in place of earlier ones. Raises `RecordingError`: a column of
-    the list has the name of one of the results'. Raises `ResultsError`: a file cannot be written."""
-    made: dict[str, str | bytes] = {
+    """Tables, page and summary into the results folder, in place of earlier ones; the summary lists them by checksum.
+    Raises `RecordingError`: a column of the list has the name of one of the results'. Raises `ResultsError`: a file
+    cannot be written."""
+    made = {
         "recordings.parquet": as_parquet(recordings_table(outcome)),
         "curves.parquet": as_parquet(curves_table(outcome)),
         "covariances.parquet": as_parquet(covariances_table(outcome)),
         "nuisances.parquet": as_parquet(nuisances_table(outcome)),
-        "index.html": page(outcome, version=version),
-        SUMMARY: to_json(summary) + "\n",
+        "index.html": page(outcome, version=version).encode(),
     }
-    for name, content in made.items():
+    files = {name: hashlib.sha256(content).hexdigest() for name, content in made.items()}
+    listed = with_checksum(json.loads(to_json({**summary, "files": {**files, SUMMARY: None}})))
+    for name, content in {**made, SUMMARY: to_json(listed).encode() + b"\n"}.items():
         write_file(outcome.out / name, content, overwrite=True)

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 import onebend
 from onebend.cli import BY, common
@@ -31,24 +32,39 @@ MOST_ROWS = 20  # rows of each kind that are shown of a batch
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
     there = len(outcome.items) - outcome.learned_now
     before = f", {there} of them before" if there else ""
-    console.print(f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}.", markup=False)
-    doubted = sum(bool(one.doubts) for one in outcome.records)
-    if doubted:
-        console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
-    for title, rows in (("not learned", outcome.failed), ("unlike the others", outcome.outliers)):
-        _show_reasons(console, "recording", title, [(item.name, why) for item, why in rows])
+    console.print(_answer_table(outcome))
+    if (more := len(outcome.items) - MOST_ROWS) > 0:
+        console.print(f"and {more} more: index.html and recordings.parquet have all.", markup=False)
+    console.print(
+        f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}; {len(outcome.in_doubt)} in doubt.",
+        markup=False,
+    )
+    failed, unlike = ([(item.name, why) for item, why in rows] for rows in (outcome.failed, outcome.outliers))
+    for title, rows in (("in doubt", outcome.in_doubt), ("not learned", failed), ("unlike the others", unlike)):
+        _show_reasons(console, "recording", title, rows)
     console.print(
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
     )
 
 
+def _answer_table(outcome: BatchOutcome) -> Table:
+    table = common.listing("k(s) of each recording", "<recording", "k(0.5) [N m]", "95 % from", "to", "known")
+    table.add_column("verdict", overflow="fold")
+    table.add_column("warnings", justify="right")
+    for one in batches.answers(outcome)[:MOST_ROWS]:
+        band = map(batches.known, (one.low, one.high))
+        cells = (one.k_words, *band, one.identified_words, one.verdict, str(one.warnings or ""))
+        table.add_row(Text(one_line(one.name)), *map(Text, cells))
+    return table
+
+
 def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[str, str]]) -> None:
     """The first rows of names and reasons; nothing where there is none."""
     if rows:
         table = Table(head, "why", title=f"{title}: {len(rows)}", title_justify="left")
-        for row in rows[:MOST_ROWS]:
-            table.add_row(*map(one_line, row))
+        for name, why in rows[:MOST_ROWS]:
+            table.add_row(Text(one_line(name)), Text(" ".join(why.split())))
         console.print(table)
 
 

@@ -22,7 +22,18 @@ import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError, told
 from onebend.extras import package
-from onebend.files.publish import abandon, finish, prepare, publish, read_summary, sha256_of
+from onebend.files.publish import (
+    OWN_CHECKSUM,
+    abandon,
+    finish,
+    is_unchanged,
+    prepare,
+    publish,
+    read_object,
+    read_summary,
+    sha256_of,
+    with_checksum,
+)
 from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
@@ -58,6 +69,11 @@ class Item:
     labels: tuple[tuple[str, str], ...] = ()  # the list's other columns, carried through: column, cell
 
 
+def as_text(words: str) -> str:
+    """`words` as every encoding has them: the bytes of a file's name that are no UTF-8 stand as their codes."""
+    return words.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def items_of(source: Path, out: Path) -> tuple[Item, ...]:
     """The recordings of `source`: a CSV with a column `path`, or a folder with recordings in it at any depth, without
     those in `out`. Raises `RecordingError`: there is none, two have one name, or a column or a cell of the list cannot
@@ -87,7 +103,8 @@ def _in_folder(source: Path, out: Path) -> tuple[Item, ...]:
             continue
         inside = folder.relative_to(source)
         group = inside.parts[0] if len(inside.parts) > 1 else ""
-        found.append(Item(inside.as_posix() if inside.parts else folder.name, folder, group))
+        name = inside.as_posix() if inside.parts else folder.name
+        found.append(Item(as_text(name), folder, as_text(group)))
     return tuple(found)
 
 
@@ -151,7 +168,8 @@ def _value(cell: str) -> Any:
 
 # Records: one small JSON file for each recording, under the hash of all that it was made from.
 
-FORMAT = "onebend-batch-record-4"
+FORMAT = "onebend-batch-record-5"
+LARGEST = 2**20  # bytes: no record is longer
 RECORDS = ".records"  # in the results folder
 PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
 EVERY = 5  # of PLACES: where a record has the covariance of log k
@@ -180,6 +198,11 @@ class Record:
     frames: int = 0
     seconds: float = np.nan  # that reading and learning took
     finished: str = ""  # UTC, ISO 8601
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether `onebend learn` doubts it: k(s) is not to be trusted, or identified nowhere."""
+        return bool(self.doubts) or (self.identified is not None and not self.identified.any())
 
 
 def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
@@ -223,18 +246,18 @@ def record_path(out: Path, hashed: str) -> Path:
 
 def write_record(out: Path, record: Record) -> None:
     """Put the record in place, whole or not at all. Raises `ResultsError` where it cannot be written."""
-    text = json.dumps({"format": FORMAT, **to_data(record)})
+    text = json.dumps(with_checksum({"format": FORMAT, **to_data(record)}))
     write_file(record_path(out, record.hash), text + "\n", overwrite=True)
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
-    """The record of this hash; None where there is none, or none that can be used: it is made anew then."""
+    """The record of this hash; None where there is none as it was written: it is made anew then."""
+    data = read_object(record_path(out, hashed), LARGEST)
     try:
-        data = json.loads(record_path(out, hashed).read_text(encoding="utf-8"))
-        if data.pop("format") != FORMAT or data["hash"] != hashed:
+        if data is None or not is_unchanged(data) or (data["format"], data["hash"]) != (FORMAT, hashed):
             return None
-        record = Record(**fields_from(Record, data))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        record = Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", OWN_CHECKSUM}}))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     count = len(PLACES[::EVERY])
     curves, squares = (record.k, record.low, record.high, record.identified), (record.covariance, record.prior_part)

@@ -216,7 +216,7 @@ def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
     x, y = MM * control.goal
-    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at ({x:.4g}, {y:.4g}) mm")
+    away.set(ylabel="from the goal [mm]", title=f"The loop, simulated: goal at ({x:.4g}, {y:.4g}) mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
@@ -246,7 +246,8 @@ def sensing(found: Sensed) -> Figure:
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
     x.set_title("Force from the shape, 95 % bands", loc="left")
-    x.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    said = {name: one for axes in (y, x) for one, name in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(said.values(), said, loc="outside upper right", ncols=4)  # above the title, never on it
     low, high = found.place - WIDE * found.place_sd, found.place + WIDE * found.place_sd
     shown = found.touched
     place.fill_between(found.time, low, high, where=shown, color=ORANGE, alpha=0.25, lw=0.0)

@@ -162,11 +162,11 @@ def loop_summary(
     control: Controller,
     known: Margins,
     trials: tuple[LoopTrial, ...],
-    rehearsed: Mapping[str, object],
+    further: Mapping[str, object],
     *,
     written_by: str,
 ) -> dict[str, Any]:
-    """What `onebend loop --json` prints and `summary.json` holds; SI; null is infinite. `rehearsed`: other settings."""
+    """What `onebend loop --json` prints and `summary.json` holds; SI; null is infinite. `further`: other settings."""
     timing = control.settings.timing
     return {
         "format": LOOP_FORMAT,
@@ -187,8 +187,8 @@ def loop_summary(
             "delay_s": known.delay,
             "softest": known.softest,
         },
-        **rehearsed,
-        "rehearsals": [
+        **further,
+        "trials": [
             {
                 "k_factor": trial.factor,
                 "drawn": trial.beam.drawn,
@@ -202,7 +202,7 @@ def loop_summary(
 
 
 def write_loop(folder: Path, trials: tuple[LoopTrial, ...]) -> None:
-    """`loop.csv`, one row a moment of every rehearsal."""
+    """`loop.csv`, one row a moment of every simulation."""
     rows = (
         (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
         for trial in trials

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import time
@@ -12,15 +13,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from PIL import Image, ImageDraw
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.spatial import cKDTree
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach import Reach, ReachSettings, predicted_error
-from onebend.control.reach_set import DragAnswer, DraggedPoint, HeldEnd, ReachMap, reach_map
+from onebend.control.reach_set import DragAnswer, DraggedPoint, Edge, HeldEnd, ReachMap, reach_map
 from onebend.errors import ControlError, StudioError
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 from onebend.results.model import StoredModel, read_model
 from onebend.studio.jobs import asked_number
 from onebend.studio.places import hand_line, reach_line
@@ -254,9 +258,88 @@ class Bending:
         return np.array([np.interp(s, PLACES, row) for row in self._line(q).T])
 
 
+# The edge of the reachable set as it is drawn. Its triangles lie in sheets, one over the other and folded, so that the
+# ends of one sheet may lie in the midst of another: the edge is taken from a picture of what they cover together.
+
+PIXELS = 1500  # across the picture
+_ROOM = 4  # pixels around it
+_SMOOTH, _EACH = 9, 3  # steps along the edge that are averaged, and from point to point
+_SHORTEST = 60  # steps: a smaller hole is none
+_BY_FORCE = 4.0  # pixels: nearer to where the largest force ends a sheet, it is that which ends the whole
+_SHORT_RUN = 8  # points: shorter, what limits the beam is that of the points around
+
+
 def outline_of(found: ReachMap) -> dict[str, Any]:
-    """The map's edge for the page."""
-    lines = [{"limit": limit, "line_m": np.round(line, 6).tolist()} for line, limit in found.outline()]
-    corners = found.triangles
+    """The map's edge and its triangles for the page."""
+    lines = [{"limit": limit, "line_m": np.round(line, 6).tolist()} for line, limit in edge_lines(found)]
     points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
-    return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
+    return {"edges": lines, "points_m": points.tolist(), "triangles": found.triangles.tolist()}
+
+
+def edge_lines(found: ReachMap) -> list[tuple[Array, Edge]]:
+    """Lines (P, 2) m along the edge of the places that the triangles cover, each with what limits the beam there."""
+    corners = found.points[found.triangles]
+    low = corners.min(axis=(0, 1))
+    pixel = float(np.max(corners.max(axis=(0, 1)) - low)) / PIXELS
+    bounds = found.points[found.edges[found.edge_is_force]]
+    ends = [np.linspace(one, other, 2 + int(np.linalg.norm(other - one) / pixel)) for one, other in bounds]
+    by_force = cKDTree(np.concatenate([np.full((1, 2), np.inf), *ends])[1:]) if ends else None
+    lines: list[tuple[Array, Edge]] = []
+    for loop in _loops(_painted((corners - low) / pixel + _ROOM)):
+        places = low + pixel * (loop - _ROOM)
+        away = np.full(len(places), np.inf) if by_force is None else by_force.query(places)[0]
+        lines += _runs(places, away < _BY_FORCE * pixel)
+    return lines
+
+
+def _painted(corners: Array) -> BoolArray:
+    """(Y, X) which pixels triangles (T, 3, 2) px cover."""
+    width, height = (np.ceil(corners.max(axis=(0, 1))).astype(int) + _ROOM + 1).tolist()
+    picture = Image.new("L", (width, height))
+    pen = ImageDraw.Draw(picture)
+    for one in corners.reshape(-1, 6).tolist():
+        pen.polygon(one, fill=1)
+    return np.asarray(picture, dtype=bool)
+
+
+def _loops(picture: BoolArray) -> list[Array]:
+    """The closed lines (P, 2) px around what is covered, and around its holes, smoothed; their last point is their
+    first."""
+    sides = []  # of pixels, from corner to corner, what is covered on their left; a corner is a number
+    wide = picture.shape[1] + 1
+    for axis, along in ((0, 1), (1, wide)):
+        change = np.diff(picture.astype(np.int8), axis=axis)
+        for sign in (1, -1):
+            y, x = np.nonzero(change == sign)
+            near = wide * (y + 1 - axis) + x + axis
+            sides.append(np.stack([near, near + along][:: sign if axis == 0 else -sign], axis=1))
+    after: dict[int, list[int]] = {}
+    for begin, end in np.concatenate(sides).tolist():
+        after.setdefault(begin, []).append(end)
+    loops = []
+    while after:
+        line = [next(iter(after))]
+        while following := after.get(line[-1]):
+            line.append(following.pop())
+            if not following:
+                del after[line[-2]]
+        if len(line) > _SHORTEST:
+            loops.append(np.array(line[:-1]))
+    turned = (np.stack([loop % wide, loop // wide], axis=1) - 0.5 for loop in loops)
+    smooth = (uniform_filter1d(loop.astype(float), _SMOOTH, axis=0, mode="wrap")[::_EACH] for loop in turned)
+    return [np.concatenate([loop, loop[:1]]) for loop in smooth]
+
+
+def _runs(places: Array, forced: BoolArray) -> list[tuple[Array, Edge]]:
+    """A closed line, parted where what limits the beam changes."""
+    same = median_filter(forced.astype(np.int8), 2 * _SHORT_RUN + 1, mode="wrap").astype(bool)
+    changes = np.flatnonzero(np.diff(same)) + 1
+    if len(changes):  # begin at a change, so that no run is cut in two
+        same, places = (np.concatenate([one[changes[0] : -1], one[: changes[0] + 1]]) for one in (same, places))
+        changes = np.flatnonzero(np.diff(same)) + 1
+    parts = [0, *changes.tolist(), len(places) - 1]
+    return [
+        (places[first : last + 1], "force" if same[first] else "stability")
+        for first, last in itertools.pairwise(parts)
+        if last > first
+    ]

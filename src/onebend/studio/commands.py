@@ -21,7 +21,7 @@ NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def studio(folder: Folder = Path(), *, port: Port = 0, no_open: NoOpen = False) -> None:
-    """Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.
+    """Open a local page: record, learn, look at results, bend learned beams with the pointer, simulate loops.
 
     It is served on this computer alone, to whoever has the address with its token. Ctrl-C ends it; a film that is being
     recorded then ends and is kept, and a recording that is being learned is stopped, and what was found of it is kept.

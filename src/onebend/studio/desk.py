@@ -23,7 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import onebend
 from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
-from onebend.progress import end_with_parent
+from onebend.progress import end_now, end_with_parent
 from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -58,7 +58,12 @@ class Client:
     async def write(self) -> None:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                await self.socket.send_text(text_of(await self.waiting.get()))
+                message = await self.waiting.get()
+                try:
+                    text = text_of(message)
+                except (ValueError, TypeError, RecursionError) as error:  # ours: the tab is told, and goes on
+                    text = text_of({"what": "error", "text": said_of(error)})
+                await self.socket.send_text(text)
 
 
 def text_of(message: dict[str, Any]) -> str:
@@ -81,7 +86,7 @@ class Desk:
         self.places = places
         self.clients: set[Client] = set()
         self.jobs = Jobs("learner", self._job_changed)
-        rooms = {"check": "recordings", "rehearse": "rehearsing"}
+        rooms = {"check": "recordings", "loop": "looping"}
         self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
         self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
@@ -119,14 +124,14 @@ class Desk:
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
-        self.beside.shutdown(wait=False, cancel_futures=True)
+        end_now(self.beside)
 
     async def serve(self, socket: WebSocket) -> None:
         """One tab, from its coming to its going."""
         await socket.accept()
         client = Client(socket)
         self.clients.add(client)
-        writer = asyncio.create_task(client.write())
+        writer = asyncio.create_task(self._watched(client.write(), self.tell))
         about = {"folder": str(self.places.root), "job": self.jobs.shown(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:

@@ -20,6 +20,7 @@ _PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there i
 _KEPT = 8  # pictures
 _LONGEST_SPEC = 1000
 _FILES = ("film", "log", "csv", "bag")  # kinds of sources that are files
+_OF_A_RECORDING = {"film": "video", "log": "force"}  # of these, what they play of a recording
 _CAMERA_FORMATS = ("avfoundation", "dshow")
 _STREAMS = ("rtsp://", "rtsps://", "rtmp://", "http://", "https://", "udp://", "tcp://", "srt://")
 _GOING = ("starting", "recording", "stopping", "checking")
@@ -157,7 +158,9 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
     if is_file(places.path(out) / RECORDING):
         places.recording(out)
     if like:
-        places.recording(like)
+        beam = getattr(_described(places, places.recording(like)), "beam", None)
+        for table in filter(None, (getattr(beam, name, None) for name in ("mass_file", "section_file"))):
+            _check_inside(places, table)
     for spec in (camera, force):
         check_source(places, spec)
     flags = {key: asked.get(key) is True for key in ("now", "no_learning", "fast", "overwrite")}
@@ -188,7 +191,7 @@ def check_source(places: StudioFolder, spec: str) -> None:
         if not re.fullmatch(r"/dev/video\d+", place):
             raise StudioError(f"{place[:100]} is no camera. Cameras of Linux are named as /dev/video0")
     elif kind in _FILES:
-        places.path(place)
+        _check_played(places, kind, places.path(place))
     elif kind == "serial":
         if not re.fullmatch(r"/dev/[\w./-]+|COM\d+", place) or ".." in PurePosixPath(place).parts:
             raise StudioError(f"{place[:100]} is no serial port. They are named as /dev/ttyUSB0 or COM3")
@@ -199,30 +202,61 @@ def check_source(places: StudioFolder, spec: str) -> None:
         )
 
 
+def _check_played(places: StudioFolder, kind: str, path: Path) -> None:
+    """Raises `StudioError` where what is played lies out of the studio's folder, by a recording's own words or a
+    link."""
+    folder = path.parent if path.name == RECORDING else path
+    if kind in _OF_A_RECORDING and is_file(folder / RECORDING):
+        entry = getattr(_described(places, folder), _OF_A_RECORDING[kind], None)
+        path = folder if entry is None else entry.file
+    _check_inside(places, path)
+
+
+def _check_inside(places: StudioFolder, path: Path) -> None:
+    for one in (path, *(path.iterdir() if path.is_dir() else ())):  # a bag is a folder of files
+        places.inside(one, str(one))
+
+
+def _described(places: StudioFolder, folder: Path) -> Any:
+    """The recording; None where it cannot be read: to say why is its reader's part."""
+    from onebend.recording.folder import read_recording  # here: loaded after the page's first picture
+
+    places.inside(folder / RECORDING, str(folder / RECORDING))
+    try:
+        return read_recording(folder, filmed=False)
+    except OnebendError:
+        return None
+
+
 def sources_data(places: StudioFolder) -> dict[str, Any]:
     """Kinds of cameras and force sensors, those that are plugged in, and the recordings that can be played."""
     from onebend.live.specs import CAMERAS, FORCES
-    from onebend.recording.folder import read_recording
 
     films, logs, begun = [], [], []
     for one in places.found():
-        if one.kind != "recording":
-            continue
-        try:
-            rec = read_recording(places.recording(one.name), filmed=False)
-        except OnebendError:
-            continue
-        if rec.video is None or rec.video.topic:
+        rec = _described(places, places.recording(one.name)) if one.kind == "recording" else None
+        if rec is None or rec.video is None or rec.video.topic:
             continue
         begun += [] if rec.video.file.exists() else [one.name]
-        films += [one.name] if rec.video.file.exists() else []
-        logs += [one.name] if rec.force is not None and rec.force.file.exists() else []
+        films += [one.name] if _is_playable(places, rec.video) else []
+        logs += [one.name] if _is_playable(places, rec.force) else []
     plugged = sorted(str(path) for pattern in _DEVICES for path in Path("/dev").glob(pattern))
     kinds = {
         name: [{"example": one.example, "says": one.says, "keys": list(one.keys)} for one in table.values()]
         for name, table in (("cameras", CAMERAS), ("forces", FORCES))
     }
     return {**kinds, "devices": plugged, "films": films, "logs": logs, "begun": begun}
+
+
+def _is_playable(places: StudioFolder, entry: Any) -> bool:
+    """Whether the film or log of a recording is there, in the studio's folder."""
+    if entry is None or not entry.file.exists():
+        return False
+    try:
+        _check_inside(places, entry.file)
+    except StudioError:
+        return False
+    return True
 
 
 def asked_text(asked: Mapping[str, Any], key: str) -> str:

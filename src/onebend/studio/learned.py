@@ -71,6 +71,8 @@ def film_data(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / REPORT
     try:
+        if path.is_symlink():  # which may lead anywhere
+            raise OSError(f"{path.name} is a link")
         if path.stat().st_size > _LARGEST_REPORT:
             raise StudioError(f"{path.name} is larger than any report. Learn again")
         text = path.read_text(encoding="utf-8")

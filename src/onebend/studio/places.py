@@ -6,6 +6,7 @@ import math
 import os
 import secrets
 import shlex
+from asyncio import BaseTransport, Transport
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
@@ -62,7 +63,7 @@ class StudioFolder:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
         if any(len(part.encode()) > _LONGEST_PART for part in parts):
             raise StudioError(f"{name[:30]!r}... is too long a name: a folder's has at most {_LONGEST_PART} bytes")
-        return self._inside(self.root / name, name, "")
+        return self.inside(self.root / name, name)
 
     def beside(self, name: str, file: str) -> Path:
         """A file that is named in the folder `name`, as it leads on from there.
@@ -71,9 +72,10 @@ class StudioFolder:
         """
         if not file or "\0" in file or len(file) > 1000 or not _is_text(file):
             raise StudioError("no file is named")
-        return self._inside(self.path(name) / file, file, ": the page does not look there. A check does")
+        return self.inside(self.path(name) / file, file, ": the page does not look there. A check does")
 
-    def _inside(self, path: Path, name: str, advice: str) -> Path:
+    def inside(self, path: Path, name: str, advice: str = "") -> Path:
+        """The path without links. Raises `StudioError`, which says `name`, where it leads out of the folder."""
         try:
             path = path.resolve()
         except (OSError, RuntimeError) as error:
@@ -169,9 +171,32 @@ def _about(path: Path) -> dict[str, Any]:
 # cookie that the token was exchanged for, and, where it changes something or opens a socket, come from this page
 # (`Origin`). Bodies are bounded before they are read.
 
+MOST_STRANGERS = 64  # connections: as many as a system lets wait
+Address = tuple[str, int]
 LARGEST_BODY = 256 * 1024  # bytes: the longest thing sent is a recording.toml
 SAFE_METHODS = ("GET", "HEAD")
 REFUSED = "Open the address that `onebend studio` shows in the terminal: it holds the key to this page.\n"
+
+
+class Strangers:
+    """Connections on which nobody has shown the cookie yet: of too many the oldest ends, so that there is always room
+    for the page."""
+
+    def __init__(self, most: int = MOST_STRANGERS) -> None:
+        self._most = most
+        self._open: dict[Address, BaseTransport] = {}
+
+    def came(self, transport: BaseTransport) -> None:
+        self._open[transport.get_extra_info("peername")] = transport
+        if len(self._open) > self._most:
+            self._open = {who: one for who, one in self._open.items() if not one.is_closing()}
+        while len(self._open) > self._most:
+            oldest = self._open.pop(next(iter(self._open)))
+            oldest.abort() if isinstance(oldest, Transport) else oldest.close()
+
+    def known(self, who: Address) -> None:
+        """The cookie was shown on this connection."""
+        self._open.pop(who, None)
 
 
 class Guard:
@@ -179,6 +204,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
         self.app, self.token, self.port = app, token, port
+        self.strangers = Strangers()
         self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         self.cookie = f"onebend-studio-{port}"  # cookies do not tell ports apart
         self.session = secrets.token_urlsafe(32)
@@ -189,6 +215,8 @@ class Guard:
             return
         headers = Headers(scope=scope)
         answer = self._refusal(scope, headers)
+        if answer is None and scope.get("client"):
+            self.strangers.known(tuple(scope["client"]))
         if scope["type"] == "websocket":
             if answer is None:
                 await self.app(scope, receive, send)
@@ -342,7 +370,7 @@ def check_line(name: str) -> str:
 
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
-    """The command that rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
+    """The command that simulates the same; `wanted` as from `looping.wanted_work`."""
     places = _places(wanted["push_s"], wanted["point_s"])
     beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
     bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]

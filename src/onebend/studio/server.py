@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -14,26 +15,27 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp
 
+from onebend.crash import tell
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.desk import Desk
+from onebend.studio.desk import Desk, said_of
 from onebend.studio.filming import asked_text, sources_data, wanted_recording
 from onebend.studio.jobs import Jobs
-from onebend.studio.places import Guard, StudioFolder, learn_line, plain_word
+from onebend.studio.places import MOST_STRANGERS, Guard, StudioFolder, learn_line, plain_word
 from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
 LONGEST_MESSAGE = 64 * 1024  # bytes of the socket
+FAULT = "Exception in ASGI application"  # as uvicorn logs an error that no handler has caught
 _MOST_RECORDINGS = 50
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 
 
-def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
+def application(places: StudioFolder, token: str, port: int) -> Guard:
     """The whole studio as an ASGI application that answers only to this token, at this port."""
     desk = Desk(places)
     asked = Asked(desk)
@@ -117,11 +119,11 @@ class Asked:
 
     async def beam(self, request: Request) -> Response:
         name = _name(request)
-        return _said(await _of_room("rehearsing", "beam_data", name, self.desk.places.result(name)))
+        return _said(await _of_room("looping", "beam_data", name, self.desk.places.result(name)))
 
     async def reach(self, request: Request) -> Response:
         asked = await _posted(request)
-        wanted = await _of_room("rehearsing", "reach_asked", self.desk.places, asked)
+        wanted = await _of_room("looping", "reach_asked", self.desk.places, asked)
         return _said(await self.desk.reach(*wanted))
 
     async def work(self, request: Request) -> Response:
@@ -159,7 +161,9 @@ class Asked:
     async def record(self, request: Request) -> Response:
         what, recorder = request.path_params["what"], self.desk.recorder
         if what == "start":
-            wanted = wanted_recording(self.desk.places, await _posted(request))
+            asked = await _posted(request)
+            await self.desk.load("onebend.recording.folder")
+            wanted = await run_in_threadpool(wanted_recording, self.desk.places, asked)
             await recorder.start(wanted)
             return _said({"out": wanted["out"]})
         if what not in ("begin", "stop"):
@@ -196,6 +200,8 @@ def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request],
             return await work(request)
         except OnebendError as error:
             return _said({"error": str(error)}, 422)
+        except ClientDisconnect:  # nobody is there to be answered
+            return Response(status_code=400)
 
     return inside
 
@@ -230,6 +236,22 @@ def _names(asked: dict[str, Any], key: str) -> list[str]:
     return [plain_word(one) for one in found]
 
 
+class OneLine(logging.Handler):
+    """What the server logs, in one line each, and the same not twice in a row; a fault goes to a file of its own."""
+
+    _said = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        error, said = record.exc_info and record.exc_info[1], record.getMessage().partition("\n")[0]
+        if said == self._said:
+            return
+        self._said = said
+        if isinstance(error, Exception) and said.startswith(FAULT):
+            said_of(error)
+        else:
+            tell(said)
+
+
 def opened_socket(port: int) -> socket.socket:
     """A socket on this computer alone; port 0: a free one. Raises `StudioError` where the port is taken."""
     found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -248,10 +270,17 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
     """Serve until interrupted; `ready` is given the address, with its token, when the page is there. Raises
     `StudioError`: no such folder, or the port is taken."""
     import uvicorn  # here: the application itself is made and tested without
+    from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
     places = StudioFolder.of(folder)
     listening = opened_socket(port)
     number, token = listening.getsockname()[1], secrets.token_urlsafe(24)
+    guard = application(places, token, number)
+
+    class Protocol(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
+        def connection_made(self, transport: Any) -> None:
+            guard.strangers.came(transport)
+            super().connection_made(transport)
 
     class Server(uvicorn.Server):
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -259,8 +288,10 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
             ready(f"http://{HOST}:{number}/?token={token}")
 
     config = uvicorn.Config(
-        application(places, token, number),
-        log_level="warning",
+        guard,
+        http=Protocol,
+        backlog=MOST_STRANGERS,  # more are not taken at once, before the oldest of them end
+        log_config=None,
         access_log=False,
         ws="websockets-sansio",
         ws_max_size=LONGEST_MESSAGE,
@@ -268,5 +299,9 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
         server_header=False,
         timeout_graceful_shutdown=2,
     )
+    for name in ("uvicorn", "asyncio"):
+        log = logging.getLogger(name)
+        log.handlers, log.propagate = [OneLine()], False
+        log.setLevel(logging.WARNING)
     with contextlib.suppress(KeyboardInterrupt):  # the way to end it
         Server(config).run(sockets=[listening])

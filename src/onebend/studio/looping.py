@@ -1,6 +1,6 @@
-"""The room Rehearse: the closed loop on beams that are not the model, as `onebend loop` simulates it.
+"""The room Loop: the closed loop on beams that are not the model, as `onebend loop` simulates it.
 
-As a process (`python -m onebend.studio.rehearsing`) it simulates one beam after the other, and tells each when it is
+As a process (`python -m onebend.studio.looping`) it simulates one beam after the other, and tells each when it is
 done.
 """
 
