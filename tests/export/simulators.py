@@ -293,8 +293,9 @@ class InNewton:
         begins = np.array([x, y, z])
         return link - 1, begins + along * axis, begins + self.chain.link_centre[link] * axis
 
-    def move(self, force: Force, at_s: float, seconds: float, drag: float = 30.0) -> None:
-        """Under a force, and a drag per mass [1/s] that brings it to rest."""
+    def move(self, force: Force, at_s: float, seconds: float, then: Callable[[], None] | None = None) -> None:
+        """Under a force, and a drag that brings it to rest; `then` is called after every captured graph."""
+        drag = 20.0  # 1/s, per mass
         for _ in range(math.ceil(seconds / self.seconds)):
             body, point, centre = self.place(at_s)
             forces = np.zeros((len(self.joints), 6), dtype=np.float32)
@@ -303,11 +304,13 @@ class InNewton:
             forces[body, 3:] += np.cross(point - centre, (*force, 0.0))
             self.state.body_f.assign(forces)
             self.warp.capture_launch(self.graph)
+            if then is not None:
+                then()
 
 
 def in_newton(rod: RodSample, hinges: int, force: Force, at_s: float) -> Array:
     there = InNewton(rod, hinges)
-    there.move(force, at_s, 0.45)
+    there.move(force, at_s, 0.7)
     return np.array([there.place(float(s))[1][:2] for s in PLACES])
 
 

@@ -140,26 +140,18 @@ def test_pyelastica_relaxes() -> None:
     load = np.array([0.0, 0.02, 0.0])
     simulator.add_forcing_to(rod).using(elastica.EndpointForces, 0.0 * load, load, ramp_up_time=1e-3)
     simulator.add_forcing_to(rod).using(module.Relaxation, rod=rod, time_step=step)
-    simulator.dampen(rod).using(elastica.AnalyticalLinearDamper, uniform_damping_constant=40.0, time_step=step)
+    simulator.dampen(rod).using(elastica.AnalyticalLinearDamper, uniform_damping_constant=10.0, time_step=step)
     simulator.finalize()
-    stepper, time = elastica.PositionVerlet(), 0.0
-    for until in (1.0, 4.0):
-        time = (
-            elastica.integrate(stepper, simulator, until - time, int((until - time) / step), progress_bar=False)
-            or until
-        )
-        assert rod.position_collection[1, -1] == pytest.approx(at_once(0.02) * crept(until), rel=0.03)
+    for seconds, until, near in ((1.0, 1.0, 0.03), (3.0, 4.0, 0.02)):
+        elastica.integrate(elastica.PositionVerlet(), simulator, seconds, int(seconds / step), progress_bar=False)
+        assert rod.position_collection[1, -1] == pytest.approx(at_once(0.02) * crept(until), rel=near)
 
 
 @pytest.mark.slow
 def test_newton_relaxes() -> None:
     there = InNewton(RELAXING, 6, iterations=30)
     relaxation = there.module.Relaxation(there.model, there.solver, there.joints)
-    for _ in range(int(2.0 / there.seconds)):
-        there.move((0.0, 0.02 + 0.0), 1.0, 0.5 * there.seconds)
-        relaxation.step(there.state, there.seconds)
-    weight = float(there.chain.link_mass.sum())
-    assert weight > 0.0
+    there.move((0.0, 0.02), 1.0, 2.5, lambda: relaxation.step(there.state, there.seconds))
     exact = replace(RELAXING.beam, stiffness=Uniform(RELAXING.relaxed * 0.02)).equilibrium((0.0, 0.02), gravity=GRAVITY)
     assert there.place(1.0)[1][1] == pytest.approx(float(exact.xy(1.0)[1]), rel=0.05)
 

@@ -98,7 +98,7 @@ class ExportKind:
 
 _ALL = frozenset(PARTS)
 _RIGID = _ALL - {"stretch and shear", "relaxation"}
-_TABLE = _ALL - {"damping", "relaxation"}
+_TABLE = _ALL - {"riding masses", "damping", "relaxation"}
 _VIEW = "python -m mujoco.viewer --mjcf={path}"
 # fmt: off
 KINDS: dict[Kind, ExportKind] = {
@@ -110,7 +110,7 @@ KINDS: dict[Kind, ExportKind] = {
     "newton": ExportKind(source.newton, ".py", "a Python file with `add_beam(builder)` for Newton's SolverVBD",
                          "from {path} take add_beam", _ALL, "0.3 % L", "newton 1.8", hinges=20),
     "pyelastica": ExportKind(source.pyelastica, ".py", "a Python file with `make_rod(n_elements)` for PyElastica",
-                             "from {path} take make_rod", _ALL - {"damping"}, "0.1 % L", "pyelastica 1.0"),
+                             "from {path} take make_rod", _ALL - {"riding masses", "damping"}, "0.1 % L", "pyelastica 1.0"),
     "sofa": ExportKind(source.sofa, ".py", "a SOFA scene for the plugin Cosserat",
                        "runSofa {path}", _RIGID, "0.05 % L", "its equations, not SOFA"),
     "usd": ExportKind(documents.usda, ".usda", "USD, a chain of joints with drives (UsdPhysics)",

@@ -47,6 +47,8 @@ def add_beam(
     """
     turn = wp.mul(wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), CLAMP_ANGLE_RAD), _ALONG)
     clamp = wp.mul(wp.transform() if xform is None else xform, wp.transform(wp.vec3(), turn))
+    least = 0.1 * min(LINK_INERTIA_KG_M2)  # Newton would raise the inertia of a light link to 1e-6 kg m^2
+    builder.inertia_absolute_tolerance = min(builder.inertia_absolute_tolerance, least)
     bodies: list[int] = []
     joints: list[int] = []
     begins = 0.0
@@ -58,7 +60,7 @@ def add_beam(
             xform=at,
             mass=LINK_MASS_KG[i + 1],
             com=wp.vec3(0.0, 0.0, LINK_CENTRE_M[i + 1]),
-            inertia=wp.mat33(inertia, 0.0, 0.0, 0.0, inertia, 0.0, 0.0, 0.0, 0.1 * inertia),
+            inertia=wp.mat33(inertia, 0.0, 0.0, 0.0, inertia, 0.0, 0.0, 0.0, inertia),
             lock_inertia=True,
             label=f"link_{i + 1}",
         )

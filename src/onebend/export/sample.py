@@ -215,7 +215,10 @@ def _shaped(profile: LogSpline, uncertain: UncertainStiffness) -> LogSpline:
     if uncertain.shape is None:
         return profile
     known = uncertain.offset or Polyline((0.0, 1.0), (0.0, 0.0))
-    s = np.asarray(_GRID if uncertain.offset is None else known.s)
+    more = np.setdiff1d(_GRID, known.s)
+    s, values = np.concatenate([known.s, more]), np.concatenate([known.values, known(more)])
+    order = np.argsort(s, kind="stable")  # a step's two places stay as they are
+    s, values = s[order], values[order]
     sd = uncertain.log_at(s)[1]
     away = uncertain.basis(s) @ (np.asarray(profile.coefficients) - uncertain.mean)
     z = away / np.maximum(np.hypot(sd, uncertain.gain_sd), np.finfo(float).tiny)
@@ -223,28 +226,27 @@ def _shaped(profile: LogSpline, uncertain: UncertainStiffness) -> LogSpline:
     shape = np.stack([np.interp(s, SHAPE_PLACES, widths) for widths in uncertain.shape], axis=1)
     widening = np.array([np.interp(one, SHAPE_LEVELS, widths) for one, widths in zip(level, shape, strict=True)])
     moved = z * np.hypot(widening * sd, uncertain.gain_sd) - away
-    values = known(s) + moved if uncertain.offset is None else np.asarray(known.values) + moved
-    return replace(profile, offset=Polyline(tuple(s.tolist()), tuple(values.tolist()), known.jumps))
+    return replace(profile, offset=Polyline(tuple(s.tolist()), tuple((values + moved).tolist()), known.jumps))
 
 
 # What a target leaves out, in words, with the amount.
 
 
 def _stretch_words(rod: RodSample) -> str:
-    """How far the tip moves by stretch and shear under the largest recorded force, to first order in them."""
+    """How far stretch and shear move the tip under the largest recorded force; of a section that is no rectangle
+    nearly so."""
     if not rod.stretches:
         return ""
-    length = rod.beam.length
-    force, at_s = rod.push or ((0.0, float(np.mean(rod.stiffness(_GRID))) / length), 1.0)
+    firm, k = replace(rod.beam, thickness=None), rod.stiffness(_GRID)
+    squared = float(np.mean(12.0 * k * firm.length / rod.axial(_GRID)[0]))
+    soft = rod.beam if rod.beam.thickness else replace(firm, thickness=math.sqrt(squared), varies="width")
+    force, at_s = rod.push or ((0.0, float(np.mean(k)) / firm.length), 1.0)
     try:
-        bent = replace(rod.beam, thickness=None).equilibrium(force, at_s)
+        moved = soft.equilibrium(force, at_s).xy(1.0) - firm.equilibrium(force, at_s).xy(1.0)
     except MechanicsError:
         return "by an unknown amount, for the beam snaps through under its largest force"
-    alpha, (stretch, shear) = bent.angle(_GRID), rod.axial(_GRID)
-    along, across = np.stack([np.cos(alpha), np.sin(alpha)], 1), np.stack([-np.sin(alpha), np.cos(alpha)], 1)
-    strain = (along @ force / stretch)[:, None] * along + (across @ force / shear)[:, None] * across
-    moved = length * float(np.linalg.norm(np.trapezoid(strain * (at_s >= _GRID)[:, None], _GRID, axis=0)))
-    return f"under {math.hypot(*force):.3g} N at s = {at_s:g} they move the tip by {_mm(moved, length)}"
+    words = _mm(float(np.linalg.norm(moved)), firm.length)
+    return f"under {math.hypot(*force):.3g} N at s = {at_s:g} they move the tip by {words}"
 
 
 def _rest_words(rod: RodSample) -> str:
@@ -261,6 +263,11 @@ def _relaxation_words(rod: RodSample) -> str:
     return f"the beam is {first:.1f} % stiffer at first, and {last:.1f} % softer after a long hold"
 
 
+def _riding_words(rod: RodSample) -> str:
+    masses = rod.beam.masses
+    return f"{len(masses)}, together {1e3 * sum(one.mass for one in masses):.3g} g" if masses else ""
+
+
 def _damping_words(rod: RodSample) -> str:
     return "" if rod.damping_time is None else f"vibrations die with damping over stiffness = {rod.damping_time:.3g} s"
 
@@ -271,6 +278,7 @@ def _mm(metres: float, length: float) -> str:
 
 PARTS: Mapping[str, Callable[[RodSample], str]] = {  # of a beam, beside k(s) and the mass
     "rest shape": _rest_words,
+    "riding masses": _riding_words,
     "stretch and shear": _stretch_words,
     "relaxation": _relaxation_words,
     "damping": _damping_words,
