@@ -34,6 +34,13 @@ def loaded(source: str, name: str) -> ModuleType:
     return module
 
 
+def numbers(source: str) -> dict[str, Any]:
+    """The beam's numbers in a Python file, whose packages need not be there."""
+    there: dict[str, Any] = {}
+    exec(source.split("# ---")[1].split("\n", 1)[1], there)
+    return there
+
+
 def settled(model: Any, chain: Chain, force: Force, at_s: float) -> Array:
     """A chain of bodies `link_i` in MuJoCo, brought to rest."""
     model.opt.gravity[:] = (*GRAVITY, 0.0)

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree as Xml
 
 import mujoco
@@ -27,9 +28,10 @@ from onebend.export.chain import chain_of
 from onebend.export.export import KINDS, TABLES, columns, export, without
 from onebend.export.sample import PARTS, Relaxing, RodSample, drawn, rod_sample, sample_of_model
 from onebend.files.single_file import write_file
+from onebend.learning.instruments import PlannedPush
 from onebend.records import PointMass, StatedSection
 from onebend.results.model import StoredModel, model_text, save_model
-from tests.export.simulators import loaded
+from tests.export.simulators import loaded, numbers
 from tests.export.test_round_trip import BEAMS, SMOOTH, STEP
 
 PAGE = Path(__file__).parents[2] / "docs" / "export.md"
@@ -157,15 +159,24 @@ def test_what_a_target_leaves_out_is_said_with_the_amount() -> None:
     assert without(laden, "csv") == ("Left out: riding masses (2, together 12 g).",)
 
 
+def test_the_amount_of_a_stated_section_is_that_of_its_thickness() -> None:
+    push = ((0.1, 0.25), 1.0)
+    by_beam = replace(rod_sample(replace(SMOOTH, thickness=0.012, varies="width")), push=push)
+    by_section = replace(rod_sample(SMOOTH, section=stated("rectangle", 0.012)), push=push)
+    assert without(by_section, "sdf") == without(by_beam, "sdf") != ()
+
+
 def test_relaxing_parts_are_parts() -> None:
     with pytest.raises(ExportError, match="relaxing shares"):
         replace(rod_sample(SMOOTH), relaxation=(Relaxing(0.6, 1.0), Relaxing(0.5, 3.0)))
     rod = replace(rod_sample(SMOOTH), relaxation=(Relaxing(0.2, 1.0),), instantaneous=1.1)
     assert rod.relaxed == pytest.approx(0.88)
-    module = loaded(str(export(rod, "newton", hinges=5)), "newton_rod") if _installed("newton") else None
-    if module is not None:
-        np.testing.assert_allclose(module.BEND_N_M, 1.1 * chain_of(rod, 5).stiffness)
-        assert module.RELAXATION == ((0.2, 1.0),)
+    found = numbers(str(export(rod, "newton", hinges=5)))
+    np.testing.assert_allclose(found["BEND_N_M"], 1.1 * chain_of(rod, 5).stiffness)
+    assert found["RELAXATION"] == ((0.2, 1.0),)
+    np.testing.assert_allclose(
+        numbers(str(export(rod, "pyelastica")))["EI_N_M2"][0], 1.1 * 0.15 * float(SMOOTH.stiffness(0.0))
+    )
 
 
 def _installed(name: str) -> bool:
@@ -230,6 +241,23 @@ def test_a_model_gives_all_that_it_knows(tmp_path: Path) -> None:
     )
     assert "Left out: stretch and shear (under" in done.stdout
     assert "Left out: stretch and shear (under" in (tmp_path / "a.sdf").read_text(encoding="utf-8")
+
+
+def test_the_largest_push_of_a_model_is_the_one_that_amounts_are_said_for() -> None:
+    pushes = tuple(PlannedPush(0.8, turn, largest) for turn, largest in ((0.0, 0.1), (0.5 * np.pi, 0.4), (1.0, 0.2)))
+    stored = SimpleNamespace(
+        beam=SMOOTH,
+        uncertain=None,
+        section=None,
+        damping=SimpleNamespace(loss_time=0.03),
+        bench=SimpleNamespace(pushes=pushes),
+    )
+    rod = sample_of_model(stored)
+    assert rod.push is not None
+    np.testing.assert_allclose(rod.push[0], (0.0, 0.4), atol=1e-15)
+    assert rod.push[1] == 0.8
+    assert rod.damping_time == 0.03
+    assert sample_of_model(stored, damping_time=0.01).damping_time == 0.01
 
 
 # tables
@@ -299,6 +327,14 @@ def test_the_function_knows_the_angle_too() -> None:
         _, _, alpha = loaded(str(export(beam, "python")), "alone").shape((0.1, 0.3), 0.8, (0.3, 1.0), (0.0, -9.81))
         exact = beam.equilibrium((0.1, 0.3), 0.8, gravity=(0.0, -9.81)).angle(np.array([0.3, 1.0]))
         np.testing.assert_allclose(alpha, exact, atol=1e-7)
+
+
+def test_the_function_knows_its_derivatives() -> None:
+    """By which it finds the tip's angle, and a shape that is not stable."""
+    module = loaded(str(export(THICK, "python")), "alone")
+    row, pull, step = (0.7, 0.01, 1.0, 0.0, 0.0, 0.0), (0.3, -0.8, 0.0, -9.81), 1e-6
+    ahead, behind = (module._slope((0.7 + way, *row[1:]), 0.4, pull) for way in (step, -step))
+    assert module._slope(row, 0.4, pull)[3] == pytest.approx((ahead[1] - behind[1]) / (2.0 * step), rel=1e-7)
 
 
 def test_pyelastica_is_given_the_beams_bending_stretch_and_mass() -> None:

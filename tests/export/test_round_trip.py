@@ -13,7 +13,7 @@ from onebend.beam.stiffness import Steps, Table, Uniform
 from onebend.export.export import KINDS, Kind, export
 from onebend.export.sample import Relaxing, rod_sample
 from onebend.records import Array
-from tests.export.simulators import GRAVITY, PLACES, SIMULATORS, Force, InNewton, Node, loaded, text_of
+from tests.export.simulators import GRAVITY, PLACES, SIMULATORS, Force, InNewton, Node, loaded, numbers, text_of
 
 PUSHES: tuple[tuple[Force, float], ...] = (((0.0, 0.3), 1.0), ((0.1, 0.4), 0.6), ((-0.2, 0.2), 1.0))  # N, s
 SMOOTH = Beam(
@@ -65,10 +65,13 @@ def test_it_hangs_there_as_the_beam_does(kind: Kind, name: str, push: tuple[Forc
     assert error(kind, as_carried(kind, name), segments, push) < MOST[kind]
 
 
-@pytest.mark.parametrize("kind", [k for k in SIMULATORS if k not in (*SLOW, "python")])
-def test_it_converges_with_the_square_of_the_segments(kind: Kind) -> None:
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(k, "smooth") for k in SIMULATORS if k not in (*SLOW, "python")] + [("mujoco", "thick"), ("usd", "thick")],
+)
+def test_it_converges_with_the_square_of_the_segments(kind: Kind, name: str) -> None:
     counts = (5, 10, 20)
-    errors = [error(kind, as_carried(kind, "smooth"), n, PUSHES[2]) for n in counts]
+    errors = [error(kind, as_carried(kind, name), n, PUSHES[2]) for n in counts]
     assert -2.4 < np.polyfit(np.log(counts), np.log(errors), 1)[0] < -1.7
 
 
@@ -97,10 +100,10 @@ def test_what_newton_reads_of_usd_are_the_springs() -> None:
     builder = newton.ModelBuilder()
     builder.add_usd(stage)
     turns = [i for i, kind in enumerate(builder.joint_type) if kind == newton.JointType.REVOLUTE]
-    chain = loaded(text_of(rod_sample(SMOOTH), "newton", 6), "newton_rod")
+    chain = numbers(text_of(rod_sample(SMOOTH), "newton", 6))
     dofs = [builder.joint_qd_start[i] for i in turns]
-    np.testing.assert_allclose([builder.joint_target_ke[i] for i in dofs], chain.BEND_N_M, rtol=1e-5)
-    np.testing.assert_allclose(builder.body_mass[-6:], chain.LINK_MASS_KG[1:], rtol=1e-5)
+    np.testing.assert_allclose([builder.joint_target_ke[i] for i in dofs], chain["BEND_N_M"], rtol=1e-5)
+    np.testing.assert_allclose(builder.body_mass[-6:], chain["LINK_MASS_KG"][1:], rtol=1e-5)
 
 
 # A beam that relaxes: under a load from t = 0 the bending grows as

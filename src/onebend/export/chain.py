@@ -2,7 +2,8 @@
 
 The beam is cut into `hinges` cells of equal length. The bending of a cell is gathered in one hinge at its middle
 (springs in series: `1 / stiffness = int ds / k`), and the stretch and shear of a link in the hinge at its end, along
-and across the link. The chain's shape is off by the square of a cell's length.
+and across the link. The chain's shape is off by the square of a cell's length; a place inside a link also lacks that
+link's own stretch.
 """
 
 from __future__ import annotations

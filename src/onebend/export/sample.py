@@ -207,26 +207,29 @@ def drawn(rod: RodSample, count: int, *, seed: int) -> tuple[RodSample, ...]:
         raise ExportError(
             "this beam has no band to draw from; learn it with `onebend learn`, or export without samples"
         )
-    profiles = (_shaped(profile, rod.uncertain) for profile in rod.uncertain.draw(count, seed=seed))
+    profiles = _shaped(rod.uncertain.draw(count, seed=seed), rod.uncertain)
     return tuple(replace(rod, beam=replace(rod.beam, stiffness=k), uncertain=None) for k in profiles)
 
 
-def _shaped(profile: LogSpline, uncertain: UncertainStiffness) -> LogSpline:
+def _shaped(profiles: tuple[LogSpline, ...], uncertain: UncertainStiffness) -> tuple[LogSpline, ...]:
     if uncertain.shape is None:
-        return profile
+        return profiles
     known = uncertain.offset or Polyline((0.0, 1.0), (0.0, 0.0))
     more = np.setdiff1d(_GRID, known.s)
     s, values = np.concatenate([known.s, more]), np.concatenate([known.values, known(more)])
     order = np.argsort(s, kind="stable")  # a step's two places stay as they are
     s, values = s[order], values[order]
     sd = uncertain.log_at(s)[1]
-    away = uncertain.basis(s) @ (np.asarray(profile.coefficients) - uncertain.mean)
+    away = (np.array([one.coefficients for one in profiles]) - uncertain.mean) @ uncertain.basis(s).T
     z = away / np.maximum(np.hypot(sd, uncertain.gain_sd), np.finfo(float).tiny)
     level = 2.0 * ndtr(np.abs(z)) - 1.0
     shape = np.stack([np.interp(s, SHAPE_PLACES, widths) for widths in uncertain.shape], axis=1)
-    widening = np.array([np.interp(one, SHAPE_LEVELS, widths) for one, widths in zip(level, shape, strict=True)])
-    moved = z * np.hypot(widening * sd, uncertain.gain_sd) - away
-    return replace(profile, offset=Polyline(tuple(s.tolist()), tuple((values + moved).tolist()), known.jumps))
+    widening = np.stack([np.interp(level[:, j], SHAPE_LEVELS, widths) for j, widths in enumerate(shape)], axis=1)
+    offsets = values + z * np.hypot(widening * sd, uncertain.gain_sd) - away
+    return tuple(
+        replace(one, offset=Polyline(tuple(s.tolist()), tuple(offset.tolist()), known.jumps))
+        for one, offset in zip(profiles, offsets, strict=True)
+    )
 
 
 # What a target leaves out, in words, with the amount.

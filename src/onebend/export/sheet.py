@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import textwrap
 import warnings
 from typing import Any
 
@@ -35,7 +36,7 @@ _LOOK: Any = {
 }
 _LINE = np.linspace(0.0, 1.0, 201)
 _ROWS = np.linspace(0.0, 1.0, 11)
-_WIDE = 88  # characters of a line of text
+_WIDE, _LINES = 88, 5  # characters of a line of a fact, and lines
 
 
 def sheet(rod: RodSample) -> bytes:
@@ -53,7 +54,7 @@ def sheet(rod: RodSample) -> bytes:
             y -= 0.005 + 0.0145 * len(lines)
         modulus = rod.section is not None
         top = y - 0.035
-        height = (top - 0.30) / (2.0 if modulus else 1.0) - (0.05 if modulus else 0.0)
+        height = 0.5 * (top - 0.375) if modulus else top - 0.30
         _draw_stiffness(figure.add_axes((0.12, top - height, 0.80, height)), rod)
         if modulus:
             _draw_modulus(figure.add_axes((0.12, 0.30, 0.80, height)), rod)
@@ -160,9 +161,4 @@ def _pascal(value: float) -> str:
 
 
 def _folded(text: str) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        if len(lines[-1]) + len(word) >= _WIDE:
-            lines.append("")
-        lines[-1] += f" {word}" if lines[-1] else word
-    return lines
+    return textwrap.wrap(text, _WIDE, max_lines=_LINES, placeholder=" …") or [""]
