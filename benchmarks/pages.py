@@ -52,7 +52,7 @@ def messages() -> str:
     found: dict[str, dict[str, None]] = {}
     for one in filter(lambda one: one.about, SENTENCES.values()):
         text = re.sub(r"\{[^}]*\}", "…", one.text)
-        found.setdefault(SECTIONS[str(one.about)], {})[re.split(r"[:;(]|\. ", text)[0].strip(" ,.…")] = None
+        found.setdefault(SECTIONS[str(one.about)], {})[re.split(r"[:;]|\. | \(", text)[0].strip(" ,.…")] = None
     return "\n".join(
         f"- [{titles[anchor]}](#{anchor}): {'; '.join(filter(None, few))}." for anchor, few in found.items()
     )

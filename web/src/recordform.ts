@@ -42,7 +42,7 @@ export class Form {
     const flag = (name: Flag): HTMLElement => h("label", { class: "check" }, this.flags[name], FLAGS[name]);
     this.element = h("form", { submit: (event: Event) => { event.preventDefault(); start(this.wanted()); } },
       h("h2", {}, "Record a push"),
-      h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "beam as in"), this.like),
+      h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "copy recording.toml of"), this.like),
       h("label", { class: "wide" }, h("span", {}, "camera"), this.camera), this.says.camera,
       h("label", { class: "wide" }, h("span", {}, "force"), this.force), this.says.force,
       h("label", { class: "wide" }, h("span", {}, "until ± %"), this.until), flag("fast"),

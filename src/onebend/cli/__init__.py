@@ -42,23 +42,23 @@ COMMANDS = {
     ),
     "plan": Place(
         "onebend.cli.learning:plan",
-        "Say which push to make next: what each would leave of the band on k(s).",
+        "Rank the next pushes by how much each would narrow the band of k(s).",
         "out/linear-beam --count 3",
     ),
     "damp": Place(
         "onebend.cli.motion:damp",
-        "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
+        "Estimate a learned beam's damping from a free swing, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "sense": Place(
         "onebend.cli.motion:sense",
-        "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
+        "Estimate the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "frequencies": Place(
         "onebend.cli.motion:frequencies",
-        "Find the natural frequencies in a free swing, to be written in recording.toml.",
+        "Find the natural frequencies in a free swing, for recording.toml.",
         "examples/ruler/swing.csv",
     ),
     "reach": Place(
@@ -73,35 +73,35 @@ COMMANDS = {
     ),
     "path": Place(
         "onebend.cli.control:path",
-        "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
+        "Compute the forces or gripper poses that follow goals in time, as CSV and ROS 2 messages.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam"),
     "topics": Place(
         "onebend.cli.recordings:topics",
-        "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
+        "List the topics of a ROS bag, and say which to write in recording.toml.",
         "out/path/bag",
         "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "check": Place(
         "onebend.cli.recordings:check",
-        "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
+        "Check a recording in seconds: read its files, search some frames for tags, draw the result.",
         "examples/linear-beam/train",
     ),
     "cache": Place(
         "onebend.cli.recordings:show_cache",
-        "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
+        "List the films whose tags are cached, so that each is searched only once; --clear empties the cache.",
         "",
     ),
     "calibrate": Place(
         "onebend.cli.recordings:calibrate",
-        "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
+        "Calibrate the camera from a film of a board, and write the [camera] table of recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
     "show": Place("onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam"),
     "export": Place(
         "onebend.cli.exporting:export_command",
-        "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
+        "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
@@ -189,7 +189,7 @@ def _print_completion(shell: str | None) -> None:
         raise typer.Exit
 
 
-Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")]
+Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version.")]
 Completion = Annotated[
     Literal["bash", "zsh", "fish"] | None,
     typer.Option(

@@ -55,7 +55,7 @@ PushAt = Annotated[
 ]
 Point = Annotated[
     float,
-    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point that is led to the goal: s in (0, 1]."),
+    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point to bring to the goal: s in (0, 1]."),
 ]
 Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
 Gravity = Annotated[
@@ -63,14 +63,14 @@ Gravity = Annotated[
     typer.Option(
         "--gravity-m-s2",
         metavar="GX GY",
-        help="In the beam's frame; needs a model with a mass. Default: none in plane.",
+        help="Gravity in the beam's frame; needs a model with a mass. Default: none.",
     ),
 ]
 Recording = Annotated[
     Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log; or that file.")
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for the results.")]
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
@@ -214,7 +214,7 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
         if kept:
             again = " with --force" if place.published else ""
             error.add_note(
-                f"What was found so far is kept in {place.work}; the next run for {out}{again} goes on from there."
+                f"The work so far is kept in {place.work}; the next run for {out}{again} continues from there."
             )
         elif isinstance(error, KeyboardInterrupt) and not place.published:
             error.add_note("Nothing was written.")
@@ -419,10 +419,10 @@ def say_written(console: Console, output: Path | None, files: str) -> None:
         console.print(f"\nWrote {output}: {files}", markup=False)
 
 
-def remarks_list(remarks: Sequence[tuple[str, Remark]], title: str | None = "What looked odd") -> RenderableType:
+def remarks_list(remarks: Sequence[tuple[str, Remark]], title: str | None = "Remarks") -> RenderableType:
     """Remarks, each with what to do about it: warnings in colour, notes in grey."""
     if not remarks:
-        return Text("Nothing looked odd.", "dim")
+        return Text("No remarks.", "dim")
     table = Table(box=None, show_header=False, pad_edge=False, title=title, title_justify="left")
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")

@@ -178,21 +178,23 @@ def _path_sureness(sure: PathSpread | None) -> str:
 # Commands that hold a learned beam in a shape, and lead it along a path.
 
 TargetsFile = Annotated[
-    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
+    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row per place.")
 ]
 GoalsFile = Annotated[
     Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
 ]
 GoalPoint = Annotated[
     float,
-    typer.Option("--point", min=common.LEAST, max=1.0, metavar="S", help="The point led along goals without column s."),
+    typer.Option(
+        "--point", min=common.LEAST, max=1.0, metavar="S", help="The point that follows goals without a column s."
+    ),
 ]
 BetweenGoals = Annotated[
     Literal["force", "smooth", "monotone", "linear"] | None,
     typer.Option(
         "--between",
-        help="From goal to goal: the force goes evenly (default for one push and one point); or the point does: a "
-        "cubic spline (default otherwise), one that does not swing beyond, straight.",
+        help="Between goals: force changes the force evenly (default for one push and one point). The others move the "
+        "targets: smooth along a cubic spline (default otherwise), monotone without overshoot, linear straight.",
     ),
 ]
 FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
@@ -346,10 +348,10 @@ def show_loop(
     table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
                   f"{control.reference.rise:.2f} s")  # fmt: skip
     table.add_row("gains", f"rate {control.gains.rate:.3g} 1/s, filters at {control.gains.corner:.3g} rad/s")
-    later = "no limit found" if math.isinf(known.delay) else f"{1e3 * known.delay:.0f} ms more"
+    later = "no limit found" if math.isinf(known.delay) else f"{1e3 * known.delay:.0f} ms"
     turn = "any" if math.isinf(known.phase) else f"{math.degrees(known.phase):.0f} deg"
-    table.add_row("margins", f"gain {known.gain:.2f} times, phase {turn}, delay {later}")
-    table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
+    table.add_row("margins", f"gain {known.gain:.2f}, phase {turn}, further delay {later}")
+    table.add_row("stable while", f"the true k(s) is above {known.softest:.2f} times the model's")
     if rehearsed["felt"] != "nothing":
         table.add_row("the force is felt", "by a log" if rehearsed["felt"] == "log" else "by the beam's shape")
     if rehearsed["force_off_N"]:

@@ -21,22 +21,22 @@ from onebend.recording.video import read_frames
 from onebend.results.detection_cache import detection_cache
 from onebend.results.model import StoredModel
 
-ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
+ExportTo = Annotated[Kind, typer.Option("--to", help="The software or format.")]
 OutFile = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the ending."),
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the format's ending."),
 ]
 Hinges = Annotated[int, typer.Option(min=2, max=10_000, metavar="N", help="Hinges of a chain (mujoco, urdf, sdf).")]
 MassKg = Annotated[
     float | None,
-    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: as it was learned with."),
+    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: the mass in MODEL."),
 ]
 DampingTime = Annotated[
     float | None,
     typer.Option(
         "--damping-time-s",
         metavar="SECONDS",
-        help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
+        help="Damping over stiffness of every hinge; default: the one in MODEL (`onebend damp`), else 0.02.",
     ),
 ]
 Observing = Annotated[ObserveSettings, Only(("threads",))]

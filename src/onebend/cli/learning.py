@@ -40,7 +40,7 @@ from onebend.results.provenance import inputs_of, recording_files
 
 
 def plan_table(plan: Plan) -> Table:
-    title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
+    title = "Next pushes, those that need nothing new first, then by the mean half-width that k(s) would have"
     table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
         needs = "the same once more" if proposal.repeats else "nothing new"
@@ -61,7 +61,7 @@ def show_plan(console: Console, plan: Plan) -> None:
     console.print(plan_table(plan))
     console.print("\n[bold]best:[/]", Text(words(plan.proposals[0].notice)))
     pair = "; then ".join(words(proposal.notice) for proposal in plan.pair)
-    console.print("[bold]best two with what there is:[/]", Text(pair))
+    console.print("[bold]best pair with the present bench:[/]", Text(pair))
     for reason in plan.left_out:
         console.print(f"[yellow]![/] {escape(reason)}")
 
@@ -76,15 +76,15 @@ ValidateOn = Annotated[
 Method = Annotated[
     Literal["fit", "regression", "paper"],
     typer.Option(
-        help="fit: k(s) with a band, from the markers; it begins at the regression. regression: the paper's way alone, "
-        "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
+        help="fit: k(s) with a band. regression: the paper's regression, with the tags' angles as well. paper: the "
+        "regression as printed (17), with positions only."
     ),
 ]
 Observing = Annotated[ObserveSettings, Only(("threads",))]
 NoReport = Annotated[
-    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
+    bool, typer.Option("--no-report", help="Write no report and no pictures; this saves a fifth of the time.")
 ]
-OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
+OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
 Epsilon = Annotated[
     float | None,
     typer.Option(
@@ -92,12 +92,10 @@ Epsilon = Annotated[
         min=0.0,
         max=common.MOST,
         metavar="SECONDS",
-        help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
+        help="Take the log's nearest row, at most this far from a frame (as in the paper); default: interpolate.",
     ),
 ]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times.")
-]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print tables, nuisances, notes and times.")]
 
 
 def learn(

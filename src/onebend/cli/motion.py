@@ -54,10 +54,10 @@ Slowed = Annotated[
         min=common.LEAST,
         max=FASTEST,
         metavar="TIMES",
-        help="It plays so many times slower than it was, as slow motion does.",
+        help="Slow motion: the film plays this many times slower than the swing was.",
     ),
 ]
-MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="How many modes, at most.")]
+MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="The largest number of modes.")]
 
 
 def frequencies(
@@ -95,7 +95,7 @@ def damp(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Learn a learned beam's damping from a recording in which it swings freely, and check k over mass."""
+    """Estimate a learned beam's damping from a free swing, and check k over mass."""
     with common.clean_errors():
         stored = read_trusted(model)
         if output is not None:

@@ -83,15 +83,15 @@ Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
 Picture = Annotated[
     Path,
-    typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; one of an earlier check is replaced."),
+    typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; it replaces that of an earlier check."),
 ]
 Definitions = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds.")
+    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag without message definitions.")
 ]
 
 PICTURE = "check.png"
 
-Clear = Annotated[bool, typer.Option("--clear", help="Drop all that is kept.")]
+Clear = Annotated[bool, typer.Option("--clear", help="Empty the cache.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
@@ -270,10 +270,10 @@ MarkerMm = Annotated[
     float | None,
     typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
 ]
-Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
-ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="Of the images, where VIDEO is a bag.")]
-MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
+Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Tag dictionary of a ChArUco board.")]
+ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="The image topic, if VIDEO is a bag.")]
+MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="The largest number of views to use.")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file for the [camera] table.")]
 
 CALIBRATE_FORMAT = "onebend-calibrate-1"
 

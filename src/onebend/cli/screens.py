@@ -148,7 +148,7 @@ def allowance_table(posterior: Posterior) -> Table:
     """What the fit allows for, and the effect of each on k(s); what matters is bold."""
     table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", overflow="fold")
-    for name in ("widens the band by", "k(s) without it", "sd from nothing"):
+    for name in ("widens the band by", "ignoring it shifts k(s) by", "sds from zero"):
         table.add_column(name, justify="right")
     for row in confidence.allowance_rows(posterior):
         table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
@@ -313,19 +313,20 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
             "", f"± {wording.significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)"
         )
         share = 100.0 * found.prior_share[peak]
-        table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
+        weights = f"x {share[0]:.2g} %, y {share[1]:.2g} % (prior sd {found.prior_sd:.3g} N)"
+        table.add_row("weight of the prior", weights)
         table.add_row("place", _place(found, peak))
         if found.moment is not None:
             moment, share = found.moment, 100.0 * found.moment.prior_share[peak]
             value = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)"
-            prior = f"{share:.2g} % from the prior (sd {moment.prior_sd:.3g} N m)"
+            prior = f"weight of the prior {share:.2g} % (sd {moment.prior_sd:.3g} N m)"
             table.add_row("its moment", f"{value}, {prior}")
         if found.smoothed is not None:
             smooth, sd = found.smoothed.force[peak], np.sqrt(np.diag(found.smoothed.covariance[peak]))
             said = f"{force_words(smooth)}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
             table.add_row("smoothed there", said)
     if found.misfit is not None:
-        table.add_row("misfit", f"{found.misfit.ratio:.3g} times what band, mounting and noise let expect (squared)")
+        table.add_row("misfit", f"{found.misfit.ratio:.3g} times the expected sum of squares")
     difference = found.against_log
     if difference is not None:
         table.add_row("against the log", f"{wording.significant(difference[0])} N RMS where the force is known best")

@@ -504,22 +504,22 @@ class ReachSettings:
     """How a force is sought, and within which bounds."""
 
     method: Literal["newton", "paper"] = option(
-        "--method", "newton", "newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."
+        "--method", "newton", "newton: exact. paper: Algorithm 1 as printed; its force is applied to the exact beam."
     )
     max_force: float | None = option(  # infinite is none, as it is below
-        "--max-force-N", None, "No larger force; default: no bound.", metavar="N", within=POSITIVE
+        "--max-force-N", None, "Largest force; default: no bound.", metavar="N", within=POSITIVE
     )
     max_curvature: float | None = option(
         "--max-curvature-per-m",
         None,
-        "The beam bends no more than this from rest.",
+        "Largest curvature, beyond that at rest.",
         metavar="1/M",
         within=POSITIVE,
     )
     direction: float | None = option(
-        "--direction-deg", None, "The force can only push this way (0: along x).", metavar="DEG"
+        "--direction-deg", None, "The only direction of the force (0: along x).", metavar="DEG"
     )
-    moment: bool = option("--moment", False, "The gripper gives a moment too.")
+    moment: bool = option("--moment", False, "The gripper also applies a moment.")
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
     tolerance: float = 1e-6  # m: a point this near to its goal is there
     steps: int = 20  # of the path of forces; fewer only where a growing load does not connect the shapes

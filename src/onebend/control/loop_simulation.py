@@ -32,13 +32,13 @@ _METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as 
 class LoopCamera:
     """The camera and all that lies between it and the controller."""
 
-    fps: float = option("--fps", 30.0, "Frames of the camera a second.", metavar="HZ", within=(0.1, 100_000.0))
+    fps: float = option("--fps", 30.0, "Frame rate of the camera.", metavar="HZ", within=(0.1, 100_000.0))
     delay: float = option(
-        "--delay-ms", 0.05, "From a frame's exposure to its answer.", metavar="MS", within=(0.0, 10_000.0)
+        "--delay-ms", 0.05, "Delay from exposure to the force's change.", metavar="MS", within=(0.0, 10_000.0)
     )
     jitter: float = 0.0  # s, sd of the delay of a frame
     noise: float = option(
-        "--noise-mm", 5e-5, "Of each coordinate the camera sees, one sd.", metavar="MM", within=(0.0, 1e3)
+        "--noise-mm", 5e-5, "Noise of each coordinate of the camera, one sd.", metavar="MM", within=(0.0, 1e3)
     )
     dropped: float = 0.0  # share of frames that never arrive
     hidden: tuple[tuple[float, float], ...] = ()  # s, times in which the point is not seen

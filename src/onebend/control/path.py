@@ -207,10 +207,15 @@ _SLACK = 1.002  # a little slower than the limit asks, so that sampling anew doe
 class RateLimits:
     """The largest rates; infinite where there is no limit."""
 
-    force: float = option("--max-force-rate-N-per-s", np.inf, "Of every push.", metavar="N/S", within=POSITIVE)
-    speed: float = option("--max-speed-m-per-s", np.inf, "Of the gripper.", metavar="M/S", within=POSITIVE)
+    force: float = option("--max-force-rate-N-per-s", np.inf, "Limit for every push.", metavar="N/S", within=POSITIVE)
+    speed: float = option("--max-speed-m-per-s", np.inf, "Limit for the gripper.", metavar="M/S", within=POSITIVE)
     turning: float = option(
-        "--max-turn-rate-deg-per-s", np.inf, "Of the gripper.", metavar="DEG/S", within=POSITIVE, scale=np.pi / 180.0
+        "--max-turn-rate-deg-per-s",
+        np.inf,
+        "Limit for the gripper.",
+        metavar="DEG/S",
+        within=POSITIVE,
+        scale=np.pi / 180.0,
     )
 
     def __post_init__(self) -> None:
@@ -279,7 +284,7 @@ class PathSettings:
     rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", metavar="HZ", within=(1e-6, 1e6))
     limits: RateLimits = field(default_factory=RateLimits)
     too_fast: Literal["stretch", "refuse"] = option(
-        "--too-fast", "stretch", "Where a limit on a rate is broken: take more time there, or say when and stop."
+        "--too-fast", "stretch", "Where a rate limit is exceeded: take more time, or stop with an error."
     )
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 

@@ -492,7 +492,7 @@ class ShapeSettings:
     arm: float | None = option(
         "--arm-m",
         None,
-        "An error of 1 rad counts as one of so many metres; default: L.",
+        "An error of 1 rad counts as an error of this many metres; default: L.",
         metavar="M",
         within=NOT_NEGATIVE,
     )

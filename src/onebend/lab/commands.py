@@ -39,26 +39,26 @@ from onebend.results.provenance import inputs_of
 Design = Annotated[
     str,
     typer.Argument(
-        metavar="DESIGN", help="A named design, a design.toml, or `random`: all but the seed is drawn then."
+        metavar="DESIGN", help="A named design, a design.toml, or `random`: everything is drawn from the seed."
     ),
 ]
 FilmFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
 ]
 Effects = Annotated[
-    bool, typer.Option("--effects", help="What real benches do beside bending, all drawn at random: stretch, creep ...")
+    bool, typer.Option("--effects", help="Effects of real benches, drawn at random: stretch, relaxation ...")
 ]
 Effect = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
         metavar="NAME=SIZE",
-        help="One effect of a real bench by its size in SI units, as relaxation=0.1. More than one can be given.",
+        help="One effect of a real bench with its size in SI units, as relaxation=0.1; may be repeated.",
     ),
 ]
 Markers = Annotated[
     bool,
-    typer.Option("--markers", help="Tracked markers in place of a film: no pixels, so it takes a second. Slow pushes."),
+    typer.Option("--markers", help="Tracked markers instead of a film; takes a second. Slow pushes only."),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
 
@@ -209,7 +209,7 @@ Rim = Annotated[
 Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of the paper.")]
 NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
 NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers out.")]
-SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or an .svg a page.")]
+SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or one .svg per page.")]
 ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
 
 

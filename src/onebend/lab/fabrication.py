@@ -136,13 +136,13 @@ class MouldSettings:
     kind: Literal["open", "halves"] = option("--kind", "open", "One open tray, or two halves.")
     wall: float = option("--wall-mm", 0.004, "Thickness of walls and floor.", metavar="MM", within=(0.4, 1e9))
     draft: float = option(  # the width is the design's at half the depth
-        "--draft-deg", 0.0, "Lean of the walls.", metavar="DEG", within=(0.0, 10.0)
+        "--draft-deg", 0.0, "Draft angle of the walls.", metavar="DEG", within=(0.0, 10.0)
     )
     foot: float = 0.020  # m, length of the foot that the clamp holds
     shoulder: float = 0.004  # m, by which the foot is wider than the beam's base, on either side
     neck: float = 0.003  # m, of the beam's base width, inside the clamp's front wall
     shrinkage: float = option(  # a share
-        "--shrinkage-percent", 0.0, "How much the silicone shrinks.", metavar="P", within=(0.0, 9.9)
+        "--shrinkage-percent", 0.0, "Shrinkage of the silicone.", metavar="P", within=(0.0, 9.9)
     )
     tag_places: tuple[float, ...] = option(  # fine grooves mark them; none: ()
         "--tag-at",

@@ -67,18 +67,14 @@ class Tolerances:
     """How well a setup is known; one sd each."""
 
     gain_sd: float = option(
-        "--gain-sd", nan, "Of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
+        "--gain-sd", nan, "sd of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
     )
-    placement_sd: float = option(
-        "--placement-mm", 5e-4, "How well the tags are placed, one sd.", metavar="MM", within=(1e-3, 1e9)
-    )
-    turn_sd: float = option(
-        "--turn-deg", TURN_SD, "How well the tags are turned, one sd.", metavar="DEG", within=(1e-3, 1e9)
-    )
+    placement_sd: float = option("--placement-mm", 5e-4, "sd of the tags' places.", metavar="MM", within=(1e-3, 1e9))
+    turn_sd: float = option("--turn-deg", TURN_SD, "sd of the tags' turns.", metavar="DEG", within=(1e-3, 1e9))
     clock_sd: float = option(
         "--clock-sd-s",
         nan,
-        "How well the clocks agree; 0: one clock; default: found from the data.",
+        "sd of the clock offset; 0: one clock; default: the offset is found from the data.",
         metavar="S",
         within=NOT_NEGATIVE,
     )

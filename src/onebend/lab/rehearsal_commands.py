@@ -59,32 +59,32 @@ class LoopRehearsal:
     k_error: float = option(
         "--k-error",
         0.3,
-        "Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
+        "Simulate beams that are softer and stiffer by this share; the gains are chosen for them.",
         metavar="SHARE",
         within=(0.0, 0.95),
     )
     draws: int | None = option(
         "--draws",
         None,
-        "Rehearse on N beams drawn from the band of k(s) instead.",
+        "Simulate N beams drawn from the band of k(s) instead.",
         metavar="N",
         within=(1, loop_simulation.MOST_DRAWN),
     )
-    max_force: float = option("--max-force-N", math.inf, "No larger force.", metavar="N", within=POSITIVE)
+    max_force: float = option("--max-force-N", math.inf, "Largest force.", metavar="N", within=POSITIVE)
     felt: FeltBy = option(
         "--felt",
         "nothing",
-        "What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+        "Source of the force on the beam. log: a sensor. shape: the tags, as in `onebend sense`.",
     )
     force_off: float = option(
         "--force-off-N",
         0.0,
-        "By so much the robot's force is off, across it, and the log of --felt log, along it.",
+        "Error of the robot's force, across it, and of the log of --felt log, along it.",
         metavar="N",
         within=(0.0, 1000.0),
     )
     hidden: bool = option("--hidden", False, "The camera never sees the point, nor a tag on it.")
-    duration: float = option("--duration-s", 8.0, "Of each rehearsal; at least two.", metavar="S", within=(2.0, 600.0))
+    duration: float = option("--duration-s", 8.0, "Duration of each simulation.", metavar="S", within=(2.0, 600.0))
 
 
 def loop(
@@ -180,7 +180,7 @@ def errors_table(rehearsal: Rehearsal) -> Table:
 
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Table:
-    title = "What costs most: how well k(s) would be known if one thing were known exactly"
+    title = "Largest causes: how well k(s) would be known if one thing were known exactly"
     table = common.listing(title, "<known exactly", "k(s) then", "removes")
     for entry in budget:
         table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
@@ -188,7 +188,7 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
 
 
 def advice_table(rehearsal: Rehearsal) -> Table:
-    title = "What to change, by how much it narrows the band"
+    title = "Changes, by how much each narrows the band"
     table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
         table.add_row(str(i), escape(change.text), width_words(change.quality.mean_width), share_words(change.share))
@@ -224,34 +224,35 @@ Rehearsed = Annotated[
 ]
 TagPlaces = Annotated[
     str | None,
-    typer.Option(
-        "--tags", metavar="S,S,...", help="Where the tags sit along the beam; default: thirds, or the model's."
-    ),
+    typer.Option("--tags", metavar="S,S,...", help="Places of the tags; default: thirds, or the model's."),
 ]
 PushesAt = Annotated[
     list[float] | None,
-    typer.Option(
-        "--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam; once for each push."
-    ),
+    typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Place of the push; once per push."),
 ]
 Forces = Annotated[
-    list[float] | None, typer.Option("--force-N", metavar="N", help="Peak; default: by --bend-deg. One, or one a push.")
+    list[float] | None,
+    typer.Option("--force-N", metavar="N", help="Largest force; default: from --bend-deg. One, or one per push."),
 ]
 Directions = Annotated[
     list[float] | None,
-    typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
+    typer.Option(
+        "--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one per push."
+    ),
 ]
 Runs = Annotated[
-    int, typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")
+    int, typer.Option(min=0, max=10_000, metavar="N", help="Number of simulated recordings; 0: only the prediction.")
 ]
 Jobs = Annotated[
-    int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes that simulate; default: all cores.")
+    int | None, typer.Option(min=1, max=1024, metavar="N", help="Number of processes; default: all cores.")
 ]
-Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="How many changes to name.")]
+Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="Number of changes to list.")]
 RehearsalFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
 ]
-RunSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the first run; the next ones count up.")]
+RunSeed = Annotated[
+    int, typer.Option("--seed", min=0, metavar="N", help="Seed of the first run; the next ones count up.")
+]
 
 
 def rehearse(
@@ -364,7 +365,7 @@ ReproduceOut = Annotated[
 
 
 Processes = Annotated[
-    int | None, typer.Option("--processes", min=1, metavar="N", help="That work at once; default: one a core.")
+    int | None, typer.Option("--processes", min=1, metavar="N", help="Number of processes; default: one per core.")
 ]
 
 

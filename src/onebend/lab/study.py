@@ -87,12 +87,12 @@ STRATEGIES = (
 class StudySettings:
     """Settings of one study. With the version they determine its results."""
 
-    quick: bool = option("--quick", False, "Shorter pushes, 12 frames/s: a third of the time.")
-    video: bool = option("--without-video", True, "Tags' poses with a camera's noise instead of films: a minute.")
+    quick: bool = option("--quick", False, "Shorter pushes and 12 frames/s, in a third of the time.")
+    video: bool = option("--without-video", True, "Noisy poses of the tags instead of films; takes a minute.")
     sensor: SensorKind = option(
         "--sensor", "paper", "paper: errors as large as the paper's. franka: as measured on such a robot."
     )
-    seed: int = option("--seed", 0, "Of all that is drawn.", metavar="N", within=(0, None))
+    seed: int = option("--seed", 0, "Seed of all random numbers.", metavar="N", within=(0, None))
 
     def __post_init__(self) -> None:
         if self.seed < 0:

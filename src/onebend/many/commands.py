@@ -55,7 +55,8 @@ def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
     named = outcome.named
     middle = len(named.trial.s) // 2
-    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half band", "for the wished band")
+    target = f"needed for ± {population_report.percent(outcome.setting.wished)}"
+    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half-width", target)
     table = common.listing("mean k(s)", "<group", *heads)
     curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
     for i, row in enumerate(population_report.group_rows(outcome)):
@@ -79,14 +80,15 @@ Source = Annotated[
     Path, typer.Argument(metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path.")
 ]
 Results = Annotated[
-    Path, typer.Option("--output", "-o", metavar="RESULTS", help="Folder for what comes out; a stopped run goes on.")
+    Path,
+    typer.Option("--output", "-o", metavar="RESULTS", help="Folder for the results; an interrupted run continues."),
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that sees these folders under these paths."),
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask cluster that sees these folders under the same paths."),
 ]
 Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="On this machine; default: one a core.")
+    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one per core.")
 ]
 Folders = Annotated[
     bool, typer.Option("--folders", help="Also write a results folder of each recording, without pictures.")
@@ -125,7 +127,7 @@ Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results fold
 PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
 ToleranceFile = Annotated[
     Path | None,
-    typer.Option("--tolerance", metavar="CSV", help="With s, low_N_m, high_N_m: objects pass or fail against it."),
+    typer.Option("--tolerance", metavar="CSV", help="CSV with s, low_N_m, high_N_m: limits that objects must meet."),
 ]
 
 

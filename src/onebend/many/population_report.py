@@ -33,16 +33,20 @@ MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with th
 class PopulationSettings:
     """Settings of a population."""
 
-    by: str = option("--by", "group", "Of recordings.parquet, that names the group.", metavar="COLUMN")
+    by: str = option("--by", "group", "Column of recordings.parquet with the group.", metavar="COLUMN")
     same: str | None = option(
-        "--object", None, "That names the object; default: every recording has its own.", metavar="COLUMN"
+        "--object", None, "Column with the object; default: one object per recording.", metavar="COLUMN"
     )
     wished: float = option(
-        "--band", 0.05, "Wished half band of the means, of k.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
+        "--band", 0.05, "Target for the half-width of the means.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
     )
     tolerance: model.Tolerance | None = None
     passes: float = option(
-        "--pass-from", 0.5, "Probability of lying inside that passes.", metavar="P", within=(0.01, 0.99)
+        "--pass-from",
+        0.5,
+        "Least probability of meeting the tolerance with which an object passes.",
+        metavar="P",
+        within=(0.01, 0.99),
     )
 
 
@@ -71,7 +75,7 @@ class PopulationOutcome:
 def population(named: model.Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
     """Learn the population from its objects. Raises `ResultsError`: a number that was asked for makes no sense."""
     if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
-        raise ResultsError("a wished band is above 0, and a probability between 0 and 1. Correct it")
+        raise ResultsError("--band must be above 0, and --pass-from between 0 and 1. Correct them")
     trial, found = named.trial, model.fit(named.trial)
     means, told = model.group_means(found), named.identified >= 0.5
     groups = range(trial.groups)
@@ -110,14 +114,14 @@ def population(named: model.Named, setting: PopulationSettings = PopulationSetti
 # The tables of a population, each as Parquet and as CSV.
 
 TABLES = {
-    "groups": "a row a group: how many objects, the band of its mean, how many objects the wished band needs",
-    "means": "a row a group and place: mean k(s) with its 95 % band",
-    "ratios": "a row a pair of groups and place: the first group's mean over the second's, with its 95 % band",
-    "spread": "a row a number: spread within and between groups, repeatability, with 95 % intervals",
-    "objects": "a row an object: k at five places, why it is unlike the others, whether it passes",
-    "curves": "a row an object and place: k(s) as it and the others of its group tell, with its 95 % band",
-    "needed": "a row a group and number of objects: the half band of the mean that is to be expected",
-    "left_out": "a row a recording that is not in it, with the reason",
+    "groups": "one row per group: number of objects, band of the mean, objects needed for the target",
+    "means": "one row per group and place: mean k(s) with its 95 % band",
+    "ratios": "one row per pair of groups and place: ratio of the means with its 95 % band",
+    "spread": "one row per statistic: spread within and between groups, repeatability, with 95 % intervals",
+    "objects": "one row per object: k at five places, why it is an outlier, whether it passes",
+    "curves": "one row per object and place: k(s), drawn towards the group's mean, with its 95 % band",
+    "needed": "one row per group and number of objects: expected half-width of the mean",
+    "left_out": "one row per excluded recording, with the reason",
 }
 AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, where the table of objects has k
 
@@ -300,7 +304,7 @@ def bands(outcome: PopulationOutcome) -> Figure:
         name = figure_text(outcome.named.groups[i] or "all")
         axes.plot(model.NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
     axes.axhline(100.0 * outcome.setting.wished, color=INK, linestyle="--", linewidth=1.0)
-    axes.set(xlabel="objects of the group", ylabel="half band of its mean [%]", xscale="log", yscale="log")
+    axes.set(xlabel="objects of the group", ylabel="half-width of its mean [%]", xscale="log", yscale="log")
     axes.legend(ncols=4)
     return figure
 
@@ -318,12 +322,12 @@ MOST_JUDGED = 200  # rows of objects on the page; the table has all
 
 
 def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
-    named = outcome.named
+    named, target = outcome.named, percent(outcome.setting.wished)
     content = {
         "version": version,
         "title": one_line(f"Population {name}"),
         "cards": _cards(outcome),
-        "group_heads": ("group", "objects", "recordings", "half band of the mean", "objects for the wished band"),
+        "group_heads": ("group", "objects", "recordings", "half-width of the mean", f"needed for ± {target}"),
         "group_rows": [
             (
                 group_name(one["group"]),
@@ -341,7 +345,7 @@ def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str,
         "judged_heads": ("object", "group", "probability inside", ""),
         "judged_rows": _judged_rows(outcome),
         "ratios": bool(outcome.pairs),
-        "needed": f"For a half band of {percent(outcome.setting.wished)} of k, the median along the beam.",
+        "needed": f"Target: a half-width of {target} of k (median along the beam).",
         "left_out": [(one_line(one), one_line(why)) for one, why in named.left_out],
         "files": list(TABLES.items()),
         "data": "{}",
@@ -355,7 +359,7 @@ def percent(share: float) -> str:
 
 
 def count_words(number: float) -> str:
-    return f"{number:.0f} objects" if np.isfinite(number) else "no number of them"
+    return f"{number:.0f} objects" if np.isfinite(number) else "not reachable"
 
 
 def group_name(name: str) -> str:

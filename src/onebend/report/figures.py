@@ -695,7 +695,7 @@ def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
     axes.axhline(0.0, color=FAINT, linewidth=0.8, zorder=0)
     span = _film_span(found)
     if span is None:
-        axes.set_title("force on the beam; when the film begins is not written down")
+        axes.set_title("force on the beam; the start of the film is not stated")
     else:
         clock = None if found.observations is None else found.observations.source.clock
         as_found = clock is not None and clock.found

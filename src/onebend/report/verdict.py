@@ -52,7 +52,7 @@ class Verdict:
     def rows(self) -> tuple[tuple[str, str], ...]:
         """Label and words of all below the headline."""
         docs = (("docs", section(self.about)),) if self.about else ()
-        rows = (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("narrower", self.narrower))
+        rows = (("k(s)", self.known), ("tests", self.rests_on), ("accuracy", self.use), ("improve", self.narrower))
         return (*(row for row in rows if row[1]), ("next", self.next), *docs)
 
 

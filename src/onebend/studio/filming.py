@@ -117,7 +117,7 @@ class RecorderProcess:
             failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
             made.phase = "failed" if failed else "done"
         if made.outcome is None and not made.error:
-            kept = f"What it wrote by then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
+            kept = f"The recording up to then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
             made.error = f"the recorder ended with {code}. {kept}"
         self._changed()
         self._tell({"what": "places"}, False)
