@@ -26,6 +26,7 @@ from onebend.recording.schema import Key
 from onebend.report.sentences import SENTENCES
 
 TROUBLES = ROOT / "docs" / "troubleshooting.md"
+BEGINS = 7  # words of a message that the list shows
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {
     **RECORDS,
@@ -47,15 +48,21 @@ def pages() -> dict[Path, dict[str, str]]:
 
 
 def messages() -> str:
-    """The beginnings of the warnings on what was learned, by their entry on the page; a number is an ellipsis."""
+    """How warnings of learning begin, by entry, unless the entry's title says it already; a number is an ellipsis."""
     titles = {anchor_of(title): title for title in re.findall(r"(?m)^### (.+)$", TROUBLES.read_text(encoding="utf-8"))}
     found: dict[str, dict[str, None]] = {}
     for one in filter(lambda one: one.about, SENTENCES.values()):
         text = re.sub(r"\{[^}]*\}", "…", one.text)
-        found.setdefault(SECTIONS[str(one.about)], {})[re.split(r"[:;]|\. | \(", text)[0].strip(" ,.…")] = None
-    return "\n".join(
-        f"- [{titles[anchor]}](#{anchor}): {'; '.join(filter(None, few))}." for anchor, few in found.items()
-    )
+        begins = re.split(r"[:;]|\. | \(", text)[0].strip(" ,.…").split()
+        few = found.setdefault(SECTIONS[str(one.about)], {})
+        few[" ".join(begins[:BEGINS]).strip(" ,.…") + "…" * (len(begins) > BEGINS)] = None
+    lines = []
+    for anchor, few in found.items():
+        title = set(re.findall(r"\w+", titles[anchor].lower()))
+        new = [one for one in few if set(re.findall(r"\w+", one.lower())) - title]
+        new = [one for one in new if not any(one.startswith(other) and other != one for other in few if other)]
+        lines += [f"- [{titles[anchor]}](#{anchor}): {'; '.join(new)}"] if new else []
+    return "\n".join(lines)
 
 
 def anchor_of(title: str) -> str:
