@@ -90,7 +90,7 @@ def test_a_validation_is_held_against_what_the_sensor_allows() -> None:
     assert f"shapes are predicted to {100 * 2.0 / motion:.1f}"[:-1] in fair.use
     bad = verdict_of(validated(0.030, 0.0010))
     assert "no good prediction" in bad.use
-    assert "of this beam" in bad.next
+    assert "shows this beam" in bad.next
     unknown = verdict_of(validated(0.0020, np.nan))
     assert "noise" not in unknown.use
     assert "nan" not in unknown.use.lower()

@@ -95,7 +95,7 @@ COMMANDS = {
     ),
     "calibrate": Place(
         "onebend.cli.recordings:calibrate",
-        "Calibrate the camera from a film of a board, and write the [camera] table of recording.toml.",
+        "Calibrate the camera from a film of a board, and write its table for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
     "show": Place("onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam"),

@@ -273,7 +273,7 @@ MarkerMm = Annotated[
 Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Tag dictionary of a ChArUco board.")]
 ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="The image topic, if VIDEO is a bag.")]
 MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="The largest number of views to use.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file for the [camera] table.")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file for the camera table.")]
 
 CALIBRATE_FORMAT = "onebend-calibrate-1"
 
