@@ -58,9 +58,9 @@ def messages() -> str:
         few[" ".join(begins[:BEGINS]).strip(" ,.…") + "…" * (len(begins) > BEGINS)] = None
     lines = []
     for anchor, few in found.items():
-        title = set(re.findall(r"\w+", titles[anchor].lower()))
-        new = [one for one in few if set(re.findall(r"\w+", one.lower())) - title]
-        new = [one for one in new if not any(one.startswith(other) and other != one for other in few if other)]
+        said = set(re.findall(r"\w+", titles[anchor].lower()))
+        asked = {one: re.findall(r"\w+", one.lower()) for one in few}
+        new = [one for one, words in asked.items() if 2 * len(said.intersection(words)) < len(words)]
         lines += [f"- [{titles[anchor]}](#{anchor}): {'; '.join(new)}"] if new else []
     return "\n".join(lines)
 

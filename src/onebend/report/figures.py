@@ -509,7 +509,7 @@ def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFr
         if i > 1:
             wanted[f"{before}shapes"] = partial(shapes, beam, comparison, observations, fitted)
         if fitted is not None:
-            wanted[f"{before}fitted"] = partial(residuals, fitted.comparison, "left by the fit")
+            wanted[f"{before}fitted"] = partial(residuals, fitted.comparison, "residuals of the fit")
         if fitted is None or not observations.static:  # of static poses the fit's own distance is the one that counts
             under = words_of(observations).under
             wanted[f"{before}residuals"] = partial(residuals, comparison, under)
