@@ -78,16 +78,25 @@ def renewed(text: str, parts: Mapping[str, str]) -> str:
 
 
 def commands() -> dict[str, str]:
-    """The list of all commands, the options that several share, and each command with its own."""
+    """The list of all commands, the options that several share, and each command with its own. An option that two
+    commands share is explained at the first of them."""
     parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in all_commands()}
     counts = Counter(said for own in parameters.values() for said in own)
     shared = [said for said, count in counts.items() if count >= COMMON]
     parts = {"commands": ", ".join(f"[{name}](#{name})" for name in all_commands()) + "."}
     parts["common options"] = "\n".join(f"- {name}: {says}" for name, says in shared)
+    first = {said: name for name, own in reversed(parameters.items()) for said in own}
     for name, own in parameters.items():
-        lines = [f"- {said}: {says}" for said, says in own if (said, says) not in shared]
-        common = [said.split(",")[0] for said, says in own if (said, says) in shared and said.startswith("`-")]
-        lines += [f"- {', '.join(common)}: [common options](#common-options)."] if common else []
+        elsewhere: dict[str, list[str]] = {}
+        for said in own:
+            if said[0].startswith("`-") and (said in shared or first[said] != name):
+                link = (
+                    "[common options](#common-options)" if said in shared else f"as for [{first[said]}](#{first[said]})"
+                )
+                elsewhere.setdefault(link, []).append(said[0].split(",")[0].split(" ")[0].rstrip("`") + "`")
+        told = {said for said in own if said in shared or (said[0].startswith("`-") and first[said] != name)}
+        lines = [f"- {said}: {says}" for said, says in own if (said, says) not in told]
+        lines += [f"- {', '.join(names)}: {link}." for link, names in elsewhere.items()]
         parts[name] = "\n".join([f"    {usage(name)}", "", all_commands()[name].help, "", *lines])
     return parts
 
