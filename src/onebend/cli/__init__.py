@@ -1,8 +1,7 @@
 """The command line. Results go to standard output, progress and errors to standard error.
 
-Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do, or a fault of
-onebend itself, with the file that says more; 130 interrupted.
-The list of commands stands here as text, so that `--version` and `--help` load no command; each loads what it needs.
+Exit codes: 0 done; 2 unusable input or request, or a fault of onebend; 130 interrupted. Commands are listed here as
+text, so that `--help` and `--version` load none.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from onebend.wings import Place, wings
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
-MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700 they take a 20th of the time
-COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
+MOST_NEW = 100_000  # objects between garbage collections, which otherwise take a 20th of the time
+COMPLETE = "_ONEBEND_COMPLETE"  # Typer's variable for the completing shell
 
 
 COMMANDS = {
@@ -112,11 +111,11 @@ COMMANDS = {
 }
 
 
-GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the command that runs, by name
+GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the running command
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; its options are in `GIVEN` while it runs, for what it writes."""
+    """The command with its options in `GIVEN`."""
 
     @wraps(command)
     def inside(**options: Any) -> None:
@@ -127,27 +126,29 @@ def remembered(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def all_commands() -> dict[str, Place]:
-    """The commands of the core, and those that the wings which are here bring."""
+    """Of the core and the installed wings."""
     brought = [import_module(f"onebend.{wing}").COMMANDS for wing in wings()]
     return {name: place for table in (COMMANDS, *brought) for name, place in table.items()}
 
 
 class Command(TyperCommand):
-    """A name and a line of help; what the command does, and its options, are loaded when it is called."""
+    """A name and a line of help; function and options are loaded on call."""
 
     def __init__(self, name: str, place: Place) -> None:
         super().__init__(name, help=place.help)
         self.place = place
 
     def loaded(self) -> Any:
-        """The command itself. It works with one BLAS thread."""
+        """With one BLAS thread."""
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
-        single.command(self.name, epilog="\n\n".join(lines))(one_blas_thread(remembered(self.function())))
+        single.command(self.name, help=self.place.help, epilog="\n\n".join(lines))(
+            one_blas_thread(remembered(self.function()))
+        )
         return typer.main.get_command(single)
 
     def function(self) -> Callable[..., None]:
-        """The command's function, with a parameter for each option."""
+        """With a parameter for each option."""
         from onebend.options import expanded  # here: `--help` does without
 
         return expanded(self.place.load())
@@ -157,8 +158,6 @@ class Command(TyperCommand):
 
 
 class Commands(TyperGroup):
-    """The group of all commands, none of them loaded."""
-
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = {name: Command(name, place) for name, place in all_commands().items()}
@@ -182,7 +181,7 @@ def _say_version(asked: bool) -> None:
 
 def _print_completion(shell: str | None) -> None:
     if shell is not None:
-        # here, as below: Typer promises nothing of these names, and every other command does without
+        # here, as below: no public names of Typer, and seldom needed
         from typer.completion import get_completion_script  # type: ignore[attr-defined]
 
         typer.echo(get_completion_script(prog_name=NAME, complete_var=COMPLETE, shell=shell))
@@ -208,7 +207,7 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 
 
 def main() -> NoReturn:
-    """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
+    """The entry point of `onebend`, also for shell completion."""
     gc.set_threshold(MOST_NEW)
     if COMPLETE in os.environ:
         from typer.completion import completion_init  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The commands that hand a learned beam, or a recording with it, to other software."""
+"""Commands that write a learned beam, or a recording with it, for other software."""
 
 from __future__ import annotations
 
@@ -57,7 +57,6 @@ def export_command(
     damping_time: DampingTime = None,
     overwrite: common.Overwrite = False,
 ) -> None:
-    """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
     kind: Kind = to
     with common.clean_errors():
         stored = read_trusted(model)
@@ -92,7 +91,6 @@ def rerun_command(
     overwrite: common.Overwrite = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
     with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")

@@ -1,4 +1,4 @@
-"""Commands that learn: from recordings, against other recordings, and which push to make next."""
+"""Commands that learn, validate and plan."""
 
 from __future__ import annotations
 
@@ -35,8 +35,6 @@ from onebend.results.detection_cache import detection_cache
 from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
-
-# The screen of `onebend plan`.
 
 
 def plan_table(plan: Plan) -> Table:
@@ -116,10 +114,6 @@ def learn(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).
-
-    The tags of a film are looked for once and kept for the next run (`onebend cache`).
-    """
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     observing = _paired(observing, epsilon)
@@ -152,7 +146,7 @@ def learn(
             )
             common.put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
-        put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
+        put(None if no_report else Pictures())  # the fit is safe before pictures are drawn
         if not as_json:
             show_run(common.screen(), run, out, verbose=verbose, log=log, report=not no_report)
         if not no_report:
@@ -170,7 +164,7 @@ def learn(
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
     """Every figure of a report."""
-    from onebend.report import figures as drawing  # here: Matplotlib takes a third of a second to load
+    from onebend.report import figures as drawing  # here: Matplotlib loads slowly
 
     return drawing.draw_all(run, frames=frames, progress=progress)
 
@@ -186,7 +180,6 @@ def validate(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     with common.clean_errors():
         stored = read_trusted(model)
         known = observations_beside(model)
@@ -217,9 +210,8 @@ def validate(
 def plan(
     model: common.Model, *, settings: PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
 ) -> None:
-    """Say which push to make next: what each would leave of the band on k(s)."""
     with common.clean_errors(), common.progress_of(quiet) as progress:
-        read_trusted(model)  # warns where k(s) is in doubt
+        read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)
     summary = learned_files.plan_summary(str(model), found, written_by=BY)
     common.answer(as_json, summary, lambda console: show_plan(console, found))

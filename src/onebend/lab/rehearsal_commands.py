@@ -1,4 +1,4 @@
-"""The command that rehearses a push before it is filmed."""
+"""Commands `loop`, `rehearse` and `reproduce`."""
 
 from __future__ import annotations
 
@@ -49,12 +49,10 @@ from onebend.results.control_files import loop_summary, write_loop
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
-# Commands that bend a learned beam, or rehearse to.
-
 
 @dataclass(frozen=True)
 class LoopRehearsal:
-    """The beams, the robot and the sensor that a loop is rehearsed with."""
+    """Beams, robot and sensor of a rehearsed loop."""
 
     k_error: float = option(
         "--k-error",
@@ -100,7 +98,6 @@ def loop(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
     with common.clean_errors():
         stored = read_trusted(model)
         beam = stored.beam
@@ -131,7 +128,7 @@ def loop(
         rehearsed = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
         summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
         if output is not None:
-            from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import looping  # here: it loads Matplotlib
 
             tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
@@ -140,10 +137,8 @@ def loop(
     )
 
 
-# The screen of `onebend rehearse`.
-
 EVERY = 10  # of the 101 places
-FEW = 12  # runs: with fewer, nine in ten mean little
+FEW = 12  # runs: with fewer, the 90 % quantile means little
 
 
 def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
@@ -217,7 +212,7 @@ def _percent(log_error: float) -> str:
     return f"{100.0 * np.expm1(log_error):.2g}" if log_error < 1.0 else f"x {np.exp(log_error):.2g}"
 
 
-SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # by all pushes
+SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # shared by all pushes
 
 Rehearsed = Annotated[
     str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
@@ -273,7 +268,6 @@ def rehearse(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
     with common.clean_errors():
         setup = setup_of(
             known_beam(design),
@@ -283,7 +277,7 @@ def rehearse(
         )
         with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
             inputs = () if place is None else inputs_of([Path(design)])
-            keep = None if place is None else place.work  # runs are kept there as they end
+            keep = None if place is None else place.work  # runs are stored there as they end
             settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
             found = make_rehearsal(setup, **settings, keep=keep, progress=progress)
             if place is not None:
@@ -299,7 +293,7 @@ def rehearse(
 
 
 def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
-    """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
+    """One request per push. Raises `RecordingError`: counts do not match, or invalid place or force."""
     given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
     count = max(1, *map(len, given.values()))
     for name, values in given.items():
@@ -321,7 +315,7 @@ def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction
 
 
 def places_of(text: str | None) -> tuple[float, ...]:
-    """Numbers of `0.33,0.67,1`. Raises `RecordingError` where one is none."""
+    """Numbers of `0.33,0.67,1`. Raises `RecordingError`: not a number."""
     if text is None:
         return ()
     try:
@@ -331,9 +325,6 @@ def places_of(text: str | None) -> tuple[float, ...]:
     if not all(math.isfinite(s) for s in places):
         raise RecordingError(f"--tags {text!r}: every place must be a number in (0, 1]")
     return places
-
-
-# The screen of `onebend reproduce`.
 
 
 def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
@@ -357,8 +348,6 @@ def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> No
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
-# Commands over many recordings: the paper's experiments made again, batches, populations.
-
 ReproduceOut = Annotated[
     Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")
 ]
@@ -378,7 +367,6 @@ def reproduce(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
     with (
         common.clean_errors(),
         common.workplace(output, study_report.REPRODUCE_FORMAT, overwrite) as place,

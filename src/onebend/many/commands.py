@@ -1,4 +1,4 @@
-"""Commands over many recordings: the paper's experiments made again, batches, population_report."""
+"""Commands over many recordings."""
 
 from __future__ import annotations
 
@@ -23,9 +23,7 @@ from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
 
-# The screens of `onebend batch` and `onebend population`.
-
-MOST_ROWS = 20  # rows of each kind that are shown of a batch
+MOST_ROWS = 20  # rows shown of each kind
 
 
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
@@ -44,7 +42,7 @@ def show_batch(console: Console, outcome: BatchOutcome) -> None:
 
 
 def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """The first rows of names and reasons; nothing where there is none."""
+    """The first rows of names and reasons."""
     if rows:
         table = Table(head, "why", title=f"{title}: {len(rows)}", title_justify="left")
         for row in rows[:MOST_ROWS]:
@@ -105,7 +103,6 @@ def batch(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped."""
 
     def began(link: str) -> None:
         if link and not quiet:
@@ -141,7 +138,6 @@ def population(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
     with (
         common.clean_errors(),
         common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,

@@ -1,4 +1,4 @@
-"""All that `onebend population` says."""
+"""Results of `onebend population`."""
 
 from __future__ import annotations
 
@@ -26,13 +26,11 @@ from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
 from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import figure_text, one_line
 
-MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with the first
+MOST_COMPARED = 12  # groups up to which all pairs are compared; of more, each with the first
 
 
 @dataclass(frozen=True)
 class PopulationSettings:
-    """Settings of a population."""
-
     by: str = option("--by", "group", "Column of recordings.parquet with the group.", metavar="COLUMN")
     same: str | None = option(
         "--object", None, "Column with the object; default: one object per recording.", metavar="COLUMN"
@@ -52,28 +50,26 @@ class PopulationSettings:
 
 @dataclass(frozen=True)
 class PopulationOutcome:
-    """The answers, with the trial that they are from."""
-
     setting: PopulationSettings
     named: model.Named
     means: model.Curves  # of log k, G
-    told: BoolArray  # (G, S) where the data of half the recordings or more tell k
+    told: BoolArray  # (G, S) identified by at least half of the recordings
     pairs: tuple[tuple[int, int], ...]  # of groups
-    ratios: model.Curves  # of the logarithm, a pair each
+    ratios: model.Curves  # of the logarithm, per pair
     objects: model.Objects
     curves: model.Curves  # of log k, O
-    within: Array  # (S,) sd of log k within groups
+    within: Array  # (S,) of log k
     shares: model.Shares
     outliers: tuple[str, ...]  # O reasons
-    half: tuple[float, ...]  # G half bands of log k, the median over the places that are told
-    bands: Array  # (G, len(NUMBERS)) the same for that many objects
-    needed: tuple[float, ...]  # G objects for the wished band; inf: no number gives it
+    half: tuple[float, ...]  # G half-widths of log k, median over `told`
+    bands: Array  # (G, len(NUMBERS)) for that many objects
+    needed: tuple[float, ...]  # G objects for the target, or inf
     judgement: model.Judgement | None
-    next_inside: Array | None  # (G,) probability that one more object of the group lies inside the tolerance
+    next_inside: Array | None  # (G,) probability that a further object meets the tolerance
 
 
 def population(named: model.Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
-    """Learn the population from its objects. Raises `ResultsError`: a number that was asked for makes no sense."""
+    """Raises `ResultsError` for invalid settings."""
     if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
         raise ResultsError("--band must be above 0, and --pass-from between 0 and 1. Correct them")
     trial, found = named.trial, model.fit(named.trial)
@@ -111,7 +107,7 @@ def population(named: model.Named, setting: PopulationSettings = PopulationSetti
     )
 
 
-# The tables of a population, each as Parquet and as CSV.
+# Tables, each as Parquet and CSV.
 
 TABLES = {
     "groups": "one row per group: number of objects, band of the mean, objects needed for the target",
@@ -123,7 +119,7 @@ TABLES = {
     "needed": "one row per group and number of objects: expected half-width of the mean",
     "left_out": "one row per excluded recording, with the reason",
 }
-AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, where the table of objects has k
+AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, of k in the table of objects
 
 
 def tables(outcome: PopulationOutcome) -> dict[str, pa.Table]:
@@ -228,10 +224,8 @@ def _curve(curves: model.Curves, outcome: PopulationOutcome, name: str, unit: st
     }
 
 
-# The pictures of a population.
-
-A_ROW = 3  # panels
-MOST = 24  # groups that have a panel
+A_ROW = 3  # panels per row
+MOST = 24  # panels
 
 
 def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -> Pictures:
@@ -244,7 +238,7 @@ def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -
 
 @styled
 def means(outcome: PopulationOutcome) -> Figure:
-    """The groups' means with their bands, and the tolerance."""
+    """Groups' means with bands, and the tolerance."""
     figure, (axes,) = blank(3.8)
     s, count = outcome.named.trial.s, min(len(outcome.named.groups), MOST)
     for i in range(count):
@@ -264,7 +258,7 @@ def _banded(axes: Axes, s: Array, curves: model.Curves, i: int, *, color: str, l
 
 @styled
 def panels(outcome: PopulationOutcome) -> Figure:
-    """Each group: every object, those unlike the others, and the mean."""
+    """Per group: objects, outliers, mean."""
     trial, count = outcome.named.trial, min(len(outcome.named.groups), MOST)
     rows = -(-count // A_ROW)
     figure, axes = blank(2.4 * rows, rows, min(count, A_ROW), sharex=True, sharey=True)
@@ -283,7 +277,7 @@ def panels(outcome: PopulationOutcome) -> Figure:
 
 @styled
 def ratios(outcome: PopulationOutcome) -> Figure:
-    """Mean over mean, for the first pairs."""
+    """For the first pairs."""
     figure, (axes,) = blank(3.4)
     s, shown = outcome.named.trial.s, outcome.pairs[:6]
     for i, (one, other) in enumerate(shown):
@@ -297,7 +291,7 @@ def ratios(outcome: PopulationOutcome) -> Figure:
 
 @styled
 def bands(outcome: PopulationOutcome) -> Figure:
-    """The half band that is to be expected of so many objects."""
+    """Half-width against the number of objects."""
     figure, (axes,) = blank(3.2)
     count = min(len(outcome.named.groups), MOST)
     for i in range(count):
@@ -309,8 +303,6 @@ def bands(outcome: PopulationOutcome) -> Figure:
     return figure
 
 
-# `report.html` of a population.
-
 SPREAD = {
     "level_sd": ("within groups, of the level of k", True),
     "shape_sd": ("within groups, of the shape of k(s)", True),
@@ -318,7 +310,7 @@ SPREAD = {
     "between": ("share of all variance between objects that lies between groups (intraclass correlation)", False),
     "between_sd": ("between the groups' means", True),
 }
-MOST_JUDGED = 200  # rows of objects on the page; the table has all
+MOST_JUDGED = 200  # objects on the page
 
 
 def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
@@ -354,7 +346,7 @@ def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str,
 
 
 def percent(share: float) -> str:
-    """A share in percent; a dash where it is not known."""
+    """A dash if unknown."""
     return f"{significant(100.0 * share)} %" if np.isfinite(share) else UNKNOWN
 
 
@@ -363,7 +355,6 @@ def count_words(number: float) -> str:
 
 
 def group_name(name: str) -> str:
-    """A group's name on a screen or page."""
     return one_line(name) or "all"
 
 
@@ -415,8 +406,6 @@ def _judged_rows(outcome: PopulationOutcome) -> list[tuple[Any, ...]]:
     return found[:MOST_JUDGED]
 
 
-# The files of a population and its summary.
-
 POPULATION_FORMAT = "onebend-population-1"
 
 
@@ -449,7 +438,7 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
 def write_report(
     folder: Path, outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str
 ) -> None:
-    """Tables and page. `figures`: PNGs by name."""
+    """`figures`: PNGs by name."""
     for key, table in tables(outcome).items():
         (folder / f"{key}.parquet").write_bytes(as_parquet(table))
         (folder / f"{key}.csv").write_bytes(as_csv(table))

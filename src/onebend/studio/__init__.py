@@ -1,4 +1,4 @@
-"""A local page for one person: recordings, learning, and the learned beam to bend."""
+"""A local page for one person."""
 
 from __future__ import annotations
 
