@@ -31,7 +31,7 @@ _NONE = Uniform(0.0)
 
 @dataclass(frozen=True)
 class Body:
-    """A beam tabulated for motion, n coordinates, Q nodes; see `body`."""
+    """See `body`: n coordinates, Q nodes."""
 
     length: float  # L, m
     grid: Grid
@@ -52,7 +52,7 @@ class Body:
         return int(self.to_angle.shape[1])
 
     def to_places(self, s: Array) -> Array:
-        """(S, n): d alpha(s) / d theta_i."""
+        """(S, n)."""
         return np.asarray(self.grid.integral_to(np.asarray(s, dtype=float)) @ self.curvature)
 
     def angle(self, s: Array, theta: Array, base_angle: Array | float = 0.0) -> Array:
@@ -156,7 +156,7 @@ def body_of_nodes(
 
 
 def mass_matrix(of: Body, theta: Array) -> Array:
-    """(..., n, n) kg m^2: B of (7) for states (..., n)."""
+    """(..., n, n) kg m^2, (7)."""
     c, s = _directions(of, theta)
     across = np.concatenate([c[..., None] * of.to_angle, s[..., None] * of.to_angle], axis=-1)  # (..., Q, 2 n)
     carried = of.carried @ across
@@ -202,7 +202,6 @@ def momentum(of: Body, theta: Array, rate: Array, base: Array | None = None, bas
 
 
 def _directions(of: Body, theta: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
-    """(..., Q) each: cos and sin of the angles at the nodes."""
     alpha = of.rest_angle + turn + np.asarray(theta, dtype=float) @ of.to_angle.T
     return np.cos(alpha), np.sin(alpha)
 
@@ -212,7 +211,6 @@ def _pose(given: Array | None) -> Array:
 
 
 def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) -> None:
-    """`MechanicsError` at the first invalid node (NaN included)."""
     if not np.all(good):
         bad = int(np.flatnonzero(~good)[0])
         raise MechanicsError(f"{name} = {values[bad]:.3g} at s = {nodes[bad]:.3f}: {rule}")
@@ -226,16 +224,16 @@ InTime = Callable[[float], ArrayLike]
 
 @dataclass(frozen=True)
 class AppliedForce:
-    """A force at a fixed place of the beam: two numbers [N], or a function of time [s]."""
+    """At a fixed place: two numbers [N], or a function of time [s]."""
 
     value: ArrayLike | InTime
     at_s: float = 1.0
-    breaks: tuple[float, ...] = ()  # s, times of jumps; steps end there
+    breaks: tuple[float, ...] = ()  # s, times of jumps
 
 
 @dataclass(frozen=True)
 class AppliedMoment(AppliedForce):
-    """A moment about z at a fixed place: a number [N m], or a function of time [s]."""
+    """At a fixed place: a number [N m], or a function of time [s]."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +268,6 @@ class Actions:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Times of jumps, rising."""
         gripper = self.gripper.breaks if self.gripper is not None else ()
         return tuple(sorted({*gripper, *(time for action in self._loads for time in action.breaks)}))
 
@@ -281,12 +278,12 @@ class Actions:
 
 @dataclass(frozen=True)
 class TabulatedActions:
-    """Actions at R times, for the equation of motion."""
+    """At R times."""
 
     pull: Array  # (2, Q, R) N m: pull beyond each node with weight, times its lever; x and y
     forced: Array  # (2, Q, R) N m: the same of forces alone
     force: Array  # (R, 2) N: sum of the forces
-    couple: Array  # (n, R) N m: generalised force of the moments
+    couple: Array  # (n, R) N m: of the moments
     moment: Array  # (R,) N m: sum of the moments
     base: Array  # (R, 3) m, m, rad
     base_rate: Array  # (R, 3)
@@ -344,7 +341,6 @@ def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> N
 
 
 def _values(value: ArrayLike | InTime, times: Array, size: int, name: str) -> Array:
-    """(R, size) values of a constant or a function of time."""
     raw = [value(float(t)) for t in times] if callable(value) else [value] * len(times)
     try:
         out = np.asarray(raw, dtype=float).reshape(len(times), size)

@@ -49,11 +49,9 @@ class Material:
 
 
 class SectionShape(Protocol):
-    """A plane figure whose size varies along the beam."""
-
     @property
     def sizes(self) -> tuple[Profile, ...]:
-        """Its size profiles [m]."""
+        """In m."""
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
         """At (S,): area [m^2], centroid y [m] in its own axes, second moment about the centroid [m^4]."""
@@ -127,8 +125,6 @@ class Polygon(_Figure):
 
 @dataclass(frozen=True)
 class SectionPart:
-    """A shape of one material, its axes at y = `offset` of the section."""
-
     shape: SectionShape
     material: Material
     offset: Profile = field(default_factory=lambda: Uniform(0.0))  # m
@@ -165,10 +161,7 @@ class SectionProfiles:
 
 
 def section(parts: tuple[SectionPart, ...], s: Array) -> SectionProperties:
-    """Properties of a section of several parts at `s` (S,).
-
-    Raises `MechanicsError`: no part, or a size that is not positive.
-    """
+    """Raises `MechanicsError`: no part, or a size that is not positive."""
     if not parts:
         raise MechanicsError("a section needs at least one part")
     places = np.atleast_1d(np.asarray(s, dtype=float))
@@ -226,7 +219,7 @@ def along(parts: tuple[SectionPart, ...], length: float) -> SectionProfiles:
 def polygon_moments(corners: tuple[tuple[float, float], ...]) -> tuple[float, float, float]:
     """Area, centroid y, and `int (y - y_c)^2 dA` of a simple polygon (y, z), by Green's theorem."""
     points = np.asarray(corners, dtype=float)
-    middle = points.mean(axis=0)  # a near reference point preserves digits
+    middle = points.mean(axis=0)  # preserves digits
     y, z = (points - middle).T
     y1, z1 = np.roll(y, -1), np.roll(z, -1)
     cross = y * z1 - y1 * z
@@ -258,7 +251,6 @@ class _Stacked:
 
 
 def _knots(profile: Profile) -> tuple[float, ...]:
-    """Jumps, and knots of higher derivatives."""
     if isinstance(profile, Scaled):
         return _knots(profile.profile)
     if isinstance(profile, _Stacked):
@@ -276,7 +268,6 @@ def _size(profile: Profile, s: Array) -> Array:
 
 
 def _crosses_itself(points: Array) -> bool:
-    """Whether two sides cross."""
 
     def side(a: Array, b: Array, c: Array) -> float:
         return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
@@ -342,7 +333,7 @@ def relative_moment(section: StatedSection) -> Polyline:
 
 
 def mean_moment(section: StatedSection) -> float:
-    """m^4, the geometric mean of I, the reference of `relative_moment`."""
+    """m^4, geometric mean of I."""
     s, logs, _ = _log_moment(section)
     return float(np.exp(np.trapezoid(logs, s)))
 
@@ -358,7 +349,6 @@ def _log_moment(section: StatedSection) -> tuple[Array, Array, Array]:
 
 
 def _jumps(section: StatedSection, steps: Array, s: Array, logs: Array) -> tuple[float, ...]:
-    """Steps of log I, and its sharpest corners."""
     rows = np.unique(section.s[(section.s > 0.0) & (section.s < 1.0)])
     corners = np.setdiff1d(rows, steps)
     width = 1e-6

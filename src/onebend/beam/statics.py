@@ -25,7 +25,7 @@ from onebend.records import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class NodalForces:
-    """Directions at the nodes, and derivatives of the loads' work `w W` by the angle there."""
+    """Directions at the nodes, and derivatives of the loads' work `w W` by the angle."""
 
     cos: Array  # (T, Q)
     sin: Array  # (T, Q)
@@ -69,7 +69,6 @@ def turned_followers(problem: Problem, q: Array) -> tuple[Array, Array]:
 
 
 def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> NodalForces:
-    """Of shapes (T, Q), loads scaled by `load_factor` (T,)."""
     alpha = node_angles(problem, q)
     cos, sin = np.cos(alpha), np.sin(alpha)
     factor = np.asarray(load_factor, dtype=float)[..., None]
@@ -87,14 +86,12 @@ def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -
 
 
 def normal_and_shear(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    """(T, Q) N each."""
     alpha, n = node_angles(problem, q), internal_force(problem, q, load_factor)
     cos, sin = np.cos(alpha), np.sin(alpha)
     return n[..., 0] * cos + n[..., 1] * sin, n[..., 1] * cos - n[..., 0] * sin
 
 
 def strains(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    """(T, Q) each: N/EA and Q/kGA."""
     if problem.compliance is None:
         nothing = np.zeros((problem.size, problem.to_nodes.shape[-1]))
         return nothing, nothing
@@ -135,7 +132,7 @@ def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
 # u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). Stretch and shear change `L N . u'` and `L N . u` (see
 # above). A follower force has no potential; its part of T is not symmetric.
 
-_TABULATED = 300_000  # largest size of a table for B^T diag(d) B
+_TABULATED = 300_000
 RESOLVED = 1e-10  # largest share of the last Legendre coefficients
 
 
@@ -162,7 +159,6 @@ class Equilibrium:
         return replace(self, problem=self.problem.take(chosen), **parts)
 
     def put(self, frames: IntArray, by: Equilibrium) -> Equilibrium:
-        """With other solutions of these frames."""
         parts = {name: getattr(self, name).copy() for name in _OF_FRAMES}
         for name, values in parts.items():
             values[frames] = getattr(by, name)
@@ -175,12 +171,11 @@ class Equilibrium:
 
     @cached_property
     def forces(self) -> NodalForces:
-        """Under the full load."""
         return nodal_forces(self.problem, self.q)
 
     @cached_property
     def normal_and_shear(self) -> tuple[Array, Array]:
-        """(T, Q) N each, under the full load."""
+        """(T, Q) N each."""
         return normal_and_shear(self.problem, self.q)
 
     @cached_property
@@ -190,12 +185,12 @@ class Equilibrium:
 
     @cached_property
     def strained(self) -> Array:
-        """(T, Q, 2): part of r'/L due to strain under the full load; compliant beams only."""
+        """(T, Q, 2): part of r'/L due to strain; compliant beams only."""
         assert self.problem.compliance is not None
         return self.strained_by(self.problem.compliance)
 
     def strained_by(self, compliance: tuple[Array, Array]) -> Array:
-        """The same for 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
+        """The same, for 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
         (normal, transverse), cos, sin = self.normal_and_shear, self.forces.cos, self.forces.sin
         along, across = compliance[0] * normal, compliance[1] * transverse
         return paired(along * cos - across * sin, along * sin + across * cos)
@@ -228,7 +223,7 @@ _OF_FRAMES = ("q", "converged", "stable", "load_factor", "buckled_at", "fell")
 
 
 def found_near(problem: Problem, q: Array, found: BoolArray, iterations: int = 0) -> Equilibrium:
-    """Stable equilibria where `found`; no branch was followed to them."""
+    """Stable equilibria where `found`."""
     none = np.full(len(q), np.nan)
     factor = np.where(found, 1.0, np.nan)
     return Equilibrium(problem, q, found, found.copy(), factor, none, np.zeros(len(q), dtype=bool), iterations)
@@ -272,7 +267,6 @@ def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    """Gradient and tangent together."""
     forces = nodal_forces(problem, q, load_factor)
     return gradient(problem, q, load_factor, forces), tangent(problem, q, load_factor, forces)
 

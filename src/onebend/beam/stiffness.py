@@ -1,7 +1,7 @@
-"""Bending stiffness distributions k(s) [N m], and profiles along the beam in general.
+"""Bending stiffness k(s) [N m], and other profiles along the beam.
 
-A profile is a frozen record that evaluates at any `s` in [0, 1], lists its jumps, and converts to plain data. Profiles
-linear in their coefficients also give their basis, for regression.
+A profile is a frozen record that evaluates at `s` in [0, 1], lists its jumps, and converts to plain data. Profiles
+linear in their coefficients also give their basis.
 """
 
 from __future__ import annotations
@@ -63,13 +63,12 @@ def _plain_fields(record: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Polyline(_Kind):
-    """Linear between places, constant beyond them. A place that stands twice is a step, where the second value
-    holds."""
+    """Linear between places, constant beyond. A place given twice is a step with the second value."""
 
     kind = "polyline"
     s: tuple[float, ...]
     values: tuple[float, ...]
-    jumps: tuple[float, ...] = ()  # steps, and corners so sharp that a grid needs an edge there
+    jumps: tuple[float, ...] = ()  # steps, and corners sharp enough to need a grid edge
 
     def __post_init__(self) -> None:
         if len(self.s) != len(self.values) or len(self.s) < 2:
@@ -88,11 +87,10 @@ class Polyline(_Kind):
         return np.asarray(values[i] + share * (values[i + 1] - values[i]))
 
 
-# Polynomial pieces: any function that is smooth between given places, to machine precision. They hold k(s), mass and
-# curvature of tapered and layered sections as plain numbers, and evaluate fast.
+# Piecewise polynomials resolve any piecewise smooth function to machine precision, as plain numbers.
 
 _DEGREE = 15
-_NARROWEST = 2.0**-12  # narrowest piece, in s
+_NARROWEST = 2.0**-12  # in s
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class Pieces(_Kind):
     """A Legendre series of the given degree on each piece between `edges`."""
 
     kind = "pieces"
-    edges: tuple[float, ...]  # from 0 to 1
+    edges: tuple[float, ...]  # 0 to 1
     degree: int
     coefficients: tuple[float, ...]  # (P * (degree + 1),), piece after piece
     jumps: tuple[float, ...] = ()  # edges where value or slope jumps
@@ -133,7 +131,7 @@ def taper(first: float, last: float) -> Pieces:
 def broken_line(s: tuple[float, ...], values: tuple[float, ...]) -> Pieces:
     """Linear between values at places from 0 to 1; a place given twice is a jump.
 
-    Raises `MechanicsError`: places that do not run from 0 to 1, or another number of values.
+    Raises `MechanicsError`: places or values that do not match.
     """
     if len(s) != len(values) or len(s) < 2:
         raise MechanicsError(f"a broken line needs one value a place, got {len(s)} places and {len(values)} values")
@@ -151,10 +149,9 @@ def in_pieces(
     jumps: tuple[float, ...] = (),
     tolerance: float = 1e-12,
 ) -> Pieces:
-    """A function of s as pieces, cut at `breaks` and `jumps`, halved until resolved to `tolerance` times the largest
-    value.
+    """A function of s as pieces, cut at `breaks` and `jumps`, halved to `tolerance` times the largest value.
 
-    Raises `MechanicsError`: values that are not finite, or an unresolved piece (an unlisted jump).
+    Raises `MechanicsError`: values that are not finite, or an unlisted jump.
     """
     inner = sorted({b for b in (*breaks, *jumps) if 0.0 < b < 1.0})
     x = np.polynomial.legendre.leggauss(_DEGREE + 1)[0]
@@ -192,8 +189,8 @@ class Gaussians(_Kind):
 
     kind = "gaussians"
     centres: tuple[float, ...]
-    width: float  # sigma of (15), in units of s
-    coefficients: tuple[float, ...]  # gamma, N m
+    width: float  # sigma, in units of s
+    coefficients: tuple[float, ...]  # N m
 
     def __post_init__(self) -> None:
         if not self.width > 0.0:
@@ -210,7 +207,7 @@ class Powers(_Kind):
     """`k(s) = sum_w gamma_w s^w` (12)."""
 
     kind = "powers"
-    coefficients: tuple[float, ...]  # gamma, N m
+    coefficients: tuple[float, ...]  # N m
 
     def __call__(self, s: Array | float) -> Array:
         return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s, dtype=float), np.asarray(self.coefficients)))
@@ -270,7 +267,7 @@ class LogSpline(_Kind):
     knots: tuple[float, ...]  # with repeated ends, as for scipy's BSpline
     coefficients: tuple[float, ...]  # of log(k / (N m))
     degree: int = 3
-    offset: Polyline | None = None  # known part of log k: that of the section's second moment
+    offset: Polyline | None = None  # known part of log k, from the section
 
     def __call__(self, s: Array | float) -> Array:
         s = np.asarray(s, dtype=float)
@@ -287,8 +284,6 @@ class LogSpline(_Kind):
 
 @dataclass(frozen=True)
 class Scaled(_Kind):
-    """Another profile times a constant."""
-
     kind = "scaled"
     factor: float
     profile: Profile
@@ -416,9 +411,9 @@ def _mean(values: Array, weights: Array, axis: int = -1) -> Array:
 # Uncertain k(s): mean and covariance of the spline coefficients of log k(s), and the shape of bands that are not
 # normal.
 
-SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # levels of the bands in `UncertainStiffness.shape`
+SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # of the bands in `UncertainStiffness.shape`
 SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
-IDENTIFIED_SD = 0.2  # of log k: k to within half of itself (95 %)
+IDENTIFIED_SD = 0.2  # of log k: to within half of k (95 %)
 
 
 def half_width_words(half: float) -> str:
@@ -431,7 +426,7 @@ def half_width_words(half: float) -> str:
 
 
 def half_width(sd: Array | float, level: float = 0.95) -> Array:
-    """Half the distance between the normal quantiles that leave out `1 - level`."""
+    """Half the distance between the normal quantiles at `level`."""
     return np.asarray(ndtri(0.5 + 0.5 * level) * sd)
 
 
@@ -448,22 +443,20 @@ class Band:
 
 @dataclass(frozen=True)
 class UncertainStiffness:
-    """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: a known `offset` o, uncertain coefficients c, and a common log scale g
-    with the sd `gain_sd`.
+    """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: known `offset` o, coefficients c, common log scale g of sd `gain_sd`.
 
-    With a possible step log k is a mixture: its 50 % band is narrower than a normal's of the same sd by `shape`. Draws
-    are normal.
+    With a possible step log k is a mixture: its 50 % band is narrower than a normal's by `shape`. Draws are normal.
     """
 
     knots: Array  # with repeated ends, as for scipy's BSpline
     mean: Array  # (p,) of coefficients, log(N m)
     covariance: Array  # (p, p)
-    gain_sd: float = 0.0  # sd of log k's common scale, from the force's gain
+    gain_sd: float = 0.0  # from the force's gain
     degree: int = 3
-    doubts: tuple[str, ...] = ()  # reasons not to trust it: then no place counts as identified
+    doubts: tuple[str, ...] = ()  # if any, no place counts as identified
     # (levels, S) widths of the bands over those of a normal, at SHAPE_LEVELS and SHAPE_PLACES; None: all 1
     shape: Array | None = None
-    offset: Polyline | None = None  # of log k, where the section's shape is stated
+    offset: Polyline | None = None  # of log k, from the stated section
     # `E(s) I(s) / L` with the stated I, if k(s) was learned as modulus times section: k(s) also includes the section's
     # errors
     nominal: UncertainStiffness | None = None
@@ -493,20 +486,19 @@ class UncertainStiffness:
 
     @one_blas_thread
     def band(self, s: Array, level: float = 0.95) -> Band:
-        """k(s) between quantiles that leave out `1 - level`, with the common scale."""
+        """k(s) and its `level` band, with the common scale."""
         mean, sd = self.log_at(s)
         wide = self.half_width(s, level)
         return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
 
     def best_known(self, s: Array) -> BoolArray:
-        """(S,) where k is identified; if nowhere, the best quarter of the places. Ignores doubts: it scales axes of
-        pictures."""
+        """(S,) where k is identified, else the best quarter; ignores doubts. For axes of pictures."""
         sd = self.log_at(s)[1]
         known = sd < IDENTIFIED_SD
         return np.asarray(known if np.any(known) else sd <= np.quantile(sd, 0.25))
 
     def half_width(self, s: Array, level: float = 0.95) -> Array:
-        """(S,) half-width of the band of log k, with the common scale: the band of k is `k exp(+- this)`."""
+        """(S,) half-width of the band of log k, with the common scale."""
         return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
 
     def log_covariance(self, s: Array, level: float = 0.95) -> Array:
@@ -525,7 +517,7 @@ class UncertainStiffness:
         """Random k(s), reproducible by seed on every machine."""
         rng = np.random.default_rng(seed)
         values, vectors = np.linalg.eigh(self.covariance)
-        # symmetric root: independent of sign and order of the vectors
+        # independent of sign and order of the vectors
         root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))

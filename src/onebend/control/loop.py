@@ -28,7 +28,7 @@ from onebend.records import Array
 # Omitted modes respond at once, so that the static compliance is the exact `J(s_p) T^-1 J(s_a)^T` of (24).
 
 MODES = 6
-_SHORTEST_LAG = 1e-4  # s, shortest lag of an actuator that is well-conditioned
+_SHORTEST_LAG = 1e-4  # s, for good conditioning
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Plant:
 
     @property
     def at_once(self) -> Array:
-        """(2, 2) m/N: compliance of omitted modes."""
+        """(2, 2) m/N, of omitted modes."""
         return np.asarray(self.compliance - self.seen.T @ (self.pushed / self.omega[:, None] ** 2))
 
     def stiffer(self, factor: float) -> Plant:
@@ -91,7 +91,7 @@ class StateSpace:
     c: Array  # (2, N)
 
     def over(self, time: float) -> tuple[Array, Array]:
-        """(N, N), (N, 2): the state after `time` s at constant input."""
+        """The state after `time` s at constant input: (N, N), (N, 2)."""
         n = len(self.a)
         moved = expm(time * np.block([[self.a, self.b], [np.zeros((2, n + 2))]]))
         return moved[:n, :n], moved[:n, n:]
@@ -123,7 +123,7 @@ def behind_actuator(plant: Plant, lag: float) -> StateSpace:
 ComplexArray = NDArray[np.complex128]
 
 _FREQUENCIES = 600
-_SCAN_RATIO = 1.04  # ratio of a scan for instability
+_SCAN_RATIO = 1.04
 _MOST_SCAN_STEPS = 200
 
 
@@ -144,7 +144,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class Gains:
-    """Rate of the integral, and corner of the two equal filters before it."""
+    """Rate of the integral, and corner of its two equal prefilters."""
 
     rate: float  # 1/s: the error falls as exp(-rate t) in the ideal case
     corner: float  # rad/s
@@ -190,7 +190,7 @@ class SampledLoop:
         return float(np.max(np.abs(np.linalg.eigvals(self.matrix()))))
 
     def loci(self, frequency: Array) -> ComplexArray:
-        """(R, 2): characteristic loci at (R,) [rad/s], continuous curves."""
+        """(R, 2): continuous characteristic loci at (R,) [rad/s]."""
         a, b, seen, seen_by_force, whole, keep = self._frame()
         z = np.exp(1j * frequency / self.timing.fps)
         inside = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - a, np.broadcast_to(b, (len(z), *b.shape)))
@@ -238,7 +238,7 @@ def margins(loop: SampledLoop) -> Margins:
     )
 
 
-_SHORTEST_DELAY = 0.01  # s, start of the scan
+_SHORTEST_DELAY = 0.01  # s
 
 
 def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
@@ -289,8 +289,6 @@ _MOST_OFF = 3.0  # sds: more is not the robot's error
 
 
 class Felt(Protocol):
-    """As `learning.sensing.sense.LiveForce`."""
-
     @property
     def force(self) -> Array:
         """(2,) N; NaN if unknown."""
@@ -308,15 +306,13 @@ class FeltForce:
 
 @dataclass(frozen=True)
 class Offset:
-    """Correction of the requested force."""
-
     force: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N
     # (2,) N felt beyond the wanted force, when the point was last seen
     more: Array = field(default_factory=lambda: np.zeros(2))
     correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at exposure
     # (2, 2) N excess, behind the first filter and both
     filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))
-    frame_at: float = 0.0  # s: arrival of the last frame with a force
+    frame_at: float = 0.0  # s, last frame with a force
 
 
 def believed_share(covariance: Array, sd: float) -> Array:
@@ -348,19 +344,15 @@ class LoggedForce:
         return FeltForce(told, self._covariance)
 
 
-# The fastest gains that keep the margins for k(s) as modelled, softer and stiffer.
-
 _CORNERS = np.geomspace(1.0, 100.0, 13)  # rad/s, of the filter
 _FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, of the integral
 
 
 @dataclass(frozen=True)
 class RequiredMargins:
-    """Required at every stiffness."""
-
     gain: float = 2.0
     phase: float = np.deg2rad(40.0)
-    k_error: float = 0.3  # relative error of k either way
+    k_error: float = 0.3  # relative, either way
 
     def __post_init__(self) -> None:
         if not (self.gain > 1.0 and 0.0 < self.phase < 0.5 * np.pi and 0.0 <= self.k_error < 1.0):
@@ -401,23 +393,21 @@ def _largest(loci: ComplexArray, wanted: RequiredMargins) -> float:
 # compliance there, and integrated. With a wrong k(s) the integral converges to the missing force.
 
 _REFERENCE_PLACES = 33  # of the reference
-_GOAL_TOLERANCE = 1e-4  # share of the length, of the path's end
-_COARSE_RESOLUTION = Resolution(8)  # for the map from error to force, which need not be exact
-_COMPLIANCE_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)  # factors on the model's compliance
+_GOAL_TOLERANCE = 1e-4  # share of the length
+_COARSE_RESOLUTION = Resolution(8)  # need not be exact
+_COMPLIANCE_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)
 # Share of the length: such an error is as likely as a factor e in k.
 _POSITION_TRUST = 0.02
 
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """Knowledge of the loop, and required margins."""
-
     timing: Timing = field(default_factory=Timing)
-    longest_delay: float = 0.1  # s, up to which margins hold
+    longest_delay: float = 0.1  # s, for the margins
     damping_ratio: float = 0.03  # of the slowest vibration; low is safe
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
     gains: Gains | None = None  # None: the fastest with these margins
-    weak: float = 0.01  # directions below this share of the largest compliance are corrected slowly
+    weak: float = 0.01  # below this share of the largest compliance: corrected slowly
     most_force: float = inf  # N, of the wanted force; `felt` adds to it
     force_sd: float = 0.2  # N, of the robot's force, used with a felt force
     rise: float | None = None  # s; None: two periods of the slowest vibration, at least 1 s
@@ -469,12 +459,10 @@ class Reference:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """See `Controller.begin`."""
-
     began: float  # s
     correction: Array  # (2,) N: the integral
     filtered: Array  # (2, 2) m: error behind the first filter, and both
-    frame_at: float  # s, of the last frame
+    frame_at: float  # s
     offset: Offset = field(default_factory=Offset)  # from the felt force
 
 
@@ -528,7 +516,7 @@ class Controller:
         return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
 
     def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
-        """The state after one frame; a gap counts as one frame."""
+        """A gap counts as one frame."""
         since = time - state.began
         passed = min(time - state.frame_at, 1.0 / self.settings.timing.fps)
         if not passed > 0.0:
@@ -583,7 +571,7 @@ class Controller:
 
 
 def _filtered(before: Array, value: Array, decay: float) -> Array:
-    """(2, 2) behind one first-order filter, and two."""
+    """(2, 2) behind one and two first-order filters."""
     keep = np.exp(-decay)
     once = keep * before[0] + (1.0 - keep) * value
     return np.stack([once, keep * before[1] + (1.0 - keep) * once])

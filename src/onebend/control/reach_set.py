@@ -36,11 +36,11 @@ from onebend.errors import ControlError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
-_START_SAMPLES = 4  # start samples of the search
+_START_SAMPLES = 4
 _MOST_STEPS = 60
-_LEAST_SHARE_OF_LENGTH = 1e-9  # of L: least approach of a step
-_HALVES = tuple(0.5**i for i in range(14))  # of a step
-_SHORTEST_FOLLOW = 1e-3  # of such a step
+_LEAST_SHARE_OF_LENGTH = 1e-9  # of L
+_HALVES = tuple(0.5**i for i in range(14))
+_SHORTEST_FOLLOW = 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class ReachableSet:
         return [LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
 
     def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
-        """Gauss-Newton in the disc of forces; steps are followed as equilibria."""
+        """Gauss-Newton in the disc of forces, followed as equilibria."""
         pushed, least = self.pushed, _LEAST_SHARE_OF_LENGTH * float(self.pushed.problem.length)
         forces = np.eye(2) if len(self.force) > 1 else np.asarray(self.force[0, -1] / self.max_force)[:, None]
         for _ in range(_MOST_STEPS):
@@ -201,11 +201,11 @@ def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> 
 # stability.
 
 _DIRECTIONS = 72
-_SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # of the largest force: small forces bend most
+_SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # small forces bend most
 _MOST_SIZES = 40
 _TOO_COARSE = 0.2  # rad, between shapes of neighbouring directions
 _SAME_BRANCH = 0.6  # rad, beyond which shapes are on different branches
-_ROUNDS = 8  # of halving
+_ROUNDS = 8
 _TURN = np.deg2rad(5.0)  # of a force beyond a gap, per step
 _MOST_TURNS = 36
 _INSIDE = -1e-9  # barycentric coordinate
@@ -216,8 +216,6 @@ Edge = Literal["force", "stability"]
 
 @dataclass(frozen=True)
 class MapPlace:
-    """A goal on a `ReachMap`."""
-
     inside: bool
     point: Array  # (2,) m: the goal, or the nearest edge point
     state: LoadedState  # to first order
@@ -259,7 +257,6 @@ class ReachMap:
         return np.asarray(np.all(size[self.edges] >= _MAP_AT_BOUND * self.max_force, axis=1))
 
     def outline(self) -> list[tuple[Array, Edge]]:
-        """Lines (P, 2) m along the edge, with their limit."""
         kinds: dict[Edge, BoolArray] = {"force": self.edge_is_force, "stability": ~self.edge_is_force}
         return [(self.points[line], kind) for kind, chosen in kinds.items() for line in _chains(self.edges[chosen])]
 
@@ -295,8 +292,6 @@ class ReachMap:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Equilibria under D x R forces; NaN in `points` if none."""
-
     force: Array  # (D, R, 2) N
     q: Array  # (D, R, n) rad
     points: Array  # (D, R, 2) m
@@ -360,14 +355,13 @@ def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
 
 
 def _merged(values: Array, more: Array) -> tuple[Array, IntArray]:
-    """Sorted values, and their order."""
     every = np.concatenate([values, more])
     order = np.argsort(every, kind="stable")
     return every[order], order
 
 
 def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, way: float) -> _Sheet:
-    """Turns the forces of these sizes beyond direction `side` (`way` 1: counter-clockwise) while stable."""
+    """Turns forces beyond direction `side` while stable."""
     columns = [_column(pushed, sheet, side, int(r), way) for r in sizes]
     shape = (max(map(len, columns)), len(columns))
     force, points = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
@@ -379,7 +373,6 @@ def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, wa
 
 
 def _near(pushed: PushedBeam, sheet: _Sheet, triangles: IntArray) -> IntArray:
-    """Triangles whose shapes are on one branch."""
     shapes = sheet.q.reshape(-1, sheet.q.shape[-1])[triangles] @ pushed.b.T
     return np.asarray(triangles[np.max(np.ptp(shapes, axis=1), axis=-1) < 2.0 * _SAME_BRANCH])
 
@@ -402,7 +395,6 @@ def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) ->
 
 
 def _forces(turns: Array, sizes: Array) -> Array:
-    """(D, R, 2) N."""
     return np.asarray(sizes[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None])
 
 
@@ -451,7 +443,6 @@ def _quads(known: BoolArray, apart: BoolArray | None, *, cyclic: bool) -> IntArr
 
 
 def _chains(edges: IntArray) -> list[list[int]]:
-    """Edges (E, 2) joined to lines of vertices."""
     after: dict[int, list[int]] = {}
     for i, (begin, _) in enumerate(edges.tolist()):
         after.setdefault(begin, []).append(i)
@@ -475,18 +466,16 @@ def _chains(edges: IntArray) -> list[list[int]]:
 
 _TRUST = 0.4  # rad: a larger turn may leave the branch
 _SHORTEST_EDGE_STEP = 1e-3  # of the way to a force of the edge
-_SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)  # of the way of a blocked hand
+_SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)
 _ON_GOAL = 1e-6  # m
 _SLIDES = 8
 _LEAST_DRAG = 1e-7  # m, of such a step
-_DRAG_AT_BOUND = 0.999  # of the largest force
+_DRAG_AT_BOUND = 0.999
 _OVER = 1.0 + 1e-9
 
 
 @dataclass(frozen=True)
 class DragAnswer:
-    """State after a drag."""
-
     goal: Array  # (2,) m, or (3,) m, m, rad
     pose: Array  # (3,) m, m, rad
     state: LoadedState
@@ -500,7 +489,7 @@ class DragAnswer:
 
 
 class _Hand:
-    """A led beam; stateful, for one thread."""
+    """Stateful, for one thread."""
 
     holds = False  # also holds the end's angle
 
@@ -513,8 +502,6 @@ class _Hand:
 
 
 class DraggedPoint(_Hand):
-    """A point led by a force at one place."""
-
     def __init__(self, pushed: PushedBeam, max_force: float) -> None:
         super().__init__(pushed, pushed.start, max_force)
         self.map: ReachMap | None = None  # until then Newton's method only
@@ -573,8 +560,6 @@ class DraggedPoint(_Hand):
 
 
 class HeldEnd(_Hand):
-    """A hand that holds s = 1 at a pose."""
-
     holds = True
 
     def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
@@ -601,7 +586,7 @@ class HeldEnd(_Hand):
         return self.answer(wanted, limit or "stability")
 
     def _step(self, wanted: Array) -> Edge | None:
-        """One step towards the pose; returns the limit, or None."""
+        """Returns the limit, or None."""
         limit: Edge | None = None
         here = self.pushed.pose(self.state.q)
         for share in _SHARES:

@@ -30,14 +30,12 @@ from onebend.records import Array
 # steps are taken in its tangent plane and corrected at right angles.
 
 _LAST_UPDATE = 1e-11  # rad
-_MOST_ITERATIONS = 12  # of a correction
-_RANK_TOLERANCE = 1e-9  # share of the largest singular value
+_MOST_ITERATIONS = 12
+_RANK_TOLERANCE = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True)
 class Pusher:
-    """Pushes at `at_s` with at most `max_force` [N]."""
-
     at_s: float = 1.0
     max_force: float = np.inf
 
@@ -71,7 +69,7 @@ class LoadBound:
 
 @dataclass(frozen=True)
 class Actuators:
-    """All actuators. Controls u: pushers' forces, then the grip's force and moment."""
+    """Controls u: pushers' forces, then the grip's force and moment."""
 
     problem: Problem  # one frame, under weight; an edge at every push
     pushes: tuple[Pusher, ...]
@@ -79,7 +77,6 @@ class Actuators:
 
     @property
     def count(self) -> int:
-        """m."""
         return 2 * len(self.pushes) + (0 if self.grip is None else 3)
 
     @property
@@ -91,7 +88,6 @@ class Actuators:
 
     @cached_property
     def mean_stiffness(self) -> float:
-        """N m."""
         return float(np.sum(self.problem.weights * self.problem.k))
 
     @cached_property
@@ -102,7 +98,6 @@ class Actuators:
 
     @property
     def bounds(self) -> tuple[LoadBound, ...]:
-        """Finite limits."""
         every = [
             LoadBound(slice(2 * i, 2 * i + 2), pusher.max_force, f"force at s = {pusher.at_s:g}")
             for i, pusher in enumerate(self.pushes)
@@ -169,7 +164,7 @@ class BeamState:
         """
         matrix = self.tangent
         if self.actuators.grip is not None:
-            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # nothing moves the end of a straight beam along it
+            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # nothing moves a straight beam's end along it
             free = rows[int(np.sum(sizes > _RANK_TOLERANCE * sizes[0])) :]
             matrix = free @ matrix @ free.T
         return float(np.linalg.eigvalsh(matrix)[0])
@@ -244,9 +239,9 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
     return None
 
 
-_MOST_DUAL_ITERATIONS = 60  # for the multipliers
-_BOUND_TOLERANCE = 1e-12  # share of a bound
-_FLAT_TO_NEWTON = 1e-11  # share of the largest curvature of the cost that counts as flat
+_MOST_DUAL_ITERATIONS = 60
+_BOUND_TOLERANCE = 1e-12  # of a bound
+_FLAT_TO_NEWTON = 1e-11  # of the cost's largest curvature
 
 
 @dataclass(frozen=True)
@@ -254,7 +249,7 @@ class QuadraticModel:
     """Cost near an equilibrium in its tangent plane: `slope . z + z H z / 2`."""
 
     slope: Array  # (m,)
-    hessian: Array  # (m, m), exact
+    hessian: Array  # (m, m)
 
 
 def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
@@ -303,9 +298,9 @@ def convex(hessian: Array, damping: float) -> Array:
 def bounded_step(
     slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[LoadBound, ...]
 ) -> tuple[Array, Array]:
-    """(m,) minimum of `slope . z + z H z / 2` with bounded parts of `u + du z`; (n,) multipliers.
+    """(m,) minimum of `slope . z + z H z / 2` with bounded `u + du z`; (n,) multipliers.
 
-    Newton's method on the multipliers of active bounds; the reciprocal size of a bounded part is nearly linear in them.
+    Newton's method on the active bounds' multipliers; the reciprocal size of a bounded part is nearly linear in them.
     """
     prices = np.zeros(len(bounds))
     parts = [(u[bound.columns], du[bound.columns], bound.most) for bound in bounds]
@@ -330,7 +325,6 @@ def bounded_step(
 
 
 def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
-    """Share of a step within all bounds, if the multipliers did not converge."""
     share = 1.0
     for _ in range(60):
         if all(
@@ -343,9 +337,9 @@ def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
 
 _LAST_STEP = 1e-9  # rad
 _BELOW_ROUNDING = 1e-6  # rad: below, rounding of the cost hides progress
-_EDGE_MARGIN = 1.1  # times the least margin: if steps are barred, the search ends
-_FIRST_DAMPING = 1e-5  # share of the cost's curvature, after a failed step
-_RETURN_SHARE = 0.5  # share of a step's turn that the correction may add
+_EDGE_MARGIN = 1.1  # times the least margin
+_FIRST_DAMPING = 1e-5  # of the cost's curvature, after a failed step
+_RETURN_SHARE = 0.5  # of a step's turn
 
 
 @dataclass(frozen=True)
@@ -410,12 +404,11 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
 
 
 def _turn(state: BeamState, z: Array) -> float:
-    """rad, largest turn of a node."""
     return float(np.max(np.abs(state.actuators.problem.to_nodes @ (state.plane[0] @ z))))
 
 
 def _merit(state: BeamState, residuals: TargetResiduals, price: float) -> float:
-    """Half the cost, plus penalty beyond bounds."""
+    """Half the cost plus penalty."""
     beyond = [np.linalg.norm(state.u[bound.columns]) / bound.most - 1.0 for bound in state.actuators.bounds]
     return 0.5 * float(residuals.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))
 
@@ -442,7 +435,6 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
     right = -(state.unbend * strain)[:, None] * np.column_stack([basis, np.ones(len(strain))])
     held = 0 if state.actuators.grip is None else 3
     count = len(strain)
-    # Scaled to about 1.
     unit = state.actuators.scale[state.actuators.count - held :]
     rows = state.actions[state.actuators.count - held :]
     system = np.zeros((count + held, count + held))
@@ -465,7 +457,7 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
 _FINEST_PANEL = 1.0 / 16.0
 _TARGETS_MET = 1e-9  # of L, RMS: no further start
 _ACTIVE_BOUND = 1e-6  # share of a bound
-_OPEN_FREEDOM = 1e-9  # share of the largest curvature of the cost
+_OPEN_FREEDOM = 1e-9  # of the cost's largest curvature
 _RANDOM_LOAD_SIZE = 1.5  # of random starts, in mean k over L
 
 
@@ -478,18 +470,15 @@ class ShapeSettings:
         metavar="M",
         within=NOT_NEGATIVE,
     )
-    starts: int = 6  # further starts from bent shapes, if the targets are not met from rest
-    seed: int = 0  # of those
-    warn_margin: float = 0.1  # for a warning
+    starts: int = 6  # if the targets are not met from rest
+    seed: int = 0
+    warn_margin: float = 0.1
     descent: DescentSettings = field(default_factory=DescentSettings)
-    # Refined at the end.
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
 @dataclass(frozen=True)
 class ShapeResult:
-    """The closest shape found, and its loads."""
-
     targets: Targets
     state: BeamState
     xy_error: Array  # (N, 2) m: shape less target; NaN where free
@@ -583,7 +572,6 @@ def shape(
 
 
 def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
-    """Stable shapes under random controls within the bounds."""
     actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
     for _ in range(settings.starts):
         u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)

@@ -24,9 +24,9 @@ from onebend.report.sentences import modulus_unit, odds, say, words
 from onebend.report.wording import millimetres, significant, span
 
 FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # k is identified where it is known to this factor
-SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not mentioned
-NARROW = 0.03  # of the beam: shorter gaps are joined
-_SLIVER = 0.01  # of the beam: shorter stretches are not named beside longer ones
+SMALL_SHARE = 0.05  # of the largest force: smaller errors under load are not mentioned
+NARROW = 0.03  # in s: shorter gaps are joined
+_SLIVER = 0.01  # in s: shorter ranges are not named beside longer ones
 _SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
@@ -50,7 +50,7 @@ class NuisanceRow:
 
 
 def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
-    """First and last s of every identified stretch, to 1/400."""
+    """First and last s of every identified range, to 1/400."""
     s = np.linspace(0.0, 1.0, 401)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
@@ -77,7 +77,7 @@ def identified_words(ranges: Sequence[tuple[float, float]]) -> str:
 
 
 def typical_half_width(uncertain: UncertainStiffness) -> float:
-    """Half the 95 % band of log k, median over the identified places, or NaN."""
+    """Median half-width of the 95 % band of log k over identified places, or NaN."""
     ranges = identified_ranges(uncertain)
     if not ranges:
         return float("nan")
@@ -86,7 +86,7 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
 
 
 def stiffness_range(findings: Run) -> tuple[float, float]:
-    """Smallest and largest k(s) [N m] where identified; of the whole beam if nowhere or without a band."""
+    """Smallest and largest k(s) [N m] where identified, else of the whole beam."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
     if findings.posterior is not None:
@@ -96,7 +96,6 @@ def stiffness_range(findings: Run) -> tuple[float, float]:
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
-    """Where k(s) is not identified; one sentence if it is in doubt."""
     if uncertain.doubts:
         return [say("in doubt", doubts="; ".join(uncertain.doubts))]
     ranges = identified_ranges(uncertain)
@@ -136,7 +135,6 @@ def load_error_words(load_error: tuple[float, float]) -> list[str]:
 
 
 def stop_words(posterior: Posterior) -> str:
-    """Whether and why the fit stopped."""
     found = posterior.optimum
     return say("converged" if found.converged else "stopped early", steps=found.steps, why=found.stopped)
 
@@ -185,8 +183,6 @@ def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
 
 @dataclass(frozen=True)
 class ModelTestRow:
-    """One test of the model."""
-
     what: str
     odds: str  # of chance
     size: str  # motion of a tag, mm
@@ -219,7 +215,6 @@ def alarm_words(posterior: Posterior) -> str:
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:
-    """The strongest pairs; first those with the mean of log k(s)."""
     level = with_level(posterior)
     pairs = [*level, *(pair for pair in tradeoffs(posterior) if pair not in level)]
     return [say("together" if pair.correlation > 0.0 else "opposed", **vars(pair)) for pair in pairs]
@@ -238,7 +233,7 @@ def share_words(share: Attribution) -> str:
 
 
 def narrower_words(posterior: Posterior) -> str:
-    """At most two measures that narrow the band, with the factor."""
+    """At most two measures."""
     shares = sorted((one for one in posterior.attributions if one.matters), key=lambda one: -one.widening)
     seen = [recording.observations for recording in posterior.recordings]
     every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
@@ -247,7 +242,6 @@ def narrower_words(posterior: Posterior) -> str:
 
 
 def why_words(posterior: Posterior) -> str:
-    """Why k(s) is identified nowhere."""
     s, count = np.linspace(0.0, 1.0, 101), sum(len(one.force) for one in posterior.recordings)
     alone, with_one = hidden_by(posterior.problem, posterior.optimum, posterior.gain_sd, s)
     static = all(one.observations.static for one in posterior.recordings)
