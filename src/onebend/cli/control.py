@@ -95,7 +95,7 @@ def reach(
 
 
 def _within(found: Reach) -> ReachableSet | None:
-    """What forces of the allowed size can reach; None without a bound."""
+    """Reachable with forces within the bound; None without a bound."""
     settings = found.settings
     if settings.max_force is None:
         return None
