@@ -86,7 +86,7 @@ def test_poses_and_films_have_their_own_remedies() -> None:
     assert remedy(Notice("scale", film)) == "Calibrate the camera; check size_m"
     assert remedy(Notice("scale", {"static": False, "filmed": False})).startswith("Check the unit")
     assert "clamp_deg and base_angle_deg" in remedy(Notice("clamp", {"static": True, "filmed": False}))
-    assert "is +5.7 from" in remedy(Notice("force direction", film | {"value": 0.1}))
+    assert "wrong by +5.7" in remedy(Notice("force direction", film | {"value": 0.1}))
 
 
 def test_only_a_sentence_with_an_entry_is_a_warning() -> None:

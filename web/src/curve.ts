@@ -131,7 +131,7 @@ export class CurveView {
     label(context, "k [N m]", left! + 6, top! + 12, tint.muted, tint.paper);
   }
 
-  // Where the data do not tell k to a factor of 1.5, it is grey.
+  // Grey where k is known to no better than a factor of 1.5.
   private curve(context: CanvasRenderingContext2D, tint: Colours, curve: Curve, colour: string, x: (s: number) => number, y: (k: number) => number): void {
     const known = curve.identified ?? curve.s.map(() => true), last = curve.s.length - 1, alone = this.shown.length === 1;
     for (let from = 0; from < last;) {

@@ -16,7 +16,7 @@ interface Result {
 }
 
 const MOST = 4;  // results over one another: there are as many colours
-const WORDS: [keyof Verdict, string][] = [["known", "k(s)"], ["rests_on", "rests on"], ["use", "for use"], ["narrower", "narrower"], ["next", "next"]];
+const WORDS: [keyof Verdict, string][] = [["known", "k(s)"], ["rests_on", "tests"], ["use", "accuracy"], ["narrower", "improve"], ["next", "next"]];
 
 export function learn(place: HTMLElement, at: URLSearchParams): void {
   const curve = new CurveView(), film = new FilmView((frame) => { shownFrame = frame; keep(); });

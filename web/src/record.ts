@@ -69,7 +69,7 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
     if (left?.begun) nodes.push(h("p", { class: "quiet" }, `${left.seconds.toFixed(1)} s, ${left.frames} frames${left.frames_missing ? `, ${left.frames_missing} missing` : ""}${left.log ? `, ${left.samples} samples of the force` : ""}`));
     if (left?.remarks.length) nodes.push(h("ul", { class: "remarks" }, ...left.remarks.map((words) => h("li", { class: "warning" }, sentence(words)))));
     if (left?.begun) {
-      nodes.push(h("h2", {}, check ? "What a check says of it" : "Checking …"));
+      nodes.push(h("h2", {}, check ? "Result of the check" : "Checking …"));
       if (check) nodes.push(...checked(check));
     }
     if (!going(one) && (left?.begun || !left && one.state.frames)) {

@@ -1,9 +1,7 @@
 """The command line. Results go to standard output, progress and errors to standard error.
 
-Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do, or a fault of
-onebend itself, with the file that says more; 130 interrupted.
-The list of commands stands here as text, and their options in `options.json` (`make docs` writes it), so that
-`--version` and every `--help` load no command; each loads what it needs.
+Exit codes: 0 done; 2 unusable input or request, or a fault of onebend; 130 interrupted. Commands are listed here as
+text, and their options in `options.json` (from `make docs`), so that `--version` and every `--help` load none.
 """
 
 from __future__ import annotations
@@ -13,11 +11,11 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from functools import wraps
 from importlib import import_module
-from inspect import Parameter, Signature, getdoc, signature
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin
 
@@ -32,10 +30,10 @@ from onebend.wings import Place, wings
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
-MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700 they take a 20th of the time
+MOST_NEW = 100_000  # objects between garbage collections, which otherwise take a 20th of the time
 HELP = ("-h", "--help")
 OPTIONS = Path(__file__).parent / "options.json"
-COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
+COMPLETE = "_ONEBEND_COMPLETE"  # Typer's variable for the completing shell
 
 
 COMMANDS = {
@@ -51,23 +49,23 @@ COMMANDS = {
     ),
     "plan": Place(
         "onebend.cli.learning:plan",
-        "Say which push to make next: what each would leave of the band on k(s).",
+        "Rank the next pushes by how much each would narrow the band of k(s).",
         "out/linear-beam --count 3",
     ),
     "damp": Place(
         "onebend.cli.motion:damp",
-        "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
+        "Estimate a learned beam's damping from a free swing, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "sense": Place(
         "onebend.cli.motion:sense",
-        "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
+        "Estimate the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "frequencies": Place(
         "onebend.cli.motion:frequencies",
-        "Find the natural frequencies in a free swing, to be written in recording.toml.",
+        "Find the natural frequencies in a free swing, for recording.toml.",
         "examples/ruler/swing.csv",
     ),
     "reach": Place(
@@ -82,35 +80,35 @@ COMMANDS = {
     ),
     "path": Place(
         "onebend.cli.control:path",
-        "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
+        "Compute the forces or gripper poses that follow goals in time, as CSV and ROS 2 messages.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam"),
     "topics": Place(
         "onebend.cli.recordings:topics",
-        "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
+        "List the topics of a ROS bag, and say which to write in recording.toml.",
         "out/path/bag",
         "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "check": Place(
         "onebend.cli.recordings:check",
-        "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
+        "Check a recording in seconds: read its files, search some frames for tags, draw the result.",
         "examples/linear-beam/train",
     ),
     "cache": Place(
         "onebend.cli.recordings:show_cache",
-        "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
+        "List the films whose tags are cached, so that each is searched only once; --clear empties the cache.",
         "",
     ),
     "calibrate": Place(
         "onebend.cli.recordings:calibrate",
-        "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
+        "Calibrate the camera from a film of a board, and write its table for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
     "show": Place("onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam"),
     "export": Place(
         "onebend.cli.exporting:export_command",
-        "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
+        "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
@@ -121,11 +119,11 @@ COMMANDS = {
 }
 
 
-GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the command that runs, by name
+GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the running command
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; its options are in `GIVEN` while it runs, for what it writes."""
+    """The command with its options in `GIVEN`."""
 
     @wraps(command)
     def inside(**options: Any) -> None:
@@ -136,24 +134,21 @@ def remembered(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def all_commands() -> dict[str, Place]:
-    """The commands of the core, and those that the wings which are here bring."""
+    """Of the core and the installed wings."""
     brought = [import_module(f"onebend.{wing}").COMMANDS for wing in wings()]
     return {name: place for table in (COMMANDS, *brought) for name, place in table.items()}
 
 
-# The options of a command as data: for each parameter its name, kind, default and what `--help` says of it.
+# The options of a command as data: name, kind, default and help of each.
 
 KINDS: dict[str, Any] = {"bool": bool, "int": int, "float": float, "str": str, "Path": Path, "None": None}
 MADE_OF: dict[str, Any] = {"tuple": tuple, "list": list, "one of": Literal, "either": Union}
 SAID = ("help", "metavar", "min", "max")
 
 
-def as_data(function: Callable[..., None]) -> dict[str, Any]:
-    """The help of a command's function, and its parameters."""
-    return {
-        "help": getdoc(function),
-        "parameters": [_parameter_data(one) for one in signature(function).parameters.values()],
-    }
+def as_data(function: Callable[..., None]) -> list[dict[str, Any]]:
+    """One entry per parameter."""
+    return [_parameter_data(one) for one in signature(function).parameters.values()]
 
 
 def _parameter_data(one: Parameter) -> dict[str, Any]:
@@ -174,14 +169,13 @@ def _kind_data(kind: Any) -> Any:
     return [name, *(one if origin is Literal else _kind_data(one) for one in inside)]
 
 
-def function_of(data: Mapping[str, Any]) -> Callable[..., None]:
-    """A function with these parameters, which does nothing."""
+def function_of(data: Iterable[Mapping[str, Any]]) -> Callable[..., None]:
+    """Does nothing, with these parameters."""
 
     def nothing(**_: Any) -> None:
         pass
 
-    parameters = [_parameter(one) for one in data["parameters"]]
-    nothing.__doc__ = data["help"]
+    parameters = [_parameter(one) for one in data]
     nothing.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     nothing.__annotations__ = {one.name: one.annotation for one in parameters}
     return nothing
@@ -204,42 +198,42 @@ def _kind(data: Any) -> Any:
 
 
 class Command(TyperCommand):
-    """A name and a line of help; what the command does, and its options, are loaded when it is called."""
+    """A name and a line of help; function and options are loaded on call."""
 
     def __init__(self, name: str, place: Place) -> None:
         super().__init__(name, help=place.help)
         self.place = place
 
     def loaded(self) -> Any:
-        """The command itself. It works with one BLAS thread."""
+        """With one BLAS thread."""
         return self._made(one_blas_thread(remembered(self.function())))
 
     def described(self) -> Any:
-        """The command as `options.json` has it, which only says its help; None where that has no such command."""
-        options = json.loads(OPTIONS.read_text(encoding="utf-8")).get(self.name)
-        return None if options is None else self._made(function_of(options))
+        """For `--help` only, from `options.json`; None if the command is not there."""
+        parameters = json.loads(OPTIONS.read_text(encoding="utf-8")).get(self.name)
+        return None if parameters is None else self._made(function_of(parameters))
 
     def _made(self, function: Callable[..., None]) -> Any:
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
-        single.command(self.name, epilog="\n\n".join(lines))(function)
+        single.command(self.name, help=self.place.help, epilog="\n\n".join(lines))(function)
         return typer.main.get_command(single)
 
     def function(self) -> Callable[..., None]:
-        """The command's function, with a parameter for each option."""
+        """With a parameter for each option."""
         from onebend.options import expanded  # here: `--help` does without
 
         return expanded(self.place.load())
 
     def make_context(self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any) -> Any:
         if {*HELP} & {*args} and (described := self.described()) is not None:
-            described.make_context(info_name, list(args), *more, **kwargs)  # goes on only where it is no question
+            described.make_context(
+                info_name, list(args), *more, **kwargs
+            )  # returns only if `--help` is not an option here
         return self.loaded().make_context(info_name, args, *more, **kwargs)
 
 
 class Commands(TyperGroup):
-    """The group of all commands, none of them loaded."""
-
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = {name: Command(name, place) for name, place in all_commands().items()}
@@ -263,14 +257,14 @@ def _say_version(asked: bool) -> None:
 
 def _print_completion(shell: str | None) -> None:
     if shell is not None:
-        # here, as below: Typer promises nothing of these names, and every other command does without
+        # here, as below: no public names of Typer, and seldom needed
         from typer.completion import get_completion_script  # type: ignore[attr-defined]
 
         typer.echo(get_completion_script(prog_name=NAME, complete_var=COMPLETE, shell=shell))
         raise typer.Exit
 
 
-Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")]
+Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version.")]
 Completion = Annotated[
     Literal["bash", "zsh", "fish"] | None,
     typer.Option(
@@ -289,10 +283,10 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 
 
 def main() -> NoReturn:
-    """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
+    """The entry point of `onebend`, also for shell completion."""
     gc.set_threshold(MOST_NEW)
-    if not sys.warnoptions:  # numbers that are none are checked for, and NumPy's warnings of them tell a user nothing
-        os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of processes that are begun beside, too
+    if not sys.warnoptions:  # onebend checks its numbers itself
+        os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of child processes
         warnings.simplefilter("ignore", RuntimeWarning)
     if COMPLETE in os.environ:
         from typer.completion import completion_init  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The commands that hand a learned beam, or a recording with it, to other software."""
+"""Commands that write a learned beam, or a recording with it, for other software."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from onebend.results.detection_cache import detection_cache
 from onebend.results.model import StoredModel, model_file
 from onebend.text_files import read_json
 
-ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
+ExportTo = Annotated[Kind, typer.Option("--to", help="The software or format.")]
 OutFile = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the ending."),
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the format's ending."),
 ]
 Hinges = Annotated[
     int | None,
@@ -43,14 +43,14 @@ Samples = Annotated[
 Seed = Annotated[int, typer.Option(min=0, metavar="S", help="Of the draws.")]
 MassKg = Annotated[
     float | None,
-    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: as it was learned with."),
+    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: the mass in MODEL."),
 ]
 DampingTime = Annotated[
     float | None,
     typer.Option(
         "--damping-time-s",
         metavar="SECONDS",
-        help="Damping over stiffness; default: as `onebend damp` found it, else 0.02.",
+        help="Damping over stiffness; default: the one in MODEL (`onebend damp`), else 0.02.",
     ),
 ]
 Observing = Annotated[ObserveSettings, Only(("threads",))]
@@ -73,7 +73,6 @@ def export_command(
     seed: Seed = 0,
     overwrite: common.Overwrite = False,
 ) -> None:
-    """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
     with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"beam{KINDS[to].suffix}")
@@ -144,7 +143,6 @@ def rerun_command(
     overwrite: common.Overwrite = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
     with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")

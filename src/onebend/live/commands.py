@@ -153,7 +153,7 @@ Until = Annotated[
 Capture = Annotated[CaptureSettings, Only(("begin_at_once", "follow", "longest", "crf", "overwrite"))]
 
 
-Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
+Fast = Annotated[bool, typer.Option("--fast", help="Play the files as fast as they can be read.")]
 
 
 def record(
@@ -191,7 +191,7 @@ def record(
             clock = live.PlayedClock() if fast else None
             outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:
-            kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
+            kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."
             if outcome.film is None and not outcome.fault:
                 kept += " To film whatever is wrong with the picture, add --now."
             why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."

@@ -1,4 +1,4 @@
-"""The studio's server: the page, what it asks for, and its socket; on this computer alone."""
+"""The studio's server, on this computer alone."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
-LONGEST_MESSAGE = 64 * 1024  # bytes of the socket
+LONGEST_MESSAGE = 64 * 1024  # bytes
 FAULT = "Exception in ASGI application"  # as uvicorn logs an error that no handler has caught
 _MOST_RECORDINGS = 50
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 
 
 def application(places: StudioFolder, token: str, port: int) -> Guard:
-    """The whole studio as an ASGI application that answers only to this token, at this port."""
+    """The studio as an ASGI application for this token and port."""
     desk = Desk(places)
     asked = Asked(desk)
 
@@ -71,8 +71,7 @@ def application(places: StudioFolder, token: str, port: int) -> Guard:
 
 @lru_cache
 def page_files() -> dict[str, tuple[bytes, str]]:
-    """Bytes and media type of each file of the page, by name. All are read at once: while the mechanics are loaded, a
-    thread for each would wait."""
+    """Bytes and media type of each file, read at once: threads would wait for the mechanics to load."""
     return {one.name: (one.read_bytes(), _TYPES[one.suffix]) for one in sorted(PAGE.iterdir()) if one.suffix in _TYPES}
 
 
@@ -84,7 +83,7 @@ async def _page_file(request: Request) -> Response:
 
 
 class Asked:
-    """Handlers of the page's HTTP requests."""
+    """Handlers of HTTP requests."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -193,7 +192,7 @@ class Asked:
 
 
 def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
-    """`work`; what cannot be done is said in one sentence."""
+    """`work` with errors in one sentence."""
 
     async def inside(request: Request) -> Response:
         try:
@@ -211,7 +210,7 @@ def _said(data: Any, status: int = 200) -> Response:
 
 
 async def _of_room(room: str, function: str, *arguments: Any) -> Any:
-    """The result of a room's function; the room is loaded when it is first asked, by the thread that asks."""
+    """Loads the room on first use, in the asking thread."""
     return await run_in_threadpool(lambda: getattr(import_module(f"onebend.studio.{room}"), function)(*arguments))
 
 
@@ -253,7 +252,7 @@ class OneLine(logging.Handler):
 
 
 def opened_socket(port: int) -> socket.socket:
-    """A socket on this computer alone; port 0: a free one. Raises `StudioError` where the port is taken."""
+    """Local; port 0: any. Raises `StudioError` if the port is taken."""
     found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -267,9 +266,9 @@ def opened_socket(port: int) -> socket.socket:
 
 
 def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
-    """Serve until interrupted; `ready` is given the address, with its token, when the page is there. Raises
-    `StudioError`: no such folder, or the port is taken."""
-    import uvicorn  # here: the application itself is made and tested without
+    """Serves until interrupted; `ready` gets the address with its token. Raises `StudioError`: no such folder, or the
+    port is taken."""
+    import uvicorn  # here: tests do without
     from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
     places = StudioFolder.of(folder)

@@ -233,4 +233,4 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     stream = io.StringIO()
     show_sensed(Console(file=stream, width=100), found, tmp_path)
     assert "largest force" in stream.getvalue()
-    assert "from the prior" in stream.getvalue()
+    assert "weight of the prior" in stream.getvalue()

@@ -4,7 +4,7 @@ import { FilmView } from "./film.js";
 import { ask, listen, onReturn, post, say } from "./net.js";
 import { atEnd, remember } from "./place.js";
 const MOST = 4;
-const WORDS = [["known", "k(s)"], ["rests_on", "rests on"], ["use", "for use"], ["narrower", "narrower"], ["next", "next"]];
+const WORDS = [["known", "k(s)"], ["rests_on", "tests"], ["use", "accuracy"], ["narrower", "improve"], ["next", "next"]];
 export function learn(place, at) {
     const curve = new CurveView(), film = new FilmView((frame) => { shownFrame = frame; keep(); });
     const recordings = h("ul", { class: "choice" }), results = h("ul", { class: "choice" }), progress = h("section", { class: "job", hidden: true });

@@ -142,7 +142,7 @@ export function loop(place, at) {
         const rows = control ? [["force of the model", `${digits(Math.hypot(...control.force_N))} N in ${fixed(control.rise_s, 2)} s`],
             ["gain margin", control.gain === null ? "any" : `${fixed(control.gain, 2)} times`], ["phase margin", control.phase_rad === null ? "any" : `${fixed(180 * control.phase_rad / Math.PI, 0)}°`],
             ["further delay", control.delay_s === null ? "no limit found" : `${fixed(1000 * control.delay_s, 0)} ms`],
-            ["rings below", control.softest === null ? "nothing" : `${fixed(control.softest, 2)} of k(s)`]] : [];
+            ["stable while", control.softest === null ? "k(s) has any size" : `k(s) is above ${fixed(control.softest, 2)} times the model's`]] : [];
         margins.replaceChildren(...rows.map(([what, words]) => h("div", { class: "row" }, h("dt", {}, what), h("dd", {}, words))));
     }
     function seek(time) {

@@ -70,7 +70,7 @@ export function record(place, at) {
         if (left?.remarks.length)
             nodes.push(h("ul", { class: "remarks" }, ...left.remarks.map((words) => h("li", { class: "warning" }, sentence(words)))));
         if (left?.begun) {
-            nodes.push(h("h2", {}, check ? "What a check says of it" : "Checking …"));
+            nodes.push(h("h2", {}, check ? "Result of the check" : "Checking …"));
             if (check)
                 nodes.push(...checked(check));
         }
