@@ -22,7 +22,7 @@ help:
 	@echo "make test      lint, types, layers and tests"
 	@echo "make test-all  the slow tests as well, and how much of the code the tests run"
 	@echo "make bench     accuracy and speed, written to out/benchmarks/"
-	@echo "make docs      write the generated parts of docs/cli.md and docs/recording.md anew"
+	@echo "make docs      write the generated parts of docs/cli.md and docs/recording.md anew, and the commands' options"
 	@echo "make picture   draw the pictures of the README, of docs/first-beam.md and docs/studio.md again"
 	@echo "make lock      renew the locked dependencies"
 	@echo "make clean     remove the environment and everything made"

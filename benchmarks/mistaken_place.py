@@ -38,7 +38,7 @@ WAYS = ("at the tip, acts inside", "inside, acts at the tip", "elsewhere")  # sa
 LEAST, MOST = 0.05, 0.4  # of the length, that a place is wrong by
 INNERMOST = 0.4  # where a push is said to act, or acts
 MUCH = 0.1  # of the identified places outside the band
-PLACE_DOUBTS = ("the push hardly acts where at_s says", DOUBTS["tool place"])
+PLACE_DOUBTS = ("the stated place of the push (at_s) is wrong", DOUBTS["tool place"])
 
 
 @dataclass(frozen=True)

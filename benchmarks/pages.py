@@ -3,11 +3,13 @@
 A generated part stands in its page between `<!-- generated: NAME -->` and `<!-- end -->`. docs/cli.md has one
 for each command, made from the command's options. docs/recording.md has one for each table of `recording.toml`, made
 from the schema. docs/troubleshooting.md has the list of the warnings on results, made from their sentences. The text
-around these parts is written by hand; tests/whole/test_docs.py compares the parts with the code.
+around these parts is written by hand; tests/whole/test_docs.py compares the parts with the code. `options.json` of
+the command line is written too; tests/test_startup.py compares it.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import tomllib
@@ -18,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from benchmarks.shown import ROOT, put_block
-from onebend.cli import Command, all_commands
+from onebend.cli import OPTIONS, Command, all_commands, as_data
 from onebend.errors import SECTIONS
 from onebend.recording.description import RECORDS
 from onebend.recording.entries import CameraInfoEntry, MassEntry, TagEntry
@@ -26,6 +28,7 @@ from onebend.recording.schema import Key
 from onebend.report.sentences import SENTENCES
 
 TROUBLES = ROOT / "docs" / "troubleshooting.md"
+BEGINS = 7  # words of a message that the list shows
 COMMON = 3  # commands that have an option with the same words, from which on it is explained once
 TABLES: dict[str, type] = {
     **RECORDS,
@@ -47,15 +50,21 @@ def pages() -> dict[Path, dict[str, str]]:
 
 
 def messages() -> str:
-    """The beginnings of the warnings on what was learned, by their entry on the page; a number is an ellipsis."""
+    """How warnings of learning begin, by entry, unless the entry's title says it already; a number is an ellipsis."""
     titles = {anchor_of(title): title for title in re.findall(r"(?m)^### (.+)$", TROUBLES.read_text(encoding="utf-8"))}
     found: dict[str, dict[str, None]] = {}
     for one in filter(lambda one: one.about, SENTENCES.values()):
         text = re.sub(r"\{[^}]*\}", "…", one.text)
-        found.setdefault(SECTIONS[str(one.about)], {})[re.split(r"[:;(]|\. ", text)[0].strip(" ,.…")] = None
-    return "\n".join(
-        f"- [{titles[anchor]}](#{anchor}): {'; '.join(filter(None, few))}." for anchor, few in found.items()
-    )
+        begins = re.split(r"[:;]|\. | \(", text)[0].strip(" ,.…").split()
+        few = found.setdefault(SECTIONS[str(one.about)], {})
+        few[" ".join(begins[:BEGINS]).strip(" ,.…") + "…" * (len(begins) > BEGINS)] = None
+    lines = []
+    for anchor, few in found.items():
+        said = set(re.findall(r"\w+", titles[anchor].lower()))
+        asked = {one: re.findall(r"\w+", one.lower()) for one in few}
+        new = [one for one, words in asked.items() if 2 * len(said.intersection(words)) < len(words)]
+        lines += [f"- [{titles[anchor]}](#{anchor}): {'; '.join(new)}"] if new else []
+    return "\n".join(lines)
 
 
 def anchor_of(title: str) -> str:
@@ -71,16 +80,25 @@ def renewed(text: str, parts: Mapping[str, str]) -> str:
 
 
 def commands() -> dict[str, str]:
-    """The list of all commands, the options that several share, and each command with its own."""
+    """The list of all commands, the options that several share, and each command with its own. An option that two
+    commands share is explained at the first of them."""
     parameters = {name: [(one.said, one.says) for one in asked_of(name)] for name in all_commands()}
     counts = Counter(said for own in parameters.values() for said in own)
     shared = [said for said, count in counts.items() if count >= COMMON]
     parts = {"commands": ", ".join(f"[{name}](#{name})" for name in all_commands()) + "."}
     parts["common options"] = "\n".join(f"- {name}: {says}" for name, says in shared)
+    first = {said: name for name, own in reversed(parameters.items()) for said in own}
     for name, own in parameters.items():
-        lines = [f"- {said}: {says}" for said, says in own if (said, says) not in shared]
-        common = [said.split(",")[0] for said, says in own if (said, says) in shared and said.startswith("`-")]
-        lines += [f"- {', '.join(common)}: [common options](#common-options)."] if common else []
+        elsewhere: dict[str, list[str]] = {}
+        for said in own:
+            if said[0].startswith("`-") and (said in shared or first[said] != name):
+                link = (
+                    "[common options](#common-options)" if said in shared else f"as for [{first[said]}](#{first[said]})"
+                )
+                elsewhere.setdefault(link, []).append(said[0].split(",")[0].split(" ")[0].rstrip("`") + "`")
+        told = {said for said in own if said in shared or (said[0].startswith("`-") and first[said] != name)}
+        lines = [f"- {said}: {says}" for said, says in own if (said, says) not in told]
+        lines += [f"- {', '.join(names)}: {link}." for link, names in elsewhere.items()]
         parts[name] = "\n".join([f"    {usage(name)}", "", all_commands()[name].help, "", *lines])
     return parts
 
@@ -179,7 +197,15 @@ def as_toml(value: Any, scale: float = 1.0) -> str:
     return f"{value / scale:.3g}" if isinstance(value, int | float) else f'"{value}"'
 
 
+def options() -> str:
+    """The text of `options.json` for `--help`, one row per parameter."""
+    found = {name: as_data(Command(name, place).function()) for name, place in all_commands().items()}
+    rows = {name: ",\n".join(f"  {json.dumps(one)}" for one in parameters) for name, parameters in found.items()}
+    return "{\n" + ",\n".join(f"{json.dumps(name)}: [\n{own}\n]" for name, own in rows.items()) + "\n}\n"
+
+
 def _from_the_command_line() -> None:
+    OPTIONS.write_text(options(), encoding="utf-8")
     for page, parts in pages().items():
         page.write_text(renewed(page.read_text(encoding="utf-8"), parts), encoding="utf-8")
         print(f"{page.relative_to(ROOT)}: {len(parts)} generated parts")

@@ -1,7 +1,7 @@
 """Draws the pictures of docs/studio.md: each room of the studio, shown in Chromium. `make picture` runs it.
 
 It needs the development environment (`make test` makes it), Debian's Chromium and free cores, for the room Record
-plays a film at its own pace. Rooms that are named (bend, hand, learn, recordings, rehearse, record) are drawn alone.
+plays a film at its own pace. Rooms that are named (bend, hand, learn, recordings, loop, record) are drawn alone.
 """
 
 import io
@@ -45,9 +45,8 @@ def record(page: Page) -> None:
     page.locator("option[value=fast]").first.wait_for(state="attached")
     page.get_by_label("folder to record into").fill("second-push")
     page.get_by_label("the beam is that of").select_option("train")
-    page.get_by_label("camera", exact=True).fill("film:train")
-    page.get_by_label("force sensor").fill("log:train")
-    page.get_by_label("force sensor").press("Enter")
+    page.get_by_label("camera", exact=True).select_option("film:train")
+    page.get_by_label("folder to record into").press("Enter")
     page.locator(".stages .now", has_text="push").wait_for(timeout=60_000)
     page.locator(".curve canvas").wait_for(timeout=60_000)
     page.locator(".advice", has_text="far enough").wait_for(timeout=60_000)
@@ -71,7 +70,7 @@ def learn(page: Page) -> None:
 def bend(page: Page) -> None:
     page.locator(".big b").wait_for()
     page.locator(".panel:not(.mapping)").wait_for()
-    dragged(page, (0.70, 0.40), (0.67, 0.275))
+    dragged(page, (0.72, 0.40), (0.6889, 0.2777))
 
 
 def hand(page: Page) -> None:
@@ -96,9 +95,9 @@ def dragged(page: Page, begin: tuple[float, float], end: tuple[float, float]) ->
     page.wait_for_timeout(2500)
 
 
-def rehearse(page: Page) -> None:
+def loop(page: Page) -> None:
     page.wait_for_timeout(1500)  # the outline of what can be reached
-    page.get_by_role("button", name="Rehearse", exact=True).click()
+    page.get_by_role("button", name="Simulate", exact=True).click()
     page.locator(".outcome tr").nth(3).wait_for(timeout=120_000)
     page.wait_for_timeout(1500)
     page.get_by_label("time").fill("0.9")
@@ -109,7 +108,7 @@ SHOTS: tuple[tuple[str, str, Callable[[Page], None], str, tuple[int, int]], ...]
     ("hand", "bend?model=linear-beam", hand, "light", (1280, 800)),
     ("learn", "learn?results=linear-beam&from=train&check=fast", learn, "dark", (1280, 1000)),
     ("recordings", "recordings?name=train", recordings, "light", (1100, 690)),
-    ("rehearse", "rehearse?model=linear-beam", rehearse, "light", (1100, 960)),
+    ("loop", "loop?model=linear-beam", loop, "light", (1100, 960)),
     ("record", "record", record, "light", (1100, 1080)),
 )
 

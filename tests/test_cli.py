@@ -141,7 +141,7 @@ def test_learn_shows_all_of_it_when_asked(
     monkeypatch.setattr(learning_commands, "draw_all", lambda *_, **__: Pictures())
     details = (
         "chosen", "k(s) is not positive", "together", "paper's k", "clamp angle", "sd before", "Hardly told apart",
-        "1 % too stiff", "converged", "Allowed for",
+        "assumed to be exact", "converged", "Allowed for",
     )  # fmt: skip
     shown = [run("learn", "REC", "-o", tmp_path / name, *option).stdout for name, option in (("a", ["-v"]), ("b", []))]
     for words in details:

@@ -72,7 +72,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
 def test_an_interrupted_run_says_what_it_kept(runs: Runs) -> None:
     assert runs.interrupted.exit_code == 130, runs.interrupted.output
     assert f"The results are in {runs.out}, but for the pictures." in runs.interrupted.stderr
-    assert f"the next run for {runs.out} with --force goes on from there" in runs.interrupted.stderr
+    assert f"the next run for {runs.out} with --force continues from there" in runs.interrupted.stderr
     assert sum(name.startswith("tags-") for name in runs.left_behind) == 2
     assert {"model.json", "stiffness.csv", "report.html", "summary.json"} <= set(runs.left_behind)
     assert not any(name.endswith(".png") for name in runs.left_behind)

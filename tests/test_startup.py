@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from importlib import import_module
-from inspect import getdoc, isfunction, signature
+from inspect import isfunction, signature
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from onebend.cli import all_commands, app
+from onebend.cli import OPTIONS, Command, all_commands, app, as_data, function_of
 from onebend.results.model import save_model
 from onebend.wings import wings
 from tests import made_up
@@ -62,6 +63,31 @@ def test_version_and_help_load_no_command(asked: str) -> None:
     assert not modules & {"numpy", "scipy", *HEAVY}
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_of_the_options_as_they_are(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`options.json` has them as the command has; `make docs` writes it anew."""
+    stored, command = json.loads(OPTIONS.read_text(encoding="utf-8")), Command(name, COMMANDS[name])
+    assert stored[name] == as_data(command.function())
+    assert as_data(function_of(stored[name])) == stored[name]
+    with_options = CliRunner().invoke(app, [name, "--help"])
+    monkeypatch.setattr(Command, "described", lambda _: None)
+    assert with_options.exit_code == 0
+    assert with_options.stdout == CliRunner().invoke(app, [name, "--help"]).stdout
+
+
+@pytest.mark.parametrize("name", ["batch", "learn", "record"])
+def test_help_of_a_command_loads_none(name: str) -> None:
+    modules = loaded(name, "--help")
+    assert of_onebend(modules) == of_onebend(loaded("--help"))
+    assert not modules & {"numpy", "scipy", *HEAVY}
+
+
+def test_a_file_may_be_called_help() -> None:
+    found = CliRunner().invoke(app, ["show", "--", "--help"])
+    assert found.exit_code == 2
+    assert "--help: no such file" in found.stderr
+
+
 def test_light_commands_load_no_heavy_library(tmp_path: Path) -> None:
     model = tmp_path / "model.json"
     fit = made_up.posterior()
@@ -78,7 +104,7 @@ def test_light_commands_load_no_heavy_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_table_says_what_the_command_says(name: str) -> None:
     place = COMMANDS[name]
-    assert (getdoc(place.load()) or "").partition("\n\n")[0].replace("\n", " ") == place.help
+    assert Command(name, place).loaded().help == place.help
 
 
 def test_every_command_is_in_the_table() -> None:

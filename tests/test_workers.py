@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,6 +50,29 @@ def test_a_piece_that_fails_ends_all_and_leaves_no_thread(
     with pytest.raises(failure):
         each(work, range(10))
     assert threading.active_count() == before
+
+
+POOL = """
+import multiprocessing, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from onebend.progress import end_now
+if __name__ == "__main__":
+    pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+    if sys.argv[1] != "unused":
+        pool.submit(time.sleep, 600.0)
+    if sys.argv[1] == "working":
+        pool.submit(abs, 1)
+        time.sleep(1.0)
+    end_now(pool)
+"""
+
+
+@pytest.mark.parametrize("state", ["unused", "beginning", "working"])
+def test_a_pool_ends_now_and_without_a_word(tmp_path: Path, state: str) -> None:
+    (tmp_path / "pool.py").write_text(POOL)
+    line = [sys.executable, str(tmp_path / "pool.py"), state]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120.0, check=True)
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("turned", [False, True])

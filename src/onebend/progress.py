@@ -8,12 +8,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, TypeVar
 
 if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
     from multiprocessing.process import BaseProcess
 
 Item = TypeVar("Item")
@@ -152,6 +153,15 @@ def end_with_parent() -> None:
     from multiprocessing import parent_process
 
     threading.Thread(target=_end_after, args=(parent_process(),), daemon=True).start()
+
+
+def end_now(pool: ProcessPoolExecutor) -> None:
+    """End the pool, whatever its processes are at. It is waited for: a pool that is just ending while the interpreter
+    does may print a traceback."""
+    for process in list((getattr(pool, "_processes", None) or {}).values()):
+        with suppress(OSError):
+            process.terminate()
+    pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _end_after(parent: BaseProcess | None) -> None:

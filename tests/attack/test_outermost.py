@@ -197,3 +197,22 @@ main()
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment())
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
+FAULTY = "import numpy as np, onebend.cli as cli; cli.app = lambda: {work}; cli.main()"
+OVERFLOWS = "np.array([1e200]) ** 2"
+BESIDE = (
+    "__import__('subprocess').call([__import__('sys').executable, '-c', 'import numpy as np; np.array([1e200]) ** 2'])"
+)
+
+
+@pytest.mark.parametrize("work", [OVERFLOWS, BESIDE], ids=["here", "beside"])
+@pytest.mark.parametrize("asked", [True, False], ids=["asked for", "not asked for"])
+def test_warnings_of_numpy_are_shown_who_asks_for_them(work: str, asked: bool) -> None:
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONWARNINGS"}
+    if asked:
+        variables["PYTHONWARNINGS"] = "default"
+    done = subprocess.run(
+        [sys.executable, "-c", FAULTY.format(work=work)], env=variables, capture_output=True, text=True, check=False
+    )
+    assert ("RuntimeWarning" in done.stderr) is asked

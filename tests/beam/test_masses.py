@@ -18,7 +18,9 @@ from onebend.beam.problem import make_problem, make_problems
 from onebend.beam.stiffness import Steps, Uniform
 from onebend.beam.vibration import vibration
 from onebend.errors import ExportError, MechanicsError
-from onebend.export.export import chain_of, function, pyelastica
+from onebend.export.chain import chain_of
+from onebend.export.export import Kind, export
+from onebend.export.sample import rod_sample
 from onebend.records import Array, PointMass
 from tests.beam.moving import gravity_vector
 
@@ -106,7 +108,7 @@ def test_it_is_written_down_with_the_beam() -> None:
 
 def test_a_chain_carries_it_and_other_exports_refuse_it() -> None:
     """Mass, and first and second moment about the clamp of the straight chain."""
-    plain, laden = chain_of(BEAM, 5), chain_of(LADEN, 5)
+    plain, laden = chain_of(rod_sample(BEAM), 5), chain_of(rod_sample(LADEN), 5)
     begins = np.concatenate([[0.0], np.cumsum(plain.link_length)[:-1]])
     moments: list[Array] = []
     for chain in (plain, laden):
@@ -116,6 +118,7 @@ def test_a_chain_carries_it_and_other_exports_refuse_it() -> None:
     lever = np.array([one.s for one in CLIPS]) * BEAM.length
     added = [np.sum(lever**i * [one.mass for one in CLIPS]) for i in range(3)]
     np.testing.assert_allclose(moments[1] - moments[0], added, rtol=1e-12)
-    for export in (function, pyelastica):
+    kinds: tuple[Kind, ...] = ("python", "pyelastica")
+    for kind in kinds:
         with pytest.raises(ExportError, match="2 masses ride on this beam"):
-            export(LADEN)
+            export(LADEN, kind)

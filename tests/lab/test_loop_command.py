@@ -1,4 +1,4 @@
-"""`onebend loop`: rehearsals on beams that are not the model."""
+"""`onebend loop`: simulations on beams that are not the model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BEAM = Beam(0.12, Powers((0.03, -0.015)), mass_per_length=Uniform(0.05))
 GOAL = BEAM.equilibrium((-0.05, 0.3)).xy(1.0)
 
 
-def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:
+def test_command_says_margins_and_writes_the_simulations(tmp_path: Path) -> None:
     save_model(tmp_path / "model.json", BEAM, written_by="a test")
     goal = [f"{value:.6g}" for value in GOAL]
     command = [
@@ -45,7 +45,7 @@ def test_command_says_margins_and_writes_the_rehearsals(tmp_path: Path) -> None:
     assert said["delay_s"] == 0.06
     assert (said["felt"], said["force_off_N"], said["hidden"]) == ("log", 0.01, False)
     assert said["margins"]["gain"] > 2.0
-    assert [one["k_factor"] for one in said["rehearsals"]] == [1.0, 0.8, 1.2]
+    assert [one["k_factor"] for one in said["trials"]] == [1.0, 0.8, 1.2]
     with (tmp_path / "out" / "loop.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == LOOP_COLUMNS
@@ -66,7 +66,7 @@ def test_gravity_needs_a_mass_and_draws_need_a_band(tmp_path: Path) -> None:
         assert words in " ".join(done.output.split())
 
 
-def test_the_command_rehearses_on_drawn_beams(tmp_path: Path) -> None:
+def test_the_command_simulates_drawn_beams(tmp_path: Path) -> None:
     fit = made_up.posterior()
     save_model(tmp_path / "model.json", fit.beam, written_by="a test", uncertain=fit.stiffness)
     goal = fit.beam.equilibrium((0.0, 0.02)).xy(1.0)
@@ -75,4 +75,4 @@ def test_the_command_rehearses_on_drawn_beams(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "drawn, " in done.stdout
     said = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
-    assert [one["drawn"] for one in said["rehearsals"]] == [False, True]
+    assert [one["drawn"] for one in said["trials"]] == [False, True]

@@ -280,7 +280,7 @@ def test_command_line() -> None:
     twice = ["--push-at", "1", "--push-at", "0.7"]
     told = CliRunner().invoke(app, asked)
     assert told.exit_code == 0
-    assert "What to change" in told.stdout
+    assert "Changes, by how much" in told.stdout
     out = CliRunner().invoke(app, [*asked, *twice, "--json", "--count", "0"])
     assert [p["at_s"] for p in json.loads(out.stdout)["setup"]["pushes"]] == [1.0, 0.7]
     for wrong, says in ((["--tags", "a,b"], "write places"), ([*twice, *["--force-N", "1"] * 3], "once a push")):

@@ -15,9 +15,10 @@ import pytest
 from onebend.errors import RecordingError
 from onebend.live import recording_folder as capture_folder, session as capture_session
 from onebend.live.guidance import STAGES, CaptureOutcome, CaptureState
+from onebend.live.played import PlayedForce
 from onebend.live.recording_folder import FilmWriter
 from onebend.live.session import record
-from onebend.live.sources import Clock, End, Frame, HostClock, PlayedClock, Samples, StampTiming
+from onebend.live.sources import Clock, End, Frame, HostClock, PlayedClock, Samples, StampTiming, measurable
 from onebend.pipeline import learn
 from onebend.recording.folder import read_recording
 from onebend.recording.pairing import read_log
@@ -25,7 +26,7 @@ from onebend.recording.video import Picture, read_frames
 from onebend.records import Array
 from onebend.report.overview import overview
 from tests.live.played_push import FORCE_CLOCK, ROUGH, SETTINGS, camera, folder, force, recorded
-from tests.live.streamed import DURATION, force_at, frames
+from tests.live.streamed import DURATION, OFFSET, force_at, frames, log
 
 
 def column(path: Path, name: str) -> Array:
@@ -156,6 +157,36 @@ def test_a_pulled_cable_leaves_what_there_is(tmp_path: Path) -> None:
     assert (outcome.why, outcome.fault) == ("the sensor's cable was pulled", True)
     assert frames_in(tmp_path) == outcome.state.frames
     assert outcome.state.frames > 30
+
+
+def test_a_film_with_a_log_that_tells_nothing_is_a_fault(tmp_path: Path) -> None:
+    """As of a sensor that is switched on and never sends; `check` says the same."""
+    never = PlayedForce(log(), OFFSET - 500.0)
+    outcome = record(folder(tmp_path), camera(), never, replace(SETTINGS, begin_at_once=True), clock=PlayedClock())
+    assert outcome.fault
+    with pytest.raises(RecordingError) as refused:
+        read_log(read_recording(tmp_path))
+    assert f"nothing can be learned from the log: {refused.value}" in outcome.why
+    assert outcome.state.frames > 80
+
+
+def test_numbers_beyond_all_measures_are_left_out_and_counted(tmp_path: Path) -> None:
+    sent = log()
+    strong, odd = sent.force.copy(), np.arange(5, len(sent.time), 40)
+    strong[odd, 0] = np.resize([1e31, -np.inf, 1e200], len(odd))
+    sensor = PlayedForce(replace(sent, force=strong), OFFSET, own=FORCE_CLOCK)
+    outcome = record(folder(tmp_path), camera(), sensor, SETTINGS, clock=PlayedClock())
+    assert not outcome.fault
+    assert 10 <= outcome.state.lost_samples <= len(odd)  # it ends with the last rest
+    logged = read_log(read_recording(tmp_path))
+    assert logged is not None
+    assert np.abs(logged.force).max() < 10.0
+
+
+def test_a_stamp_beyond_all_times_is_left_out() -> None:
+    got = measurable(Samples(np.array([1.0, 1e300, np.nan, np.inf]), np.zeros((4, 2)), 0.0, lost=1))
+    assert got.stamp == pytest.approx([1.0, np.nan], nan_ok=True)
+    assert (len(got.force), got.lost) == (2, 3)
 
 
 def test_a_full_disk_leaves_what_there_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

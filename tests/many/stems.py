@@ -11,6 +11,7 @@ from onebend.lab.filming import marker_recording
 from onebend.lab.virtual import VirtualBench, VirtualClock
 
 K = (0.12, 0.06)  # N m, at the clamp and at the tip
+BEAM = Beam(0.15, Table((0.0, 1.0), K))
 
 
 def bench(beam: Beam, *, scale: float = 1.0, name: str = "") -> VirtualBench:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,13 +16,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from onebend.errors import ResultsError
+from onebend.files.publish import changed_files, read_summary
+from onebend.lab.bench import ForceSensor, PushProfile
+from onebend.lab.filming import marker_recording
 from onebend.many import tasks as running
 from onebend.many.batch import BatchOutcome, run_batch, summary_of, write_batch
 from onebend.many.tasks import EVERY, PLACES, RECORDS, cluster, read_record, record_path, write_record
 from onebend.pipeline import learn
 from onebend.progress import Silent
 from onebend.results.model import load_model
-from tests.many.stems import K, stem
+from tests.many.stems import BEAM, K, bench, stem
 
 NASTY = "<img src=x onerror=alert(1)>"
 
@@ -91,6 +96,35 @@ def test_the_priors_part_is_a_part_of_the_covariance(done: BatchOutcome) -> None
         assert values.min() > -0.1 * np.linalg.eigvalsh(one.covariance).max()
 
 
+def test_the_tables_are_listed_by_their_checksums(done: BatchOutcome) -> None:
+    summary = read_summary(done.out)
+    assert summary is not None
+    assert set(summary["files"]) > {"recordings.parquet", "curves.parquet", "covariances.parquet", "index.html"}
+    assert changed_files(done.out) == []
+
+
+def test_in_doubt_is_what_learn_doubts(tmp_path: Path) -> None:
+    """A push that is written far from its place, and one that tells nothing, though nothing contradicts it."""
+    toml = stem(tmp_path / "stems" / "elsewhere", seed=4) / "recording.toml"
+    toml.write_text(
+        toml.read_text().replace("at_s = 1\n", "at_s = 0.6\n").replace("at_sd_m = 0.0025", "at_sd_m = 5e-4")
+    )
+    weak = PushProfile(0.05, before=0.8, rise=1.0, hold=0.2, fall=1.0, after=0.8)
+    noisy = replace(bench(BEAM), push=weak, sensor=ForceSensor(rate=100.0, white_sd=0.05))
+    marker_recording(noisy, tmp_path / "stems" / "vague", seed=5)
+    stem(tmp_path / "stems" / "well", seed=6)
+    outcome = run_batch(tmp_path / "stems", tmp_path / "out", folders=True)
+    verdicts = {name: read_summary(tmp_path / "out" / "recordings" / name) for name in ("elsewhere", "vague", "well")}
+    doubted = {name for name, one in verdicts.items() if one is not None and one["verdict"]["docs"]}
+    assert doubted == {"elsewhere", "vague"}
+    assert {name for name, _ in outcome.in_doubt} == doubted
+    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    text = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert text.index("not to be trusted</td>") < text.index("<polyline")
+    for name in verdicts:
+        assert f'<a href="recordings/{name}/report.html">{name}</a>' in text
+
+
 def test_what_fails_is_a_row_with_its_reason(done: BatchOutcome) -> None:
     [(item, why)] = done.failed
     assert item.name == f"wet/{NASTY}"
@@ -143,6 +177,58 @@ def test_a_row_states_what_recording_toml_does_not(stems: Path, done: BatchOutco
     assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 0
     shutil.rmtree(tmp_path / "out" / "recordings" / "b")
     assert run_batch(tmp_path / "list.csv", tmp_path / "out", folders=True).learned_now == 1
+
+
+def test_a_record_that_was_edited_is_made_anew(stems: Path, done: BatchOutcome) -> None:
+    path = record_path(done.out, done.records[0].hash)
+    assert read_record(done.out, done.records[0].hash) is not None
+    path.write_text(path.read_text().replace("holds", "holds well"))
+    assert read_record(done.out, done.records[0].hash) is None
+    assert run_batch(stems, done.out).learned_now == 1
+
+
+def test_a_name_that_is_no_utf_8_is_a_row_like_others(stems: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "stems"
+    shutil.copytree(stems / "dry" / "one", folder / "good")
+    bad = folder / os.fsdecode(b"bad\xff")
+    try:
+        bad.mkdir()
+    except OSError:
+        pytest.skip("this file system has no such names")
+    (bad / "recording.toml").write_text("[beam]\n")
+    outcome = run_batch(folder, tmp_path / "out", folders=True)
+    write_batch(outcome, summary_of(outcome, written_by="a test"), version="0")
+    rows = {row["name"]: row for row in pq.read_table(tmp_path / "out" / "recordings.parquet").to_pylist()}
+    assert set(rows) == {"good", r"bad\udcff"}
+    assert np.isfinite(rows["good"]["k_at_0.5_N_m"])
+    assert rows[r"bad\udcff"]["reason"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_in_the_place_of_a_record_does_not_hang(stems: Path, tmp_path: Path) -> None:
+    hashed = run_batch(stems / "dry", tmp_path / "out").records[0].hash
+    record_path(tmp_path / "out", hashed).unlink()
+    os.mkfifo(record_path(tmp_path / "out", hashed))
+    with within(60.0):
+        [(item, why)] = run_batch(stems / "dry", tmp_path / "out").failed
+    assert item.name == "one"
+    assert "no plain file" in why
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """What hangs ends in an error."""
+
+    def end(*_: object) -> None:
+        raise TimeoutError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 class Interrupted(Silent):

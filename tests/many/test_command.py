@@ -9,12 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner, Result
 
 from onebend import cli
 from onebend.many import tasks as running
 from onebend.many.tasks import cluster
+from onebend.report.wording import significant
 from tests.many.stems import stem
 
 FILES = {
@@ -52,10 +54,14 @@ def test_what_is_shown_and_written(tmp_path: Path) -> None:
     (stems / "bad" / "recording.toml").write_text("[beam]\n")
     first = run(stems, "-o", out, "--workers", 1)
     assert first.exit_code == 0, first.output
-    assert "1 of 2 recordings learned." in first.stdout
+    table = pq.read_table(out / "recordings.parquet").to_pylist()
+    [good] = [row for row in table if row["name"] == "good"]
+    [row] = [line.split() for line in first.stdout.splitlines() if line.split()[:1] == ["good"]]
+    assert row[1:4] == [significant(good[f"k{end}_at_0.5_N_m"]) for end in ("", "_lo", "_hi")]
+    assert row[4] == f"{100.0 * good['identified']:.0f}"
+    assert "1 of 2 recordings learned; 0 in doubt." in first.stdout
     assert "not learned: 1" in first.stdout
-    assert "bad" in first.stdout
-    assert "good" not in first.stdout
+    assert "[beam]" in first.stdout  # of the reason; brackets are no markup
     assert {path.name for path in out.iterdir() if not path.name.startswith(".")} == FILES
     again = run(stems, "-o", out, "--workers", 1, "--json")
     assert again.exit_code == 0

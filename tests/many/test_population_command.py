@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from typer.testing import CliRunner, Result
 
 from onebend import cli
 from onebend.errors import ResultsError
-from onebend.many.population import read_batch
+from onebend.files.publish import seal, write_summary
+from onebend.many.batch import BATCH_FORMAT
+from onebend.many.population import TABLES as READ, read_batch
 from onebend.many.population_report import TABLES
 from tests.many.made_trials import Made, Truth, made
 
@@ -39,6 +42,7 @@ def batch(folder: Path, truth: Truth = Truth(sizes=(4, 4)), **columns: list[Any]
         "plant": [*(f"plant {i}" for i in trial.object_of), "plant 0"],
         "reason": [*("" for _ in names), "force.csv is missing"],
         "doubts": ["" for _ in range(count + 1)],
+        "hash": [*(f"{i:064x}" for i in range(count)), ""],
         "gain_sd": [*(0.01 for _ in names), float("nan")],
     }
     pq.write_table(pa.table(recordings | columns), folder / "recordings.parquet")
@@ -52,7 +56,14 @@ def batch(folder: Path, truth: Truth = Truth(sizes=(4, 4)), **columns: list[Any]
         table |= {f"with_{s:.3g}": trial.covariance[:, :, i].ravel()}
         table |= {f"prior_with_{s:.3g}": 0.1 * trial.covariance[:, :, i].ravel()}
     pq.write_table(pa.table(table), folder / "covariances.parquet")
+    sealed(folder)
     return one
+
+
+def sealed(folder: Path) -> None:
+    """The summary lists the tables as they are now."""
+    write_summary(folder, {"format": BATCH_FORMAT})
+    seal(folder, {})
 
 
 def test_a_batch_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -126,7 +137,7 @@ def refused(result: Result, *words: str) -> None:
 
 def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     out = ("-o", tmp_path / "out", "-q")
-    refused(run(tmp_path, *out), "recordings.parquet: no table of a batch")
+    refused(run(tmp_path, *out), "no summary.json that lists the tables of a batch", "Run the same `onebend batch`")
     batch(tmp_path / "learned")
     refused(run(tmp_path / "learned", "--by", "colour", *out), "no column 'colour'", "plant")
     refused(run(tmp_path / "learned", "--by", "name", *out), "8 objects in 8 groups")
@@ -135,3 +146,118 @@ def test_what_cannot_be_met_is_said(tmp_path: Path) -> None:
     batch(tmp_path / "mixed", plant=[*(f"plant {i % 4}" for i in range(8)), "plant 0"])
     with pytest.raises(ResultsError, match="the object 'plant 0' is in the groups"):
         read_batch(tmp_path / "mixed", "group", "plant")
+
+
+def edit(folder: Path, name: str, change: Callable[[pa.Table], pa.Table]) -> None:
+    pq.write_table(change(pq.read_table(folder / f"{name}.parquet")), folder / f"{name}.parquet")
+
+
+def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+    return table.set_column(table.column_names.index(name), name, pa.array(values))
+
+
+def doubled(folder: Path) -> None:
+    for name in READ:
+        edit(folder, name, lambda table: pa.concat_tables([table, table]))
+
+
+def doubled_under_other_names(folder: Path) -> None:
+    def again(table: pa.Table) -> pa.Table:
+        names = [f"{name} again" for name in table["name"].to_pylist()]
+        return pa.concat_tables([table, with_column(table, "name", names)])
+
+    for name in READ:
+        edit(folder, name, again)
+
+
+def halved(folder: Path) -> None:
+    edit(folder, "curves", lambda table: table.slice(0, len(table) // 2))
+
+
+def negative_variances(folder: Path) -> None:
+    edit(folder, "covariances", lambda table: with_column(table, "with_0.5", -table["with_0.5"].to_numpy()))
+
+
+def smaller_than_its_part(folder: Path) -> None:
+    def larger(table: pa.Table) -> pa.Table:
+        for name in filter(lambda name: name.startswith("prior_"), table.column_names):
+            table = with_column(table, name, 20.0 * table[name].to_numpy())
+        return table
+
+    edit(folder, "covariances", larger)
+
+
+def negative_k(folder: Path) -> None:
+    edit(folder, "curves", lambda table: with_column(table, "k_N_m", -table["k_N_m"].to_numpy()))
+
+
+def negative_gain(folder: Path) -> None:
+    edit(folder, "recordings", lambda table: with_column(table, "gain_sd", -table["gain_sd"].to_numpy()))
+
+
+def words_for_numbers(folder: Path) -> None:
+    edit(folder, "curves", lambda table: with_column(table, "k_N_m", [str(k) for k in table["k_N_m"].to_pylist()]))
+
+
+def without_hashes(folder: Path) -> None:
+    edit(folder, "recordings", lambda table: table.drop_columns(["hash"]))
+
+
+def stiffer(folder: Path) -> None:
+    def ten_times(table: pa.Table) -> pa.Table:
+        first = np.array(table["name"].to_pylist()) == "stem-0"
+        return with_column(table, "k_N_m", np.where(first, 10.0, 1.0) * table["k_N_m"].to_numpy())
+
+    edit(folder, "curves", ten_times)
+
+
+EDITS: dict[Callable[[Path], None], str] = {
+    doubled: "'stem-0' is there twice",
+    doubled_under_other_names: "'stem-0' and 'stem-0 again' are one recording",
+    halved: "curves.parquet: has not one row for each learned recording and place",
+    negative_variances: "covariances.parquet: of 'stem-0' the covariance is no covariance matrix",
+    smaller_than_its_part: "covariances.parquet: of 'stem-0' the prior's part is more than the whole",
+    negative_k: "curves.parquet: of 'stem-0' k is not positive everywhere",
+    negative_gain: "recordings.parquet: of 'stem-0' gain_sd is no standard deviation",
+    words_for_numbers: "curves.parquet: has not one full column k_N_m",
+    without_hashes: "recordings.parquet: has not one full column hash",
+}
+
+
+@pytest.mark.parametrize("edited", [*EDITS, stiffer])
+def test_an_edited_table_is_refused_and_named(tmp_path: Path, edited: Callable[[Path], None]) -> None:
+    batch(tmp_path / "learned")
+    before = {name: (tmp_path / "learned" / f"{name}.parquet").read_bytes() for name in READ}
+    edited(tmp_path / "learned")
+    changed = [name for name, was in before.items() if (tmp_path / "learned" / f"{name}.parquet").read_bytes() != was]
+    assert changed
+    with pytest.raises(ResultsError, match=f"{sorted(changed)[0]}.parquet.* there is not as `onebend batch` wrote it"):
+        read_batch(tmp_path / "learned", "group")
+
+
+@pytest.mark.parametrize("edited", EDITS)
+def test_tables_that_no_batch_writes_are_refused_whatever_their_checksums(
+    tmp_path: Path, edited: Callable[[Path], None]
+) -> None:
+    batch(tmp_path / "learned")
+    edited(tmp_path / "learned")
+    sealed(tmp_path / "learned")
+    with pytest.raises(ResultsError, match=EDITS[edited]):
+        read_batch(tmp_path / "learned", "group")
+
+
+def test_a_doubted_recording_may_be_as_odd_as_it_is(tmp_path: Path) -> None:
+    """It is left out, so that what its fit says of itself is not asked."""
+    batch(tmp_path / "learned", doubts=["the fit did not converge", *("" for _ in range(8))])
+    edit(tmp_path / "learned", "covariances", lambda table: with_column(
+        table, "with_0.5", [float("nan"), *table["with_0.5"].to_pylist()[1:]]))  # fmt: skip
+    sealed(tmp_path / "learned")
+    assert read_batch(tmp_path / "learned", "group").left_out[0] == ("stem-0", "the fit did not converge")
+
+
+def test_an_edited_summary_lists_nothing(tmp_path: Path) -> None:
+    batch(tmp_path / "learned")
+    summary = tmp_path / "learned" / "summary.json"
+    summary.write_text(summary.read_text().replace("onebend-batch", "my-batch"))
+    with pytest.raises(ResultsError, match=r"no summary.json that lists the tables of a batch, or it was changed"):
+        read_batch(tmp_path / "learned", "group")

@@ -31,10 +31,10 @@ def share(widening: float = 1.0, shift: float = 0.0, sds: float = 0.0) -> Attrib
     [
         (share(), "relaxation (ignoring it could shift k(s) by 1 %)"),
         (share(shift=0.1, sds=1.0), "relaxation (ignoring it could shift k(s) by 11 %)"),  # or it is chance
-        (share(shift=0.1, sds=5.0), "relaxation (left out, k(s) would be 11 % off)"),
-        (share(shift=2.0, sds=5.0), "relaxation (left out, another k(s))"),  # more than first order tells
+        (share(shift=0.1, sds=5.0), "relaxation (ignoring it would shift k(s) by 11 %)"),
+        (share(shift=2.0, sds=5.0), "relaxation (ignoring it would give a completely different k(s))"),
         (share(widening=1.25), "relaxation (band 1.25 times as wide)"),
-        (share(1.25, 0.1, 5.0), "relaxation (left out, k(s) would be 11 % off, band 1.25 times as wide)"),
+        (share(1.25, 0.1, 5.0), "relaxation (ignoring it would shift k(s) by 11 %, band 1.25 times as wide)"),
     ],
 )
 def test_a_share_is_what_the_data_show_and_what_it_costs(one: Attribution, words: str) -> None:
@@ -83,15 +83,19 @@ def test_the_verdict_names_each_allowance_with_its_share() -> None:
     matter = [a for a in findings.posterior.attributions if a.matters]
     assert matter
     assert verdict.headline == f"k(s) holds with allowances: {', '.join(share_words(a) for a in matter[:4])}"
-    assert dict(verdict.rows).get("narrower", "") == verdict.narrower == narrower_words(findings.posterior)
-    assert "narrower" not in dict(verdict_of(made_up.findings(0, fitted=False)).rows)
+    assert dict(verdict.rows).get("improve", "") == verdict.narrower == narrower_words(findings.posterior)
+    assert "improve" not in dict(verdict_of(made_up.findings(0, fitted=False)).rows)
 
 
 @pytest.mark.parametrize(
     ("sd", "free", "words"),
     [
-        (1e-3, 'rest = "unknown"', ["one pose does not tell it from rest shape", "add poses under other loads"]),
-        (0.2, 'rest = "straight"', ["one pose does not tell it even were all else known: bend the beam further"]),
+        (1e-3, 'rest = "unknown"', ["one pose does not separate it from rest shape", "add poses under other loads"]),
+        (
+            0.2,
+            'rest = "straight"',
+            ["one pose does not determine it even if all else were known: bend the beam further"],
+        ),
     ],
 )
 def test_one_pose_says_why_it_does_not_tell_k(tmp_path: Path, sd: float, free: str, words: list[str]) -> None:

@@ -37,7 +37,7 @@ def uncertain(*sd: float, gain_sd: float = 0.0) -> UncertainStiffness:
         ((1.0, 0.01, 0.01, 0.01, 1.0), ["Nearer to the clamp than s = 0.2", "Beyond s = 0.8"]),
         ((0.201, 0.01, 0.01, 0.01, 0.01), ["Nearer to the clamp than s = 0.01"]),
         ((0.01, 0.01, 1.0, 0.01, 0.01), ["Between s = 0.3"]),
-        ((1.0, 1.0, 1.0, 1.0, 1.0), ["At no place"]),
+        ((1.0, 1.0, 1.0, 1.0, 1.0), ["k(s) is not identified at any place"]),
     ],
 )
 def test_every_blind_stretch_is_named_and_no_other(sd: tuple[float, ...], starts: list[str]) -> None:
@@ -68,7 +68,7 @@ def test_the_gain_is_in_the_card_and_said_apart() -> None:
     assert band_card(uncertain(*[0.05] * 5, gain_sd=0.0))["value"] == "± 8.1 %"  # 1.96 x 0.05 x sqrt(10) / 4
     assert band_card(uncertain(*[1e-6] * 5, gain_sd=0.05))["value"] == "± 10 %"
     assert "known to 5 %" in say("gain", sd=0.05)
-    assert "taken as exact" in say("gain exact")
+    assert "assumed to be exact" in say("gain exact")
     assert "weight" in say("scale by weight")
 
 

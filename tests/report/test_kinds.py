@@ -69,7 +69,7 @@ def test_hung_weights_have_one_distance_from_the_fit() -> None:
     card = next(card for card in cards(run) if "worst tag" in card["what"])
     assert card["value"].startswith(f"{millimetres(worst)}\u00a0mm (tag")
     as_written = validate(run.beam, run.recordings[0]).rms
-    said = text.split("Fit to what it was learned from")[1].split("What a real beam and a real bench also do")[0]
+    said = text.split("Fit to the learned recordings")[1].split("An allowance is an effect of a real beam")[0]
     fitted = {millimetres(value) for value in fitted_rms(run.posterior)[0]}
     other = {millimetres(value) for value in as_written} - fitted
     assert other
@@ -100,9 +100,9 @@ def test_assumptions_and_inputs_fit_the_kind(kind: str) -> None:
 
 def test_the_scale_of_k_is_that_of_what_bends_it() -> None:
     film = made_up.observations()
-    assert "taken as known to 2 %" in scale_words(0.02, [film])
+    assert "assumed to be known to 2 %" in scale_words(0.02, [film])
     assert "weight" in scale_words(0.0, [with_source(film, clean_force=None)])
     poses = replace(with_source(film, clean_force=None, view=None), static=True)
     assert "known to 5.00 mN each" in scale_words(0.0, [poses])
-    assert "taken as exact" in scale_words(0.0, [replace(poses, force_sd=np.zeros(2))])
-    assert "taken as known to 2 %" in scale_words(0.02, [poses, film])
+    assert "assumed to be exact" in scale_words(0.0, [replace(poses, force_sd=np.zeros(2))])
+    assert "assumed to be known to 2 %" in scale_words(0.02, [poses, film])

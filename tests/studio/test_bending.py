@@ -15,13 +15,50 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from typer.testing import CliRunner
 
 from onebend.cli import app
+from onebend.control.reach_set import Edge, ReachMap
 from onebend.errors import StudioError
+from onebend.records import Array
 from onebend.results.model import read_model
-from onebend.studio.bending import Bending
+from onebend.studio.bending import Bending, edge_lines
 from onebend.studio.desk import text_of
 from tests.studio.conftest import PORT, own
 
 SOCKET = f"ws://127.0.0.1:{PORT}/socket"
+
+
+def sheets(*corners: tuple[float, float, float, float]) -> ReachMap:
+    """Rectangles (left, low, right, high) as sheets of their own; the first ends where the force is the largest."""
+    points: list[tuple[float, float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    for left, low, right, high in corners:
+        at = len(points)
+        points += [(left, low), (right, low), (right, high), (left, high)]
+        triangles += [(at, at + 1, at + 2), (at, at + 2, at + 3)]
+    force = np.where(np.arange(len(points)) < 4, 2.0, 1.0)[:, None] * np.array([1.0, 0.0])
+    return ReachMap(2.0, force, np.zeros((len(points), 1)), np.array(points), np.array(triangles))
+
+
+def test_the_edge_is_that_of_all_sheets_together() -> None:
+    """Two crossed bars: no line runs where one ends in the other, and all of the cross has one."""
+    lines = edge_lines(sheets((0.0, 0.1, 0.3, 0.2), (0.1, 0.0, 0.2, 0.3)))
+    for kind in ("force", "stability"):
+        assert length([one for one in lines if one[1] == kind]) == pytest.approx(
+            0.6, rel=0.03
+        )  # four arms, three sides
+    x, y = np.abs(np.concatenate([line for line, _ in lines]) - 0.15).T
+    away = np.minimum(np.maximum(x - 0.15, y - 0.05), np.maximum(x - 0.05, y - 0.15))  # m, from the edge of the cross
+    assert np.abs(away).max() < 0.0015
+
+
+def test_a_hole_has_an_edge_and_a_seam_has_none() -> None:
+    ring = sheets((0.0, 0.0, 0.3, 0.1), (0.0, 0.2, 0.3, 0.3), (0.0, 0.1, 0.1, 0.2), (0.2, 0.1, 0.3, 0.2))
+    assert length(edge_lines(ring)) == pytest.approx(4 * 0.3 + 4 * 0.1, rel=0.03)
+    assert length(edge_lines(sheets((0.0, 0.0, 0.15, 0.3), (0.15, 0.0, 0.3, 0.3)))) == pytest.approx(1.2, rel=0.03)
+
+
+def length(lines: list[tuple[Array, Edge]]) -> float:
+    """m, of all of them."""
+    return float(sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line, _ in lines))
 
 
 def heard(socket: WebSocketTestSession, what: str) -> dict[str, Any]:

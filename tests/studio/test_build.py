@@ -7,11 +7,13 @@ import json
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from onebend.studio.server import PAGE
+from tests.report.page.browser import node_output
 
 SOURCES = Path(__file__).parents[2] / "web" / "src"
 
@@ -36,7 +38,7 @@ def test_the_server_is_there_before_what_a_room_needs_is_loaded() -> None:
     loaded = set(
         subprocess.run([sys.executable, "-c", call], capture_output=True, text=True, check=True).stdout.split()
     )
-    rooms = {"bending", "learned", "learner", "mapping", "recordings", "rehearsing"}
+    rooms = {"bending", "learned", "learner", "mapping", "recordings", "looping"}
     assert not loaded & {f"onebend.studio.{name}" for name in rooms}
     assert not loaded & {"scipy", "av", "PIL", "matplotlib", "pyapriltags", "onebend.recording", "onebend.control"}
     assert imported("main") == {"bend", "dom", "net", "place"}
@@ -55,6 +57,25 @@ def test_the_page_names_all_files_of_its_first_picture() -> None:
         new = set().union(*(imported(one) for one in new)) - found
     named = re.findall(r'rel="modulepreload" href="(\w+)\.js"', (PAGE / "index.html").read_text(encoding="utf-8"))
     assert sorted(named) == sorted(found)
+
+
+@pytest.mark.parametrize(("room", "words"), [(320, "WIDE"), (1000, "WIDE"), (150, "HIGH")])
+def test_every_axis_has_ticks_and_room_for_their_words(tmp_path: Path, room: int, words: str) -> None:
+    """Of a plane in a window of 390 px, of one in a wide window, of a chart's height."""
+    spans = [1.0, 1.7, 2.6, 4.0, 6.3, 8.1]
+    script = (
+        f"import * as draw from {json.dumps((PAGE / 'draw.js').as_uri())};"
+        f"const straight = (span) => draw.ticks(-0.3 * span, 0.7 * span, {room}, draw.{words});"
+        "const both = (span) => [straight(span), draw.logTicks(0.3, 0.3 + span)];"
+        f"console.log(JSON.stringify({json.dumps(spans)}.map(both)));"
+    )
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    for span, (straight, logarithmic) in zip(spans, json.loads(node_output(script, tmp_path)), strict=True):
+        apart = [(b - a) / span * room for a, b in pairwise(straight)]
+        assert len(straight) >= 2
+        assert len(straight) >= 3 or room < 320
+        assert min(apart) > (40.0 if words == "WIDE" else 25.0)
+        assert len(logarithmic) >= 2
 
 
 def test_the_page_asks_nothing_of_the_network() -> None:

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import shlex
+import shutil
 import subprocess
 import sys
 import threading
@@ -76,6 +77,44 @@ def test_no_source_is_a_file_out_of_the_folder(places: StudioFolder, spec: str) 
     for key in ("camera", "force"):
         with pytest.raises(StudioError):
             wanted_recording(places, asked(**{key: spec}))
+
+
+@pytest.mark.parametrize("way", ["by its own words", "by a link", "by a link in a bag"])
+@pytest.mark.parametrize("key", ["camera", "force"])
+def test_no_recording_leads_a_source_out_of_the_folder(places: StudioFolder, key: str, way: str) -> None:
+    kind, file = ("film", "video.mp4") if key == "camera" else ("log", "force.csv")
+    secret, evil = places.root.parent / "secret" / file, places.root / "evil"
+    shutil.rmtree(evil, ignore_errors=True)
+    shutil.copytree(places.root / "played", evil)
+    shutil.copy(evil / file, secret)
+    (evil / file).unlink()
+    if way == "by its own words":
+        text = (evil / "recording.toml").read_text().replace(f'file = "{file}"', f'file = "../../secret/{file}"')
+        (evil / "recording.toml").write_text(text)
+    elif way == "by a link":
+        (evil / file).symlink_to(secret)
+    else:
+        (evil / file).mkdir()
+        (evil / file / "part.mcap").symlink_to(secret)
+    for name in ("evil", "evil/recording.toml"):
+        with pytest.raises(StudioError, match=rf"leads out of {places.root}"):
+            wanted_recording(places, asked(**{key: f"{kind}:{name}"}))
+    found = sources_data(places)
+    assert "evil" not in found["films" if key == "camera" else "logs"]
+    assert "played" in found["films"]
+    shutil.rmtree(evil)
+
+
+def test_no_table_of_the_beam_is_copied_from_outside(places: StudioFolder) -> None:
+    evil = places.root / "evil"
+    shutil.copytree(places.root / "played", evil)
+    text = (evil / "recording.toml").read_text()
+    (evil / "recording.toml").write_text(text.replace("[beam]", '[beam]\nmass_file = "mass.csv"', 1))
+    (places.root.parent / "secret" / "mass.csv").write_text("s,mass_kg_m\n0,0.1\n1,0.1\n")
+    (evil / "mass.csv").symlink_to(places.root.parent / "secret" / "mass.csv")
+    with pytest.raises(StudioError, match=r"mass\.csv' leads out of"):
+        wanted_recording(places, asked(like="evil"))
+    shutil.rmtree(evil)
 
 
 @pytest.mark.parametrize(

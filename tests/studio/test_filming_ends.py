@@ -101,7 +101,7 @@ def test_a_killed_recorder_is_said_to_be_and_leaves_what_there_is(lab: Path) -> 
         assert recorder is not None
         os.kill(recorder, signal.SIGKILL)
         ended = until(client, lambda found: found["phase"] == "failed", 20.0)
-    assert ended["error"] == "the recorder ended with -9. What it wrote by then is in push"
+    assert ended["error"] == "the recorder ended with -9. The recording up to then is in push"
     assert overview(lab / "push").faults == ()
 
 

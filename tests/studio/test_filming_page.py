@@ -49,8 +49,9 @@ def filled(page: Page, out: str, film: str) -> None:
     for one in ("train", "fast", film):
         page.get_by_label("the beam is that of").select_option(one)
         assert page.get_by_label("the beam is that of").input_value() == one
-    page.get_by_label("camera", exact=True).fill(f"film:{film}")
-    page.get_by_label("force sensor").fill(f"log:{film}")
+    for label, kind in (("camera", "film"), ("force sensor", "log")):
+        page.get_by_label(label, exact=True).select_option(f"{kind}:{film}")
+        assert not page.get_by_label(f"{label} as text").is_visible()
 
 
 def fits(page: Page, width: int) -> bool:
@@ -68,7 +69,7 @@ def test_record_learn_drag_read_reload_and_go_on(page: Page, lab: Path) -> None:
     page.get_by_label("play as fast as it can be read").check()
     command = page.locator(".record .command code").inner_text()
     assert command == "onebend record push --camera film:fast --force log:fast --like fast --fast"
-    page.get_by_label("force sensor").press("Enter")
+    page.get_by_label("folder to record into").press("Enter")
     page.locator("h1", has_text="Recorded push").wait_for(timeout=60_000)
     page.locator(".ended .words dt", has_text="force log").wait_for(timeout=60_000)
     assert overview(lab / "push").faults == ()
@@ -96,6 +97,28 @@ def test_record_learn_drag_read_reload_and_go_on(page: Page, lab: Path) -> None:
     page.locator("button", has_text="Another push of this beam").click()
     assert page.get_by_label("folder to record into").input_value() == "push-2"
     assert page.get_by_label("the beam is that of").input_value() == "push"
+    assert fits(page, 390)
+
+
+def test_what_can_be_chosen_is_listed_and_all_else_is_text(page: Page) -> None:
+    page.locator("nav a[data-room=record]").click()
+    camera, force = (page.get_by_label(label, exact=True) for label in ("camera", "force sensor"))
+    page.locator("option[value='film:train']").first.wait_for(state="attached")
+    assert {"train", "fast"} <= set(camera.locator("optgroup[label='a recording, played'] option").all_inner_texts())
+    camera.select_option("film:train")  # brings its log and its beam
+    assert force.input_value() == "log:train"
+    assert page.get_by_label("the beam is that of").input_value() == "train"
+    force.select_option("ati:192.168.1.1")
+    address = page.get_by_label("force sensor as text")
+    address.fill("ati:10.0.0.7,rate=1000")
+    assert "--force ati:10.0.0.7,rate=1000" in page.locator(".record .command code").inner_text()
+    page.reload()
+    page.locator("option[value='film:train']").first.wait_for(state="attached")
+    assert camera.input_value() == "film:train"
+    assert address.input_value() == "ati:10.0.0.7,rate=1000"
+    force.select_option(label="none: film alone")
+    assert not address.is_visible()
+    assert "--force" not in page.locator(".record .command code").inner_text()
     assert fits(page, 390)
 
 
@@ -134,6 +157,8 @@ def test_a_recording_goes_on_whoever_looks_and_ends_by_the_keyboard(page: Page, 
     for tab in (page, other):
         tab.locator("h1", has_text="Recorded slowly").wait_for(timeout=30_000)
         tab.locator("a", has_text="Learn it").wait_for(timeout=30_000)
-        assert "It was stopped." in tab.locator(".ended").inner_text()
+        assert tab.locator(".ended .headline").inner_text() == "It was stopped."  # and no advice of the push
+        assert not tab.locator(".advice").is_visible()
+        assert not tab.locator(".numbers").is_visible()
     assert fits(page, 390)
     assert overview(lab / "slowly").faults == ()

@@ -13,7 +13,7 @@ from tests.studio.conftest import HOME, PORT, TOKEN, own
 
 PATHS = (
     "/", "/main.js", "/page.css", "/api/places", "/api/result?name=beam", "/api/film?name=beam", "/api/job",
-    "/api/beam?name=beam", "/api/check.png?name=beam", "/api/work/check", "/api/work/rehearse",
+    "/api/beam?name=beam", "/api/check.png?name=beam", "/api/work/check", "/api/work/loop",
     "/api/record", "/api/record/sources", "/api/record/picture?n=1",
 )  # fmt: skip
 CHANGES = ("/api/stop", "/api/record/start", "/api/record/begin", "/api/record/stop")

@@ -28,7 +28,7 @@ POSTS: dict[str, dict[str, Any]] = {
     "recordings/frame": {"name": "hung weights", "file": "poses.csv", "topic": "", "family": "36h11"},
     "recordings/lose": {"name": "hung weights"},
     "work/check/start": {"name": "hung weights"},
-    "work/rehearse/start": {"model": "beam", "goal_m": [0.1, 0.05], "push_s": 1.0, "fps": 30, "draws": 0,
+    "work/loop/start": {"model": "beam", "goal_m": [0.1, 0.05], "push_s": 1.0, "fps": 30, "draws": 0,
                             "max_force_N": 1.0},
     "work/nothing/start": {},
     "record/start": {"out": "new", "camera": "film:hung weights", "force": "log:hung weights", "like": "hung weights",

@@ -128,6 +128,15 @@ def test_drag_the_tip_read_the_force_reload_and_go_on(page: Page) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+@pytest.mark.parametrize(("learned", "room"), [(True, "Bend"), (False, "Recordings")])
+def test_the_first_visit_opens_what_there_is_to_do(folder: Path, tmp_path: Path, learned: bool, room: str) -> None:
+    if not learned:
+        shutil.copytree(folder / "hung weights", tmp_path / "hung weights")
+    with served_over(folder if learned else tmp_path) as address, browsed(address) as page:
+        page.locator("nav a[aria-current=page]", has_text=re.compile(f"^{room}$")).wait_for()
+        assert page.title().startswith(room)
+
+
 @pytest.mark.slow
 def test_learn_a_recording_then_bend_it(page: Page) -> None:
     page.locator("nav a", has_text="Learn").click()

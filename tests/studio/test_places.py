@@ -9,6 +9,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from onebend.errors import StudioError
+from onebend.studio.learned import film_data
 from onebend.studio.places import StudioFolder
 from tests.studio.conftest import own
 
@@ -43,6 +44,14 @@ def test_a_link_to_a_file_outside_is_none(places: StudioFolder) -> None:
     for way in (places.result, places.recording):
         with pytest.raises(StudioError, match="out of"):
             way("file")
+
+
+def test_a_report_that_is_a_link_shows_no_film(places: StudioFolder) -> None:
+    report = places.root.parent / "secret" / "report.html"
+    report.write_text('<script type="application/json" id="data">{"film": {"frames": []}}</script>')
+    (places.root / "beam" / "report.html").symlink_to(report)
+    with pytest.raises(StudioError, match="has no report"):
+        film_data(places.result("beam"))
 
 
 def test_what_is_there_is_found_by_name(places: StudioFolder) -> None:

@@ -180,7 +180,7 @@ def test_a_film_with_a_log_is_listed_and_begun_from_the_template(asked: TestClie
 
 
 @pytest.mark.parametrize(
-    "path", [*(f"recordings/{what}" for what in POSTED), "work/check/start", "work/rehearse/stop", "reach"]
+    "path", [*(f"recordings/{what}" for what in POSTED), "work/check/start", "work/loop/stop", "reach"]
 )
 def test_each_needs_the_token_and_this_page(room: Path, path: str) -> None:
     stranger = TestClient(application(StudioFolder.of(room), TOKEN, PORT), base_url=HOME, follow_redirects=False)

@@ -1,4 +1,4 @@
-"""The rooms Recordings and Rehearse in Chromium, as a person uses them."""
+"""The rooms Recordings and Loop in Chromium, as a person uses them."""
 
 from __future__ import annotations
 
@@ -154,6 +154,32 @@ def stays_open(page: Page, own_folder: Path) -> None:
 
 
 @pytest.mark.slow
+def test_long_lines_are_folded_beside_their_numbers(page: Page, own_folder: Path) -> None:
+    path = own_folder / "train" / "recording.toml"
+    before = path.read_text(encoding="utf-8")
+    opened(page, "recordings?name=train")
+    page.locator(".first canvas").wait_for()
+    long = "length_m = 0.15  # " + "as long as a comment may be, " * 12
+    page.locator(".code textarea").fill(before.replace("length_m = 0.15", long).replace("mass_kg", "mas_kg"))
+    page.locator(".mistakes li", has_text="mas_kg").wait_for()
+    line = 1 + before[: before.index("mass_kg")].count("\n")
+    for width in (1100, 390):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.wait_for_timeout(300)
+        assert page.evaluate("(one => one.scrollWidth <= one.clientWidth)(document.querySelector('.code textarea'))")
+        number, text = (page.locator(f".code {one}").nth(line - 1) for one in (".numbers span", ".under-text p"))
+        places = [one.bounding_box() for one in (number, text)]
+        assert places[0] is not None
+        assert places[1] is not None
+        assert abs(places[0]["y"] - places[1]["y"]) < 1.0
+        assert number.get_attribute("class") == "wrong"
+        folded = page.locator(".numbers span").nth(line - 2).bounding_box()
+        assert folded is not None
+        assert folded["height"] > 3 * places[0]["height"]
+    page.get_by_role("button", name="back to the file").click()
+
+
+@pytest.mark.slow
 def test_two_tabs_agree_on_what_was_saved(page: Page, own_folder: Path) -> None:
     path = own_folder / "train" / "recording.toml"
     before = path.read_text(encoding="utf-8")
@@ -208,7 +234,7 @@ def test_a_film_is_begun_and_a_recording_checked(page: Page, own_folder: Path) -
 
 
 @pytest.mark.slow
-def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
+def test_a_goal_is_chosen_by_keys_simulated_and_played(page: Page) -> None:
     lines: list[WebSocketRoute] = []
 
     def through(line: WebSocketRoute) -> None:
@@ -216,7 +242,7 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
         line.connect_to_server()
 
     page.route_web_socket(re.compile("/socket$"), through)
-    opened(page, "rehearse?model=beam")
+    opened(page, "loop?model=beam")
     goal = page.get_by_label("goal, x in mm")
     page.locator(".command code", has_text="--goal").wait_for()
     first = float(goal.input_value())
@@ -236,10 +262,10 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
         field.fill(before)
         assert not run.is_disabled()
     page.get_by_label("duration in s").fill("2")
-    command = page.locator(".rehearse .command code").inner_text()
+    command = page.locator(".loop .command code").inner_text()
     assert command.startswith("onebend loop beam --goal ")
     assert command.endswith("--k-error 0.3 --delay-ms 50 --fps 30 --noise-mm 0.05 --duration-s 2")
-    page.get_by_role("button", name="Rehearse", exact=True).click()
+    page.get_by_role("button", name="Simulate", exact=True).click()
     page.locator(".outcome tr").nth(3).wait_for(timeout=90_000)
     page.locator(".clock", has_text="2.00 s").wait_for()  # it played by itself
     page.locator(".job").wait_for(state="detached")  # until then the table is made anew
@@ -253,7 +279,7 @@ def test_a_goal_is_chosen_by_keys_rehearsed_and_played(page: Page) -> None:
     page.reload()
     page.locator(".outcome tr").nth(3).wait_for()
     assert page.locator(".outcome tr").all_inner_texts() == rows
-    assert page.locator(".rehearse .command code").inner_text() == command
+    assert page.locator(".loop .command code").inner_text() == command
     page.get_by_label("delay in ms").fill("80")
-    page.locator(".status", has_text="rehearse again").wait_for()
+    page.locator(".status", has_text="simulate again").wait_for()
     assert narrow(page)

@@ -237,7 +237,7 @@ def test_a_fit_that_takes_the_push_away_from_its_written_place_is_in_doubt() -> 
         x[where.where] = sds * where.prior_sd
         one = replace(right, optimum=replace(right.optimum, x=x), place=None)
         assert moved_off(one.layout, one.mean) == pytest.approx(abs(sds))
-        assert ("the push hardly acts where at_s says" in one.doubts) is expected
+        assert ("the stated place of the push (at_s) is wrong" in one.doubts) is expected
         assert any("correct at_s" in r.text and r.about == "push place" for r in worded(fit_notices(one))) is expected
 
 

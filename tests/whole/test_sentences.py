@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 from string import Formatter
 from typing import get_args
@@ -74,12 +75,18 @@ def test_numbers_are_shown_in_the_unit_of_their_field() -> None:
     assert [odds(-2.5), odds(-5.0), odds(-99.0)] == ["1 in 320", "1 in 100 000", "1 in 1 000 000 000 or less"]
 
 
+def test_g_is_grams_and_no_form_of_a_number() -> None:
+    after = {code: re.findall(r"\{[^}:]*:g\}(.{0,3})", one.text) for code, one in SENTENCES.items()}
+    assert {code: found for code, found in after.items() if any(not re.match(r" g\b", text) for text in found)} == {}
+    assert say("recorded: short rest", wanted=3.0).startswith("the first rest was shorter than 3 s")
+
+
 def test_poses_and_films_have_their_own_remedies() -> None:
     film = {"static": False, "filmed": True}
     assert remedy(Notice("scale", film)) == "Calibrate the camera; check size_m"
     assert remedy(Notice("scale", {"static": False, "filmed": False})).startswith("Check the unit")
     assert "clamp_deg and base_angle_deg" in remedy(Notice("clamp", {"static": True, "filmed": False}))
-    assert "is +5.7 from" in remedy(Notice("force direction", film | {"value": 0.1}))
+    assert "wrong by +5.7" in remedy(Notice("force direction", film | {"value": 0.1}))
 
 
 def test_only_a_sentence_with_an_entry_is_a_warning() -> None:

@@ -31,6 +31,7 @@ REQUESTS: dict[str, tuple[str, str, str]] = {  # --camera, --force, words
     "zeros without end": (CAMERA, "csv:/dev/zero", "csv:/dev/zero is no file"),
     "a pipe as a bag": (CAMERA, "bag:pipe", "pipe is no bag"),
     "a log that ended before": (CAMERA, "log:film,start_s=1e11", "ends at .* before start_s = 1e.11 s"),
+    "a log that begins after": (CAMERA, "log:film,start_s=-1e12", "begins at .* s after start_s = -1e.12 s"),
     "a log of another universe": (CAMERA, "log:film,start_s=1e300", "start_s=1e300: this must be a number"),
     "a port beyond all ports": (CAMERA, "ati:127.0.0.1,counts=1000,port=1e9", "port=1e9: this must be a number from 1"),
     "an address of 70 letters": (CAMERA, f"ati:{'a' * 70},counts=1000", "is not reached"),

@@ -1,6 +1,6 @@
 // k(s) with its 95 % band: of one result in full, of several one over the other.
 import { digits, h } from "./dom.js";
-import { Canvas, Colours, label, Point, ticks, trace } from "./draw.js";
+import { Canvas, Colours, HIGH, label, logTicks, Point, ticks, trace } from "./draw.js";
 
 export interface Band { level: number; low_N_m: number[]; high_N_m: number[] }
 export interface Curve { s: number[]; k_N_m: number[]; bands: Band[]; identified?: boolean[]; doubts?: string[] }
@@ -110,8 +110,7 @@ export class CurveView {
 
   private axes(context: CanvasRenderingContext2D, tint: Colours, [left, right, top, bottom]: number[], [low, high]: [number, number],
     x: (s: number) => number, y: (k: number) => number): void {
-    const decades = this.log.checked && Math.log10(high / low) > 1.3;
-    const marks = decades ? [1, 2, 5].flatMap((f) => [...Array(20).keys()].map((n) => f * 10 ** (n - 10))).filter((k) => k > low && k < high) : ticks(low, high, 5);
+    const marks = this.log.checked && high / low > 5 ? logTicks(low, high) : ticks(low, high, bottom! - top!, HIGH);
     context.strokeStyle = tint.line;
     context.fillStyle = tint.muted;
     context.lineWidth = 1;
@@ -132,7 +131,7 @@ export class CurveView {
     label(context, "k [N m]", left! + 6, top! + 12, tint.muted, tint.paper);
   }
 
-  // Where the data do not tell k to a factor of 1.5, it is grey.
+  // Grey where k is known to no better than a factor of 1.5.
   private curve(context: CanvasRenderingContext2D, tint: Colours, curve: Curve, colour: string, x: (s: number) => number, y: (k: number) => number): void {
     const known = curve.identified ?? curve.s.map(() => true), last = curve.s.length - 1, alone = this.shown.length === 1;
     for (let from = 0; from < last;) {

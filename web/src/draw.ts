@@ -61,13 +61,21 @@ export class Canvas {
   }
 }
 
-// About `count` round numbers from low to high.
-export function ticks(low: number, high: number, count: number): number[] {
-  const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
+// Round numbers from low to high, which so many pixels show: the fewer these are the closer, but `least` apart.
+export const WIDE = 48, HIGH = 28;  // px, of a number with air around it
+export function ticks(low: number, high: number, pixels: number, least: number): number[] {
+  const rough = (high - low) * Math.min(Math.max(pixels / 8, least), 90) / pixels, power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((one) => one >= 0.999 * rough)!;
   const found: number[] = [];
   for (let i = Math.ceil(low / step); i * step <= high * (1 + 1e-9) + 1e-12; i++) found.push(Number((i * step).toPrecision(12)));
   return found;
+}
+
+// The same on a logarithmic axis: powers of ten, and where those are few 2 and 5 times them.
+export function logTicks(low: number, high: number): number[] {
+  const factors = Math.log10(high / low) > 2.2 ? [1] : [1, 2, 5], first = Math.floor(Math.log10(low)), found: number[] = [];
+  for (let power = first; 10 ** power <= high; power++) found.push(...factors.map((one) => Number((one * 10 ** power).toPrecision(3))));
+  return found.filter((one) => one >= low && one <= high);
 }
 
 export function trace(context: CanvasRenderingContext2D, points: Point[], closed = false): void {
@@ -90,8 +98,11 @@ export function arrow(context: CanvasRenderingContext2D, from: Point, to: Point,
   context.fill();
 }
 
-// Text that stands before lines: with the paper's colour around it.
+// Text that stands before lines: with the paper's colour around it, and moved inwards where the picture would cut it.
 export function label(context: CanvasRenderingContext2D, words: string, x: number, y: number, tint: string, paper: string): void {
+  const room = context.canvas.width / context.getTransform().a, wide = context.measureText(words).width;
+  const left = x - wide * ({ right: 1, center: 0.5 }[context.textAlign as string] ?? 0);
+  x += Math.max(Math.min(left, room - wide - 4), 4) - left;
   context.lineWidth = 3.5;
   context.strokeStyle = paper;
   context.strokeText(words, x, y);

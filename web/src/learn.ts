@@ -16,7 +16,7 @@ interface Result {
 }
 
 const MOST = 4;  // results over one another: there are as many colours
-const WORDS: [keyof Verdict, string][] = [["known", "k(s)"], ["rests_on", "rests on"], ["use", "for use"], ["narrower", "narrower"], ["next", "next"]];
+const WORDS: [keyof Verdict, string][] = [["known", "k(s)"], ["rests_on", "tests"], ["use", "accuracy"], ["narrower", "improve"], ["next", "next"]];
 
 export function learn(place: HTMLElement, at: URLSearchParams): void {
   const curve = new CurveView(), film = new FilmView((frame) => { shownFrame = frame; keep(); });
@@ -72,7 +72,7 @@ export function learn(place: HTMLElement, at: URLSearchParams): void {
     recordings.replaceChildren(...films.map(({ name }) => h("li", {}, h("label", { class: "check" },
       h("input", { type: "checkbox", checked: from.includes(name), change: (event: Event) => toggle(event, name, true) }), h("span", {}, name)),
       h("label", { class: "check quiet", title: "compare the learned beam with this recording" },
-        h("input", { type: "checkbox", checked: check.includes(name), "aria-label": `check on ${name}`, change: (event: Event) => toggle(event, name, false) }), "check"))));
+        h("input", { type: "checkbox", checked: check.includes(name), "aria-label": `validate on ${name}`, change: (event: Event) => toggle(event, name, false) }), "validate on"))));
     if (!films.length) recordings.append(h("li", { class: "quiet" }, h("span", {}, "No folder with a recording.toml here. Begin one with ", h("code", {}, "onebend new"), ".")));
     if (!chosen.length && beams[0]) chosen = [beams[0].name];
     chosen = chosen.filter((name) => beams.some((one) => one.name === name));
@@ -186,7 +186,7 @@ function verdict(result: Result): Node[] {
   }
   for (const one of result.changed) rows.push(h("p", { class: "warning" }, `model.json ${one}`));
   if (result.remarks.length) rows.push(h("ul", { class: "remarks" }, ...result.remarks.map((one) => h("li", { class: "warning" }, `${one.recording}: `, ...coded(one.text)))));
-  const errors = [...result.training.map((one) => ["learned from", one] as const), ...result.validation.map((one) => ["checked on", one] as const)];
+  const errors = [...result.training.map((one) => ["learned from", one] as const), ...result.validation.map((one) => ["validated on", one] as const)];
   rows.push(h("div", { class: "scroll" }, h("table", {}, h("tr", {}, h("th", {}, ""), h("th", {}, "recording"), ...(errors[0]?.[1].tag ?? []).map((tag) => h("th", {}, `tag ${tag} [mm]`))),
     ...errors.map(([how, one]) => h("tr", {}, h("td", { class: "quiet" }, how), h("td", {}, one.recording),
       ...one.rms_m.map((rms, i) => h("td", { class: "number", title: "RMS under the force as logged; in brackets what its noise alone would do" }, digits(1000 * (rms ?? NaN)),

@@ -1,5 +1,5 @@
-// The beams of a rehearsal in their plane, at one moment, on their way to the goal.
-import { arrow, Canvas, Colours, label, Point, ticks, trace } from "./draw.js";
+// The simulated beams in their plane, at one moment, on their way to the goal.
+import { arrow, Canvas, Colours, HIGH, label, Point, ticks, trace, WIDE } from "./draw.js";
 import { drawReach, ReachMap } from "./reach.js";
 
 export interface Trial {
@@ -130,16 +130,16 @@ export class LoopPlane {
     context.fillStyle = tint.muted;
     context.lineWidth = 1;
     context.textAlign = "center";
-    const marks = ticks(1000 * left, 1000 * right, Math.max(3, width / 110));
+    const marks = ticks(1000 * left, 1000 * right, width, WIDE);
     for (const mark of marks) {
       const [x] = this.px([mark / 1000, 0]);
       trace(context, [[x, 0], [x, height - 20]]);
       context.stroke();
-      if (x > 14 && x < width - 30) context.fillText(String(mark), x, height - 5);
+      if (x > 14 && x < width - 46) context.fillText(String(mark), x, height - 5);
     }
     context.textAlign = "right";
     context.fillText("mm", width - 4, height - 5);
-    for (const mark of ticks(1000 * low, 1000 * high, Math.max(3, height / 110))) {
+    for (const mark of ticks(1000 * low, 1000 * high, height, HIGH)) {
       const [, y] = this.px([0, mark / 1000]);
       trace(context, [[0, y], [width, y]]);
       context.stroke();

@@ -1,4 +1,4 @@
-// What is rehearsed: the goal, how late and how wrong things are.
+// What is simulated: the goal, how late and how wrong things are.
 import { digits, h } from "./dom.js";
 import { Point } from "./draw.js";
 import { Beam } from "./looped.js";
@@ -19,7 +19,7 @@ const range = ([least, most]: [number, number]): string => `a number from ${leas
 
 export class SettingsForm {
   readonly element: HTMLElement;
-  given: boolean;  // whether the address says what is rehearsed
+  given: boolean;  // whether the address says what is simulated
   private readonly fields: Record<string, HTMLInputElement> = {};
   private readonly notes = new Map<HTMLInputElement, HTMLElement>();
   private length_m = Infinity;  // of the beam
@@ -105,7 +105,7 @@ export class SettingsForm {
     if (!goal) this.goal = beam.goal_m;
   }
 
-  // As they were when this was rehearsed.
+  // As they were when this was simulated.
   adopt(values: Values): void {
     this.given = true;
     const put: Record<string, number> = { x: 1000 * values.goal_m[0], y: 1000 * values.goal_m[1], push: values.push_s, point: values.point_s, wrong: 100 * values.k_error,

@@ -1,8 +1,8 @@
 // Which room is shown: the address after # says it, so that a reload or a copied address comes back to it.
 import { bend } from "./bend.js";
 import { h } from "./dom.js";
-import { connect, onReturn, say, SILENT } from "./net.js";
-import { leave, params, roomName } from "./place.js";
+import { ask, connect, onReturn, say, SILENT } from "./net.js";
+import { leave, params, roomIsNamed, roomName } from "./place.js";
 
 // What the first picture does not need is loaded with its room.
 const ROOMS = {
@@ -10,7 +10,7 @@ const ROOMS = {
   recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
   learn: ["Learn", async () => (await import("./learn.js")).learn],
   bend: ["Bend", async () => bend],
-  rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
+  loop: ["Loop", async () => (await import("./loop.js")).loop],
 } as const;
 type Room = keyof typeof ROOMS;
 
@@ -43,4 +43,13 @@ window.addEventListener("unhandledrejection", (event) => {
 });
 onReturn(() => { if (missed) location.reload(); });  // a browser keeps a failed load of a module
 connect((words) => { document.getElementById("link")!.textContent = words; });
-void show();
+
+// Where no beam was learned yet, the first thing to do is a recording.
+async function begin(): Promise<void> {
+  if (!roomIsNamed()) {
+    const { found } = await ask<{ found: { kind: string }[] }>("/api/places").catch(() => ({ found: [{ kind: "result" }] }));
+    if (!roomIsNamed() && !found.some((one) => one.kind === "result")) history.replaceState(null, "", "#recordings");
+  }
+  await show();
+}
+void begin();

@@ -3,6 +3,7 @@
 const ends: (() => void)[] = [];
 const kept: Record<string, string> = {};  // of each room, what stood in its address
 
+export const roomIsNamed = (): boolean => location.hash.length > 1;
 export const roomName = (): string => location.hash.slice(1).split("?")[0] || "bend";
 
 export function params(): URLSearchParams {

@@ -1,5 +1,5 @@
 // The plane of bending: axes, reachable set and its edge, beam, ellipse, force, and what is held.
-import { arrow, Canvas, Colours, label, Point, ticks, trace } from "./draw.js";
+import { arrow, Canvas, Colours, label, Point, ticks, trace, WIDE } from "./draw.js";
 import { digits, fixed } from "./dom.js";
 import { drawEdge, drawReach, Limit, ReachMap } from "./reach.js";
 
@@ -85,9 +85,7 @@ export class Plane {
 
   private axes(context: CanvasRenderingContext2D, width: number, height: number, tint: Colours): void {
     const [left, high] = this.metres([0, 0]), [right, low] = this.metres([width, height]);
-    const count = Math.max(3, Math.round(width / 110));
-    const step = ticks(left, right, count);
-    const apart = (step[1] ?? 1) - (step[0] ?? 0);
+    const step = ticks(left, right, width, WIDE), apart = (step[1] ?? 1) - (step[0] ?? 0);
     context.strokeStyle = tint.line;
     context.lineWidth = 1;
     context.fillStyle = tint.muted;

@@ -1,5 +1,5 @@
 // The room Record: a push that is filmed and logged, guided from rest to rest. It goes on whoever looks on.
-import { coded, commandLine, h } from "./dom.js";
+import { coded, commandLine, digits, h } from "./dom.js";
 import { Choice, Form, Sources } from "./recordform.js";
 import { Live, Recording } from "./recordlive.js";
 import { ask, listen, Message, onReturn, post, say } from "./net.js";
@@ -14,9 +14,9 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
   const film = h("button", { type: "button", click: () => { void ordered("begin"); } }, "Film as it is");
   const stop = h("button", { type: "button", class: "main", click: () => { void ordered("stop"); } });
   const orders = h("p", { class: "links" }, film, stop);
-  const hint = h("div", { class: "empty quiet" }, h("p", {}, "Name the beam, a camera and a force sensor. Then do what the page says: from rest, to push, to rest."),
+  const hint = h("div", { class: "empty quiet" }, h("p", {}, "Choose the beam, a camera and a force sensor. Then do what the page says: from rest, to push, to rest."),
     h("p", {}, "The beam is described by a recording.toml: that of another push, or one that ", h("code", {}, "onebend new"), " begins and you fill in."),
-    h("p", {}, "Without a camera: play a recording, ", h("code", {}, "film:REC"), " and ", h("code", {}, "log:REC"), ", as fast as it can be read if you like."));
+    h("p", {}, "Without a camera: choose a recording as the camera. Its film and its log are played."));
   let recording: Recording | null = null, told = "";
   place.append(h("aside", { class: "side" }, form.element, live.numbers), h("section", { class: "filming" }, doing.element, hint, title, live.stages, live.advice, orders, live.picture, live.curve.element, ended));
 
@@ -65,11 +65,11 @@ export function record(place: HTMLElement, at: URLSearchParams): void {
   function outcome(one: Recording): Node[] {
     const { outcome: left, check } = one, nodes: (Node | null)[] = [];
     if (one.error) nodes.push(h("p", { class: "warning" }, ...coded(one.error)));
-    if (left) nodes.push(h("p", { class: left.fault || !left.begun ? "headline warning" : "headline" }, sentence(left.ended)));
+    if (left) nodes.push(h("p", { class: left.fault || !left.begun ? "headline warning" : "headline" }, h("b", {}, sentence(left.ended)), left.begun && !left.fault ? ` ${known(one)}` : ""));
     if (left?.begun) nodes.push(h("p", { class: "quiet" }, `${left.seconds.toFixed(1)} s, ${left.frames} frames${left.frames_missing ? `, ${left.frames_missing} missing` : ""}${left.log ? `, ${left.samples} samples of the force` : ""}`));
     if (left?.remarks.length) nodes.push(h("ul", { class: "remarks" }, ...left.remarks.map((words) => h("li", { class: "warning" }, sentence(words)))));
     if (left?.begun) {
-      nodes.push(h("h2", {}, check ? "What a check says of it" : "Checking …"));
+      nodes.push(h("h2", {}, check ? "Result of the check" : "Checking …"));
       if (check) nodes.push(...checked(check));
     }
     if (!going(one) && (left?.begun || !left && one.state.frames)) {
@@ -101,4 +101,11 @@ function checked({ rows, remarks, faults }: NonNullable<Recording["check"]>): No
   ];
 }
 
-const sentence = (words: string): string => `${words.charAt(0).toUpperCase()}${words.slice(1)}${/[.?!]$/.test(words) ? "" : "."}`;
+// What is known of k(s) when the film is over. Doubts of a push that went on are none of the whole.
+function known({ state, curve }: Recording): string {
+  const width = state.half_width ?? null;
+  if (width !== null) return `k(s) was known to ± ${digits(100 * width, 2)} % (95 %, median) by then; learning takes all frames together.`;
+  return curve ? "k(s) was not known by then; learning takes all frames together." : "";
+}
+
+const sentence = (words: string): string => words && `${words.charAt(0).toUpperCase()}${words.slice(1)}${/[.?!]$/.test(words) ? "" : "."}`;

@@ -55,7 +55,8 @@ export function recordings(place: HTMLElement, at: URLSearchParams): void {
     }
     if (!there) name = at.has("name") ? "" : known[0]?.name ?? "";
     if (name) await open(name);
-    else nothing.textContent = "Choose a recording.";
+    else if (known.length) nothing.textContent = "Choose a recording.";
+    else nothing.replaceChildren("Nothing is recorded in this folder yet. ", h("a", { href: "#record" }, "Record a push"), bare.length ? ", or begin the recording.toml of a film that is here." : ", or put a film and its force log into a folder here.");
   }
 
   async function begin(folder: string): Promise<void> {

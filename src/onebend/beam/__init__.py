@@ -1,4 +1,4 @@
-"""Pure mechanics of a planar slender beam, on arrays: no file, no camera, no estimation."""
+"""Mechanics of a planar slender beam, on arrays."""
 
 from __future__ import annotations
 

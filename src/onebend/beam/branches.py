@@ -1,13 +1,12 @@
-"""Every stable equilibrium of a beam with a free end under dead loads, by shooting from that end.
+"""All stable equilibria of a beam with a free end under dead loads, by shooting from that end.
 
-The forces and the moment m(s) beyond s do not depend on the shape. An equilibrium is a solution of
+The forces and the moment m(s) beyond s do not depend on the shape. An equilibrium solves
 
     alpha' = q = q0 + (m + I) / k,    -I' = dW/dalpha,    I(1) = 0,    alpha(0) = alpha0,
 
-so that the angle a at the free end determines it: the equilibria are the roots of `A(a) = alpha(0; a)`. It is marched
-from the free end to the clamp through the stages of Gauss's method, which gives the equations of `statics`. Where
-`y(s) = d alpha(s; a) / da` is positive from the free end to the clamp the equilibrium is stable (Jacobi); where A is
-level, a stable and an unstable one meet (a fold).
+so it is determined by the angle a of the free end, a root of `A(a) = alpha(0; a)`. A is marched from the free end to
+the clamp by Gauss's method, consistent with `statics`. An equilibrium is stable if `y(s) = d alpha(s; a) / da` is
+positive along the beam (Jacobi). Where A is level, a stable and an unstable one meet (fold).
 """
 
 from __future__ import annotations
@@ -26,47 +25,47 @@ from onebend.beam.statics import correct, is_stable, node_angles
 from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray
 
-_SAMPLES = 24  # of a full turn of the free end, to begin with
-_STEEP = 0.7  # rad: where the angle at the clamp changes by more between two samples, there is another between them,
-_BENT = 0.15  # rad, and where it leaves the straight line of either slope by more
-_CLOSEST = 1e-14  # rad, between two samples
-_WIDE = 0.03  # rad, of intervals that are halved even where no stable equilibrium is near
-_MOST = 500  # intervals of a frame that are halved at once
-_ITERATIONS = 8  # of Newton's method on the stages of one panel, at most
-_SETTLED = 1e-11  # rad, of its last update
-_HALVINGS = 24  # of an interval in which A turns: it is level there, so that half as many digits do
+_SAMPLES = 24  # initial samples of a full turn of the free end
+_STEEP = 0.7  # rad, change of the angle at the clamp between samples that asks for another one,
+_BENT = 0.15  # rad, as does this deviation from linearity
+_CLOSEST = 1e-14  # rad, least distance of samples
+_WIDE = 0.03  # rad, intervals to halve even without a stable equilibrium nearby
+_MOST = 500  # intervals of a frame halved at once
+_ITERATIONS = 8  # of Newton's method on a panel's stages
+_SETTLED = 1e-11  # rad, last update
+_HALVINGS = 24  # halvings of an interval with a turning point of A; level there, so half the digits suffice
 _ROOT_STEPS = 80
-_AT_ROOT = 1e-4  # rad at the clamp: Newton's method on the grid does the rest
-_FARTHEST_FROM_MARCH = 0.5  # rad, from where the march ends to the equilibrium on the grid
-_SAME = 1e-6  # rad: equilibria that differ by less are one
+_AT_ROOT = 1e-4  # rad at the clamp; Newton's method on the grid does the rest
+_FARTHEST_FROM_MARCH = 0.5  # rad, from the march to the equilibrium on the grid
+_SAME = 1e-6  # rad, distance below which equilibria are one
 
 
 @dataclass(frozen=True)
 class _Panels:
-    """Values at the n stages of the P panels, one row a frame."""
+    """Values at the n stages of the P panels."""
 
     width: Array  # (T, P)
     k: Array  # (T, P, n) N m
     free: Array  # (T, P, n) rad: q0 + m / k
     pull: Array  # (T, P, n, 2) N m: L times the force beyond
     lever: Array  # (T, P, n) 1/(N m): (1/EA - 1/kGA) / L
-    to_end: Array  # (n, n) integrals from the stages to the end of a panel of width one
-    whole: Array  # (n,) integral over it
+    to_end: Array  # (n, n) integrals from stages to the panel's end, unit width
+    whole: Array  # (n,) integral over the panel
 
 
 @dataclass(frozen=True)
 class _March:
-    """The state at the clamp, one row a sample."""
+    """State at the clamp per sample."""
 
-    base: Array  # (S,) rad, the angle
-    slope: Array  # (S,) its derivative with the angle at the free end
-    conjugate: IntArray  # (S,) conjugate points on the way
+    base: Array  # (S,) rad
+    slope: Array  # (S,) dA/da
+    conjugate: IntArray  # (S,) number of conjugate points
     q: Array  # (S, Q) rad, curvature at the nodes
 
 
 @dataclass(frozen=True)
 class _Intervals:
-    """Between neighbouring samples of the angle at the free end."""
+    """Between neighbouring angles of the free end."""
 
     frame: IntArray  # (S,)
     a: Array  # (S, 2) rad, at the free end
@@ -90,12 +89,12 @@ class _Intervals:
 
 
 def stable_equilibria(problem: Problem) -> tuple[Array, IntArray]:
-    """Curvatures (E, Q) [rad] of all stable equilibria of a batch under dead loads, and of which frame (E,) each is.
+    """Curvatures (E, Q) [rad] of all stable equilibria under dead loads, and their frames (E,), ordered by the angle of
+    the free end.
 
-    Those of a frame come in the order of the angle at the free end. Where the beam is like a long rope
-    (`int sqrt(L N / k) ds` above 30) its end hardly tells of its base in double precision, and some may be missed.
+    For rope-like beams (`int sqrt(L N / k) ds` above 30) double precision may miss some.
 
-    Raises `MechanicsError`: follower loads, under which the force beyond a place hangs on the shape.
+    Raises `MechanicsError`: follower loads.
     """
     if problem.follower.shape[1]:
         raise MechanicsError("follower loads are not taken: give dead forces")
@@ -141,11 +140,11 @@ def _panels(problem: Problem) -> _Panels:
 
 
 def _march(panels: _Panels, frame: IntArray, a: Array) -> _March:
-    """From angles a (S,) at the free end, each with the loads of its frame (S,)."""
+    """From angles a (S,) at the free end, under the loads of frames (S,)."""
     count, (steps, n), c = len(a), panels.k.shape[1:], panels.to_end
     q = np.empty((count, steps, n))
-    alpha, inner = a[:, None], np.zeros((count, 1))  # angle and I at the end of the panel
-    by_alpha, by_inner = np.ones((count, 1)), np.zeros((count, 1))  # their derivatives with a
+    alpha, inner = a[:, None], np.zeros((count, 1))  # angle and I at the panel's end
+    by_alpha, by_inner = np.ones((count, 1)), np.zeros((count, 1))  # derivatives by a
     turns = np.empty((count, steps, n))  # y
     bent = panels.free[frame, -1, -1:]
     for p in range(steps - 1, -1, -1):
@@ -172,7 +171,7 @@ def _march(panels: _Panels, frame: IntArray, a: Array) -> _March:
 
 
 def _work(panels: _Panels, frame: IntArray, p: int, alpha: Array) -> tuple[Array, Array]:
-    """(S, n) N m each: dW/dalpha and its derivative, at the stages of panel p."""
+    """(S, n) N m each: dW/dalpha and its derivative at the stages of panel p."""
     cos, sin = np.cos(alpha), np.sin(alpha)
     x, y, lever = panels.pull[frame, p, :, 0], panels.pull[frame, p, :, 1], panels.lever[frame, p]
     along, across = x * cos + y * sin, y * cos - x * sin
@@ -180,10 +179,10 @@ def _work(panels: _Panels, frame: IntArray, p: int, alpha: Array) -> tuple[Array
 
 
 def _sampled(panels: _Panels) -> _Intervals:
-    """A full turn of the free end of every frame about the pull there, finer where A changes fast.
+    """A full turn of the free end of every frame about the pull there, refined where A changes fast.
 
-    A rope's free end lies along that pull in all its stable equilibria, but for very little. Where a place is past two
-    conjugate points or more on both sides there are none, however fast A changes.
+    The free end of a rope nearly lies along that pull in all stable equilibria. Intervals with two or more conjugate
+    points at both ends contain none.
     """
     frames, pull = np.arange(len(panels.k)), panels.pull[:, -1, -1]
     places = np.arctan2(pull[:, 1], pull[:, 0])[:, None] + np.linspace(-np.pi, np.pi, _SAMPLES + 1)
@@ -216,12 +215,12 @@ def _joined(parts: list[_Intervals]) -> _Intervals:
 
 
 def _level(base: Array, goal: Array) -> Array:
-    """The goals, full turns apart, counted up to an angle."""
+    """The goals, full turns apart, up to an angle."""
     return np.floor((base - goal) / (2.0 * np.pi))
 
 
 def _with_turning_points(panels: _Panels, intervals: _Intervals, goal: Array) -> _Intervals:
-    """Those in which A turns near a goal, with neither end beyond it, are split where it does."""
+    """Splits intervals in which A turns near a goal."""
     (left, right), to = intervals.slope.T, goal[intervals.frame]
     levels = _level(intervals.base, to[:, None])
     near = np.max(np.abs(_level(intervals.base + _BENT, to[:, None]) - _level(intervals.base - _BENT, to[:, None])), 1)
@@ -238,8 +237,7 @@ def _with_turning_points(panels: _Panels, intervals: _Intervals, goal: Array) ->
 
 
 def _roots(panels: _Panels, intervals: _Intervals, goal: Array) -> tuple[IntArray, Array]:
-    """Frames (E,) and curvatures (E, Q) where A rises through a goal, with no conjugate point before: Newton's method
-    between the ends of intervals."""
+    """Frames (E,) and curvatures (E, Q) where A rises through a goal without conjugate points, by Newton's method."""
     levels = _level(intervals.base, goal[intervals.frame, None])
     found = intervals.take((levels[:, 1] > levels[:, 0]) & (np.min(intervals.conjugate, axis=1) == 0))
     frame, (low, high) = found.frame, found.a.T.copy()
@@ -261,26 +259,21 @@ def _roots(panels: _Panels, intervals: _Intervals, goal: Array) -> tuple[IntArra
     return frame, q
 
 
-# A beam with a free end, led slowly from one setting of its loads to another: while its base is turned, say.
-#
-# The beam stays on its branch of equilibria as long as that is stable. Where it ends (a fold) the beam falls, the
-# setting a little beyond, to where it stands (`snap_through.py`), and is led on from there: so the way back can lead
-# elsewhere.
+# A beam with a free end under slowly changing loads, as when its base is turned. It stays on its branch while that is
+# stable. At a fold it falls, slightly beyond, and continues from there; so the way back can lead elsewhere.
 
 Way = Callable[[IntArray, Array], Problem]  # frames, share of the way (F,) -> their problem there
 
-_LARGEST_TURN = 0.3  # rad, the largest turn that one step may take
-_FIRST = 0.1  # share of the way
-_SHORTEST = 1e-7  # share of the way: where no step above this keeps the beam stable, it falls
-_BEYOND = 1e-4  # share of the way by which the setting goes past a fold while the beam falls
+_LARGEST_TURN = 0.3  # rad, largest turn of a step
+_FIRST = 0.1  # first step, as a share of the way
+_SHORTEST = 1e-7  # shortest step; without stability there the beam falls
+_BEYOND = 1e-4  # share of the way past a fold at which the beam falls
 _MOST_FALLS = 50
 
 
 def lead(way: Way, start: Array) -> tuple[Array, BoolArray, IntArray]:
-    """From stable shapes `start` (T, Q) [rad] at the beginning of the way to its end.
-
-    Returns the shapes there, True where they stand in stable equilibrium, and how often each frame fell on the way.
-    """
+    """From stable shapes `start` (T, Q) [rad] to the end of the way: shapes, (T,) whether they are stable equilibria,
+    and the number of falls."""
     q, done, step = start.copy(), np.zeros(len(start)), np.full(len(start), _FIRST)
     falls, lost = np.zeros(len(start), dtype=np.int64), np.zeros(len(start), dtype=bool)
     while True:
@@ -303,17 +296,15 @@ def lead(way: Way, start: Array) -> tuple[Array, BoolArray, IntArray]:
 
 
 def turned_loads(problem: Problem, angle: Array) -> Problem:
-    """With all dead forces turned by `angle` (T,) [rad]: what a base that is turned the other way makes of weights."""
+    """With dead forces turned by `angle` (T,) [rad], as weights on a base turned the other way."""
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, y = problem.dead_force[..., 0], problem.dead_force[..., 1]
     return replace(problem, dead_force=np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1))
 
 
 def turn_into(problem: Problem, start: Array, turned: Array) -> tuple[Array, BoolArray, IntArray]:
-    """As `lead`, while the base turns by `turned` (T,) [rad] into the setting of `problem`, its loads kept in the room.
-
-    `start` (T, Q): stable shapes before the turn, `turned_loads(problem, turned)`.
-    """
+    """As `lead`, while the base turns by `turned` (T,) [rad] into the setting of `problem`, loads fixed in the room;
+    `start` (T, Q) is stable under `turned_loads(problem, turned)`."""
 
     def way(frames: IntArray, share: Array) -> Problem:
         return turned_loads(problem.take(frames), (1.0 - share) * turned[frames])

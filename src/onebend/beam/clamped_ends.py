@@ -1,4 +1,4 @@
-"""A beam held at both ends: the pose of s = 1 is given, the wrench there is unknown."""
+"""A beam held at both ends: the pose of s = 1 is given, the wrench there unknown."""
 
 from __future__ import annotations
 
@@ -25,20 +25,19 @@ from onebend.beam.statics import (
 )
 from onebend.records import Array, BoolArray, IntArray
 
-# With the wrench (F, M) as multipliers of the end's pose the conditions are `g(q) = C^T (F, M)` and `c(q) = pose`,
-# where `c(q) = (x, y, alpha)` of the end and C its derivative: Newton's method on both together (a bordered system).
-# The equilibrium stands if the second variation is positive on all changes of shape that leave the end where it is.
+# The wrench (F, M) is the multiplier of the end's pose: `g(q) = C^T (F, M)`, `c(q) = (x, y, alpha) = pose`, C the
+# derivative of c. Newton's method solves both (bordered system). The equilibrium is stable if the second variation is
+# positive on changes that keep the end.
 #
-# Where the beam stretches and shears, the wrench also strains it: the balance is that under the wrench as a dead load.
-# With D = dc/dF at fixed q the step's matrix is `[T, -C^T; C, D]`, and the equilibrium stands if `[T, C^T; C, -D]` has
-# three negative eigenvalues, one for each condition.
+# With stretch and shear the wrench also strains the beam. With D = dc/dF at fixed q the step's matrix is
+# `[T, -C^T; C, D]`, and the equilibrium is stable if `[T, C^T; C, -D]` has three negative eigenvalues.
 
 _TOLERANCE = 1e-11  # of the last update, as an angle
-_FLAT = 1e-3  # least curvature of the energy assumed in a descent, as a share of the bending stiffness
+_FLAT = 1e-3  # least curvature of the energy in a descent, over the bending stiffness
 
 
 def end_pose(problem: Problem, q: Array) -> Array:
-    """(T, 3) x, y, angle of the end s = 1, under the problem's loads."""
+    """(T, 3) x, y, angle of s = 1."""
     lw, slope = problem.length * problem.weights, centreline_slope(problem, q)
     x, y = np.sum(lw * slope[..., 0], axis=-1), np.sum(lw * slope[..., 1], axis=-1)
     angle = np.sum(problem.weights * q, axis=-1) + np.ravel(problem.alpha0)
@@ -46,7 +45,7 @@ def end_pose(problem: Problem, q: Array) -> Array:
 
 
 def end_jacobian(problem: Problem, q: Array) -> Array:
-    """(T, 3, Q) derivative of the end's pose with the curvature at the nodes."""
+    """(T, 3, Q) derivative of the end's pose by the curvature."""
     lw, ways = problem.length * problem.weights, nodal_forces(problem, q).lever
     turning = np.stack([lw * ways[..., 0], lw * ways[..., 1]], axis=-2)
     angle = np.broadcast_to(problem.weights, q.shape)[:, None, :]
@@ -54,12 +53,12 @@ def end_jacobian(problem: Problem, q: Array) -> Array:
 
 
 def second_variation(problem: Problem, q: Array, wrench: Array) -> Array:
-    """(T, Q, Q) tangent under the wrench as a dead load."""
+    """(T, Q, Q) tangent with the wrench as a dead load."""
     return tangent(with_end_wrench(problem, wrench), q)
 
 
 def with_end_wrench(problem: Problem, wrench: Array) -> Problem:
-    """With a force and a moment (T, 3) N, N, N m more at the end."""
+    """With an additional force and moment (T, 3) N, N, N m at the end."""
     return replace(
         problem,
         dead_force=problem.dead_force + wrench[:, None, :2],
@@ -70,7 +69,7 @@ def with_end_wrench(problem: Problem, wrench: Array) -> Problem:
 def newton(
     problem: Problem, start: Array, wrench: Array, goal: Array, *, trust: float, max_iterations: int = 12
 ) -> tuple[Array, Array, BoolArray]:
-    """Shape and wrench by Newton's method; True where it settled without turning by more than `trust` on the way."""
+    """Shape and wrench, and whether Newton's method converged within a turn of `trust`."""
     q, w, nodes = start.copy(), wrench.copy(), start.shape[1]
     settled, strayed = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
     for _ in range(max_iterations):
@@ -89,7 +88,6 @@ def newton(
 
 
 def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Array:
-    """(T, Q + 3): Newton's step of shape and wrench."""
     loaded, nodes = with_end_wrench(problem, wrench), q.shape[1]
     system, c = np.zeros((len(q), nodes + 3, nodes + 3)), end_jacobian(loaded, q)
     system[:, :nodes, :nodes], system[:, :nodes, nodes:] = tangent(loaded, q), -transposed(c)
@@ -98,7 +96,7 @@ def _bordered_step(problem: Problem, q: Array, wrench: Array, goal: Array) -> Ar
 
 
 def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
-    """(T,) whether the second variation is positive on all changes of shape that leave both ends where they are."""
+    """(T,) whether the second variation is positive on changes that keep both ends."""
     if len(q) == 0:
         return np.zeros(0, dtype=bool)
     scale = problem.unbend
@@ -111,7 +109,7 @@ def stands(problem: Problem, q: Array, wrench: Array) -> BoolArray:
 
 
 def _stands_strained(loaded: Problem, q: Array, scale: Array) -> BoolArray:
-    """(T,) the same where the beam stretches and shears, from the number of negative eigenvalues."""
+    """The same with stretch and shear, by counting negative eigenvalues."""
     nodes, c = q.shape[1], end_jacobian(loaded, q) * scale[:, None, :]
     root = np.sqrt(np.sum(np.broadcast_to(loaded.weights * loaded.k, q.shape), axis=-1, keepdims=True))
     unit = root * np.concatenate([1.0 / (loaded.length * np.ones((len(q), 2))), np.ones((len(q), 1))], axis=1)
@@ -124,7 +122,7 @@ def _stands_strained(loaded: Problem, q: Array, scale: Array) -> BoolArray:
 
 
 def _pose_by_wrench(loaded: Problem, q: Array) -> Array:
-    """(T, 3, 3) of the end's pose with the wrench at fixed q: what it strains."""
+    """(T, 3, 3) of the end's pose by the wrench at fixed q."""
     out = np.zeros((len(q), 3, 3))
     if loaded.compliance is None:
         return out
@@ -134,10 +132,8 @@ def _pose_by_wrench(loaded: Problem, q: Array) -> Array:
 
 
 def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArray]:
-    """Without strain: shapes near `start` with the end at `goal`, by Gauss-Newton steps of least `int dq^2`.
-
-    True where the goal was reached.
-    """
+    """Without strain: shapes near `start` with the end at `goal`, by Gauss-Newton steps of least `int dq^2`, and
+    whether they reached it."""
     q = start.copy()
     weights = np.broadcast_to(problem.weights, q.shape)[:, None, :]
     for _ in range(60):
@@ -152,11 +148,8 @@ def restore(problem: Problem, start: Array, goal: Array) -> tuple[Array, BoolArr
 
 
 def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array] | None:
-    """One frame, without strain: down the energy, the end at its pose all the way, to where the beam stands.
-
-    Newton's steps on the free directions with the second variation made positive, shortened until the energy falls.
-    Returns shape and wrench; None where no stable equilibrium was reached.
-    """
+    """One frame without strain: descends the energy with the end fixed, by shortened Newton steps. Returns shape and
+    wrench, or None."""
     q, there = restore(problem, start, goal)
     if not there[0]:
         return None
@@ -179,7 +172,7 @@ def let_down(problem: Problem, start: Array, goal: Array) -> tuple[Array, Array]
 
 
 def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
-    """One frame: a step along the free directions, the wrench that balances the rest, whether the energy is convex."""
+    """One frame: a step along the free directions, the balancing wrench, whether the energy is convex."""
     scale = np.broadcast_to(problem.unbend, q.shape)[0]
     c = end_jacobian(problem, q)[0] * scale
     free = np.linalg.qr(c.T, mode="complete")[0][:, 3:]
@@ -187,29 +180,29 @@ def _way_down(problem: Problem, q: Array) -> tuple[Array, Array, bool]:
     wrench = np.linalg.lstsq(c.T, slope, rcond=None)[0][None]
     second = second_variation(problem, q, wrench)[0] * scale[:, None] * scale
     values, vectors = np.linalg.eigh(free.T @ second @ free)
-    modes = free @ vectors * scale[:, None]  # (Q, Q - 3) as curvature
+    modes = free @ vectors * scale[:, None]  # (Q, Q - 3) curvature
     amplitude = (free @ vectors).T @ slope
     down = -amplitude / np.maximum(np.abs(values), _FLAT)
     falling = values < 0.0
-    # At a perfect bifurcation the slope has no part along the unstable direction: to the left then.
+    # At a perfect bifurcation: to the left.
     left = to_the_left(problem, q, modes[None])[0]
     down = np.where(falling & (np.abs(down) < 1e-4), 1e-4 * left, down)
     return (modes @ down)[None], wrench, not np.any(falling)
 
 
-_LARGEST_TURN = 0.4  # rad, the largest turn that one step may take
-_SHORTEST = 1e-5  # share of the way: where no step above this keeps the beam stable, it snaps
+_LARGEST_TURN = 0.4  # rad, largest turn of a step
+_SHORTEST = 1e-5  # share of the way: shortest stable step before a snap
 
-Homotopy = Callable[[IntArray, Array], tuple[Problem, Array]]  # frames, share of the way -> problem and pose there
+Homotopy = Callable[[IntArray, Array], tuple[Problem, Array]]  # frames, share -> problem and pose
 
 
 def rigid(problem: Problem) -> Problem:
-    """The same beam without stretch and shear."""
+    """Without stretch and shear."""
     return problem if problem.compliance is None else replace(problem, section=None, stretch=None, shear=None)
 
 
 def let_strain(problem: Problem, q: Array, wrench: Array, goal: Array) -> tuple[Array, Array, BoolArray]:
-    """Shapes and wrenches (T, 3) of `rigid` beams as stretch and shear grow from nothing; True where they got there."""
+    """Shapes and wrenches (T, 3) of `rigid` beams as strain grows from zero, and whether they got there."""
     if problem.compliance is None:
         return q, wrench, np.ones(len(q), dtype=bool)
 
@@ -221,7 +214,7 @@ def let_strain(problem: Problem, q: Array, wrench: Array, goal: Array) -> tuple[
 
 
 def release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, Array]:
-    """From `begin` as a stress-free shape over to the true rest curvature and loads, the end held at `goal`."""
+    """From `begin` as stress-free shape to the true rest curvature and loads, the end at `goal`."""
 
     def partly(frames: IntArray, share: Array) -> tuple[Problem, Array]:
         part, f = problem.take(frames), share[:, None]
@@ -237,10 +230,7 @@ def release(problem: Problem, begin: Array, goal: Array) -> tuple[Array, Array, 
 
 
 def follow_homotopy(homotopy: Homotopy, start: Array, wrench: Array) -> tuple[Array, Array, Array]:
-    """Stable equilibria (T, Q) and their wrench (T, 3) while a setting goes over to its end; the share (T,) reached.
-
-    A step counts if Newton's method settled within `_TRUST` and the second variation stayed positive on the way.
-    """
+    """Stable equilibria (T, Q) and wrenches (T, 3) along the homotopy, and the share (T,) reached."""
     q, w = start.copy(), wrench.copy()
     done, step = np.zeros(len(q)), np.full(len(q), 0.25)
     while True:
@@ -255,15 +245,15 @@ def follow_homotopy(homotopy: Homotopy, start: Array, wrench: Array) -> tuple[Ar
         step[todo] = np.where(near, 2.0, 0.25) * step[todo]
 
 
-_SAME_EQUILIBRIUM = 0.7  # rad, the largest turn from the known shape that is still the same equilibrium
+_SAME_EQUILIBRIUM = 0.7  # rad, largest turn within one equilibrium
 _MAX_ITERATIONS = 25
 
 
 def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tuple[Equilibrium, Array]:
-    """Equilibria near shapes `start` (T, Q) with the end s = 1 at `end` (T, 3) m, m, rad, and the wrench there (T, 3).
+    """Equilibria near shapes `start` (T, Q) with the end s = 1 at `end` (T, 3) m, m, rad, and the wrench (T, 3).
 
-    The equilibria are those of the problem under that wrench as a dead load (`under`), so that their derivatives are
-    those of any others. With `fall` a start may be far off balance; without it such a frame has not converged.
+    They are those of the problem with that wrench as a dead load (`under`), as are their derivatives. With `fall` a
+    start may be far from balance.
     """
     wrench = balancing_wrench(rigid(problem), start)
     q, w, near = newton(problem, start, wrench, end, trust=_SAME_EQUILIBRIUM, max_iterations=_MAX_ITERATIONS)
@@ -276,7 +266,7 @@ def hold_near(problem: Problem, start: Array, end: Array, *, fall: bool) -> tupl
 
 
 def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, BoolArray]:
-    """From shapes (T, Q) as if free of stress to the true rest and loads, or down the energy; strains last."""
+    """From shapes (T, Q) as stress-free to the true rest and loads, or down the energy; strains last."""
     plain = rigid(problem)
     begin, there = restore(plain, start, end)
     q, w, share = release(plain, begin, end)
@@ -290,7 +280,7 @@ def _let_go(problem: Problem, start: Array, end: Array) -> tuple[Array, Array, B
 
 
 def balancing_wrench(problem: Problem, q: Array) -> Array:
-    """(T, 3) the wrench at the end that brings shapes (T, Q) nearest to balance, in the norm of the bending energy."""
+    """(T, 3) end wrench that balances shapes (T, Q) best, in the norm of the bending energy."""
     scale = np.broadcast_to(problem.unbend, q.shape)
     c = end_jacobian(problem, q) * scale[:, None, :]
     return solve_batch(c @ transposed(c), apply(c, gradient(problem, q) * scale))

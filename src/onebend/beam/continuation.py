@@ -1,14 +1,14 @@
-"""Equilibrium by continuation in the load, without steps where the loads all push to one side, and falls.
+"""Equilibrium by continuation in the load, directly where all loads push to one side, and falls.
 
-With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the tangent at rest, counted to
-the side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of dead forces is
+With `gamma = alpha - alpha_rest`, N the force beyond s, phi in (0, pi) its angle with the rest tangent, counted to the
+side to which it pushes, and eps = (1/EA - 1/kGA) N, the balance of dead forces is
 
     -(k gamma')' = f(s, gamma) = L N sin(phi - gamma) (1 + eps cos(phi - gamma)),   gamma(0) = gamma'(1) = 0.
 
-Where phi is in (0, pi) all along the beam, `0 < gamma <= max phi` on the branch that grows from rest (maximum
-principle). Where also f / gamma falls with gamma in that range, there is one solution in it, it is stable (Brezis and
-Oswald 1986), and it is the branch's. f / gamma falls for gamma up to phi as long as |eps| is below 1/5, and beyond, up
-to max phi = phi + d, where `(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
+If phi is in (0, pi) everywhere, `0 < gamma <= max phi` on the branch from rest (maximum principle). If f / gamma also
+falls with gamma in this range, it contains one solution, which is stable (Brezis and Oswald 1986) and on that branch. f
+/ gamma falls for gamma up to phi if |eps| < 1/5, and beyond, up to max phi = phi + d, if
+`(phi + d) (cos d - |eps|) > sin d (1 + |eps|)`.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ from onebend.beam.statics import (
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
-_AXIAL = 1e-9  # share of a force: one that pushes less to a side is along the beam
-_MOST_STRAIN = 0.2  # of |eps|
-_OUTSIDE = 1e-9  # rad, by which an angle may leave the range
-_FARTHEST_FROM_LINEAR = 1.0  # rad, from the start to the equilibrium
+_AXIAL = 1e-9  # share of a force across the beam, below which it is axial
+_MOST_STRAIN = 0.2  # largest |eps|
+_OUTSIDE = 1e-9  # rad, tolerance of the range
+_FARTHEST_FROM_LINEAR = 1.0  # rad, largest turn from the start to the equilibrium
 
 
 def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
-    """Frames (n,) whose loads all push to one side, phi (n, Q) rad with the sign of that side, and L w N (n, Q) N m."""
+    """Frames (n,) whose loads all push to one side, phi (n, Q) rad with the sign of that side, L w N (n, Q) N m."""
     pull = np.zeros((0, problem.to_nodes.shape[-2]))
     if problem.follower.shape[1] or problem.size == 0:
         return np.zeros(0, dtype=np.int64), pull, pull
@@ -78,7 +78,7 @@ def on_one_side(problem: Problem) -> tuple[IntArray, Array, Array]:
 
 
 def at_once(problem: Problem, tolerance: float, corrections: int) -> tuple[IntArray, Array, int]:
-    """Frames (n,) on one side that were reached, their equilibria (n, Q), and the number of iterations."""
+    """Frames (n,) on one side that were solved, their equilibria (n, Q), and the number of iterations."""
     frames, phi, pull = on_one_side(problem)
     if frames.size == 0:
         return frames, np.zeros((0, problem.to_nodes.shape[-1])), 0
@@ -94,18 +94,18 @@ def at_once(problem: Problem, tolerance: float, corrections: int) -> tuple[IntAr
 
 
 def _within(problem: Problem, q: Array, phi: Array, pull: Array) -> BoolArray:
-    """(n,) whether the beam is bent to the side of its loads, and no further than they point."""
+    """(n,) whether gamma is in its range."""
     turned = np.sign(np.sum(phi * pull, axis=-1, keepdims=True)) * apply(problem.to_nodes, q - problem.q0)
     farthest = np.max(np.abs(phi) * (pull > 0.0), axis=-1)
     return np.asarray((np.min(turned, axis=-1) > -_OUTSIDE) & (np.max(turned, axis=-1) < farthest + _OUTSIDE))
 
 
-# How the branch goes on as all loads grow: derivatives of the equilibrium with the load factor.
+# Derivatives of the equilibrium by the load factor.
 
 
 def by_load(problem: Problem, q: Array, factor: Array) -> Array:
-    """(T, Q) minus the derivative of the gradient with the load factor, in which it is linear, or quadratic where
-    the beam stretches or shears: a difference over 1 is then exact."""
+    """(T, Q) minus the gradient's derivative by the load factor. The gradient is at most quadratic in it, so a
+    difference over 1 is exact."""
     if problem.compliance is None:
         across = nodal_forces(problem, q).across
         return problem.couple + apply(transposed(problem.to_nodes), across)
@@ -113,7 +113,7 @@ def by_load(problem: Problem, q: Array, factor: Array) -> Array:
 
 
 def terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Array]:
-    """Terms of second and third order in the load, from the balance differentiated at no load (dead forces only)."""
+    """Terms of second and third order in the load at no load (dead forces)."""
     if problem.follower.shape[1]:
         return np.zeros_like(q), np.zeros_like(q)
     plain = problem if problem.compliance is None else replace(problem, section=None, stretch=None, shear=None)
@@ -130,20 +130,20 @@ def terms_at_rest(problem: Problem, q: Array, slope: Array) -> tuple[Array, Arra
     return second / 2.0, third / 6.0
 
 
-# Many nodes and few unknowns (Ritz): a k(s) with many knots needs many nodes, the moment under it does not. Equilibrium
-# is sought first in the curvatures `q0 + M / k` with M a polynomial between loads. The rest is removed on all nodes by
+# Few unknowns (Ritz) for many nodes: a k(s) with many knots needs many nodes, its moment does not. First solve in the
+# curvatures `q0 + M / k`, with M polynomial between loads. Then correct on all nodes by
 #
 #     dq = R T_n^-1 R^T g + (1 - R R^T S) S^-1 g,        S = diag(w k),
 #
-# R the basis, orthonormal in S, and T_n = R^T T R its tangent: T - S is compact and acts on smooth parts of g alone.
+# R the basis, orthonormal in S, T_n = R^T T R its tangent. T - S is compact and acts only on smooth parts of g.
 
-_REMAINING = 1e-12  # rad: turn that the iteration may leave
-_NEARBY = 1e-2  # rad, the farthest turn from where it begins
+_REMAINING = 1e-12  # rad, tolerance
+_NEARBY = 1e-2  # rad, largest turn from the start
 _MOST = 12  # iterations
 
 
 def in_basis(problem: Problem, basis: MomentBasis) -> Problem:
-    """The same beam and loads, the unknowns the coefficients of the basis."""
+    """The problem in coefficients of the basis."""
     return replace(
         problem,
         to_nodes=basis.turned,
@@ -154,14 +154,14 @@ def in_basis(problem: Problem, basis: MomentBasis) -> Problem:
 
 
 def on_grid(solved: Equilibrium, problem: Problem, basis: MomentBasis) -> Array:
-    """(T, n) coefficients in the basis, of shapes of the same beam on another grid."""
+    """(T, n) coefficients of shapes of the same beam on another grid."""
     q = solved.q if solved.problem.modes is None else solved.q @ solved.problem.modes.T
     rows = transposed(solved.problem.grid.value_at(problem.grid.nodes))
     return np.asarray(q @ (rows @ (problem.stiff[:, None] * basis.modes)))
 
 
 def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[Array, BoolArray]:
-    """(T, Q) equilibria near those found in the basis, coefficients (T, n); True where one was reached nearby."""
+    """(T, Q) equilibria near coefficients (T, n), and (T,) whether one was reached nearby."""
     begin = coefficients @ basis.modes.T
     q = begin.copy()
     forces, before = nodal_forces(problem, q), np.zeros(len(q))
@@ -173,7 +173,7 @@ def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[A
         update = off / problem.stiff + (solve_batch(matrices, within) - within) @ basis.modes.T
         here = here - update
         size = np.max(np.abs(apply(part.to_nodes, update)), axis=-1)
-        share = np.divide(size, before, out=np.ones_like(size), where=before > 0.0)  # of the update before
+        share = np.divide(size, before, out=np.ones_like(size), where=before > 0.0)  # of the previous update
         done = size * np.minimum(share, 1.0) < _REMAINING
         q[todo], near[todo] = here, done
         going = np.flatnonzero(~done & ((before == 0.0) | (share < 0.5)))
@@ -187,27 +187,27 @@ def settle(problem: Problem, basis: MomentBasis, coefficients: Array) -> tuple[A
     return q, near & (np.max(np.abs(apply(problem.to_nodes, q - begin)), axis=-1) < _NEARBY)
 
 
-# Falling from an unstable shape: `w k q' = -g(q)`, a fall so strongly damped that nothing swings. Under dead loads it
-# goes down the potential. Its steps are implicit, `(T + sigma w k) dq = -g` with sigma as small as keeps the matrix
-# positive, bounded in turn, and must do work. Work is integrated along the step, `-int g . dq`; it needs no potential
-# and is exact where the potential changes by less than its rounding error.
+# Fall from an unstable shape: `w k q' = -g(q)`, strongly damped. Under dead loads it descends the potential. Steps
+# `(T + sigma w k) dq = -g` are implicit, with the smallest sigma that keeps the matrix positive, bounded in turn, and
+# must do work. The work `-int g . dq` needs no potential, and is accurate where the potential changes by less than
+# rounding.
 
 Side = Literal["left", "right"]
 
-_MAX_TURN = 0.3  # rad, the largest turn of a step
-_MIN_TURN = 1e-9  # rad, of a step that still does no work: the frame is given up
-_NUDGE = 1e-4  # rad, the turn that takes a beam out of an exact equilibrium
-_RESIDUAL_DECIDES = 1e-9  # share of the stiffness: an out-of-balance above it says by itself which way to fall
-_NEWTON_TURN = 1e-2  # rad, of a step: below it Newton's method is tried
-_MAX_STEPS = 400  # steps
+_MAX_TURN = 0.3  # rad, largest turn of a step
+_MIN_TURN = 1e-9  # rad, of a step without work: the frame fails
+_NUDGE = 1e-4  # rad, perturbation of an exact equilibrium
+_RESIDUAL_DECIDES = 1e-9  # share of the stiffness above which the residual decides the direction
+_NEWTON_TURN = 1e-2  # rad, turn of a step below which Newton's method is tried
+_MAX_STEPS = 400
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array, BoolArray]:
-    """From shapes `start` (T, Q) down to stable equilibria (T, Q); True where one was reached.
+    """Stable equilibria (T, Q) below shapes `start` (T, Q), and (T,) whether one was reached.
 
-    A shape in unstable equilibrium leaves it along its least stable mode: `side` says whether the beam sets out to its
-    left or to its right. From any other shape the loads decide. A stable shape stays where it is.
+    An unstable equilibrium is left along its least stable mode, to the beam's left or right as `side` says. Stable
+    shapes stay.
     """
     q = _nudged(problem, start, side)
     landed, given_up = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
@@ -231,7 +231,7 @@ def let_fall(problem: Problem, start: Array, side: Side = "left") -> tuple[Array
 
 
 def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
-    """(T, P) 1 or -1: the sign with which changes of curvature (T, Q, P) move the beam to its left, on average."""
+    """(T, P) 1 or -1: the sign with which curvatures (T, Q, P) move the beam to its left, on average."""
     alpha = node_angles(problem, q)[..., None]
     turned = problem.to_nodes @ modes
     x, y = -problem.to_nodes @ (np.sin(alpha) * turned), problem.to_nodes @ (np.cos(alpha) * turned)
@@ -242,13 +242,13 @@ def to_the_left(problem: Problem, q: Array, modes: Array) -> Array:
 
 
 def _nudged(problem: Problem, start: Array, side: Side) -> Array:
-    """A little off along the least stable mode: where the out-of-balance says, else to the side asked for."""
+    """Perturbed along the least stable mode: in the direction of the residual, else to `side`."""
     slope, matrices = balance(problem, start)
     scale = problem.unbend
     second = scaled(problem, matrices)
     _, vectors = np.linalg.eigh(0.5 * (second + transposed(second)))
     mode = scale * vectors[..., 0]
-    pull = -np.sum(slope * mode, axis=-1)  # along a mode of unit energy: in the root of N m
+    pull = -np.sum(slope * mode, axis=-1)  # along a mode of unit energy, root of N m
     stiffness = np.sqrt(np.sum(problem.weights * problem.k, axis=-1))
     asked = to_the_left(problem, start, mode[..., None])[:, 0] * (1.0 if side == "left" else -1.0)
     sign = np.where(np.abs(pull) > _RESIDUAL_DECIDES * stiffness, np.sign(pull), asked)
@@ -269,7 +269,7 @@ def _downhill(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
 
 
 def _work(problem: Problem, q: Array, step: Array) -> Array:
-    """(T,) N m that loads and bending do on the way from q to q + step."""
+    """(T,) N m, of loads and bending from q to q + step."""
     out = np.zeros(len(q))
     for point, weight in zip(_POINTS, _WEIGHTS, strict=True):
         here = gradient(problem, q + 0.5 * (point + 1.0) * step)
@@ -278,7 +278,7 @@ def _work(problem: Problem, q: Array, step: Array) -> Array:
 
 
 def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
-    """Newton's method from close by; True where it came to a stable equilibrium, shapes as they were elsewhere."""
+    """Newton's method from nearby: (T,) whether a stable equilibrium was reached, and the shapes."""
     full = np.ones(len(q))
     corrected, near, _ = correct(
         problem, q, full, trust=10.0 * _NEWTON_TURN * full, remaining=1e-13 * full, max_iterations=12
@@ -287,51 +287,49 @@ def _land(problem: Problem, q: Array) -> tuple[BoolArray, Array]:
     return near, np.where(near[:, None], corrected, q)
 
 
-# The equilibrium that grows from the rest shape while all loads grow together.
-#
-# Each load step is predicted from the branch so far and corrected by Newton's method. It counts only if the corrector
-# moved the shape by a small angle and the new shape is stable; otherwise it is shortened. Where no step keeps
-# stability, the branch has passed a bifurcation and is followed on, marked unstable. Where no step succeeds, the branch
-# turns back (a limit point). On request the beam falls from such a place to a stable equilibrium.
+# The equilibrium that grows from rest while all loads grow together. Each load step is predicted from the branch and
+# corrected by Newton's method. It is accepted if the correction is small and the shape stable, else shortened. Where no
+# step keeps stability, the branch passed a bifurcation and is followed as unstable. Where no step succeeds, it turns
+# back (limit point). With `fall` the beam then falls to a stable equilibrium.
 
 
 @dataclass(frozen=True)
 class ContinuationSettings:
-    """How the branch is followed. Angles in radians."""
+    """Angles in radians."""
 
-    max_turn: float = 0.7  # the largest predicted turn of a step
-    trust: float = 0.25  # the largest turn that the corrector may add to the prediction,
-    correction_share: float = 0.5  # and as a share of the predicted turn: next to a bifurcation two branches are close
-    least_correction: float = 1e-3  # which is allowed however small the prediction
-    corrections: int = 8  # Newton iterations a step
-    tolerance: float = 1e-13  # what Newton's method may leave of the way to equilibrium at the full load,
-    tolerance_on_the_way: float = 1e-9  # and before: next to a bifurcation the side is decided by tiny turns
-    min_step: float = 1e-9  # share of the load: a step below this has met the end of the branch
-    max_steps: int = 400  # steps
-    at_once: bool = True  # frames whose loads all push to one side (`one_sided.py`) without steps
+    max_turn: float = 0.7  # largest predicted turn of a step
+    trust: float = 0.25  # largest correction of the prediction
+    correction_share: float = 0.5  # and as a share of the predicted turn: near a bifurcation two branches are close
+    least_correction: float = 1e-3  # correction allowed in any case
+    corrections: int = 8  # Newton iterations per step
+    tolerance: float = 1e-13  # of Newton's method at the full load
+    tolerance_on_the_way: float = 1e-9  # before it: near a bifurcation tiny turns decide the side
+    min_step: float = 1e-9  # share of the load: a shorter step has met the end of the branch
+    max_steps: int = 400
+    at_once: bool = True  # no steps for frames whose loads all push to one side
 
 
 _PROBE_FRAMES = 4  # frames that decide the resolution of a batch
 _TIP = np.array([1.0])
-_ROUGHLY = 1e-6  # rad, of shapes from which `settle` goes on
+_ROUGHLY = 1e-6  # rad, accuracy of shapes for `settle`
 
-_HIGHER_ORDER_SHARE = 0.7  # share of the predicted turn that the terms beyond the slope may change
-_LOAD_OVERSHOOT = 1e-3  # share of the load by which it grows past the end of a branch while the beam falls
+_HIGHER_ORDER_SHARE = 0.7  # largest share of the predicted turn from higher-order terms
+_LOAD_OVERSHOOT = 1e-3  # share of the load by which it passes the end of a branch before the beam falls
 
 
 class _State:
-    """Where each frame of a batch stands on its branch. Lives only inside `follow`."""
+    """State of each frame on its branch, inside `follow`."""
 
     def __init__(self, rest: Array, size: int) -> None:
         self.q = rest
         self.factor, self.step = np.zeros(size), np.ones(size)
         self.buckled_at = np.full(size, np.nan)
-        self.lost = np.zeros(size, dtype=bool)  # the branch has no stable continuation here
+        self.lost = np.zeros(size, dtype=bool)  # no stable continuation
         self.fell = np.zeros(size, dtype=bool)
         self.slope, self.turn = np.zeros_like(rest), np.zeros(size)
         self.curl = np.zeros(size)
         self.second, self.third = np.zeros_like(rest), np.zeros_like(rest)
-        self.fresh = np.zeros(size, dtype=bool)  # whether slope, turn, second and third belong to `q`
+        self.fresh = np.zeros(size, dtype=bool)  # slope, turn, second and third belong to `q`
         self.q_before, self.factor_before = np.zeros_like(rest), np.full(size, np.nan)  # of the last step
         self.iterations = 0
 
@@ -345,16 +343,13 @@ def equilibrium(
     settings: ContinuationSettings = ContinuationSettings(),
     fall: Side | None = None,
 ) -> Equilibrium:
-    """Shapes of the beam under dead loads, on the branch that grows from its rest shape (8).
+    """Shapes under dead loads, on the branch that grows from rest (8).
 
-    Without a `resolution` the grid is refined until it carries the curvature of the most heavily loaded frames (their
-    angles then are good to 1e-9 rad) as it carries the beam's own, or a finer one moves their tips by less than
-    1e-11 L; measured tables of k(s), which are not smooth, stop at panels of 1/32, where the tip is good
-    to about 1e-8 L. The grid depends on the beam and these loads alone, not on what was solved before.
+    Without a `resolution` the grid is refined until it resolves the curvature of the most loaded frames (angles to 1e-9
+    rad), or until refinement moves their tips by less than 1e-11 L. Tables of k(s), which are not smooth, stop at
+    panels of 1/32 (tip to about 1e-8 L). The grid depends only on the beam and these loads. For `fall` see `follow`.
 
-    With `fall`, a beam that loses its branch falls to where it stands; see `follow`.
-
-    Raises `MechanicsError`: k(s) is not positive somewhere.
+    Raises `MechanicsError`: k(s) is not positive.
     """
     if resolution is not None:
         return follow(make_problem(beam, loads, resolution), settings=settings, fall=fall)
@@ -362,7 +357,7 @@ def equilibrium(
 
 
 def _on_fine_enough_grid(beam: Rod, loads: Loads, settings: ContinuationSettings, fall: Side | None) -> Equilibrium:
-    """On the coarsest grid that is fine enough for the few frames that bend the beam most."""
+    """Refines the grid for the few frames that bend most."""
     first, own = first_resolution(beam, loads)
     resolution, problem = first, make_problem(beam, loads, first)
     on_first, chosen, before = problem, _hardest(problem), None
@@ -392,8 +387,7 @@ def _solved(
     fall: Side | None,
     before: Equilibrium | None = None,
 ) -> Equilibrium:
-    """As `follow`; on many nodes in few unknowns, or from the same on a coarser grid, where that leads to a stable
-    equilibrium."""
+    """As `follow`; with few unknowns, or from a coarser grid, where that leads to a stable equilibrium."""
     if basis is None or fall is not None:
         return follow(problem, settings=settings, fall=fall)
     if before is None:
@@ -414,7 +408,7 @@ def _solved(
 
 
 def _hardest(problem: Problem) -> IntArray | None:
-    """The few frames with the largest loads; None for all of them."""
+    """The few frames with the largest loads; None for all."""
     if problem.size <= _PROBE_FRAMES:
         return None
     size = np.sqrt(np.max(np.sum(problem.dead_force**2, axis=-1), axis=1)) * float(problem.length)
@@ -427,8 +421,8 @@ def follow(
 ) -> Equilibrium:
     """Equilibria of a batch by load continuation from rest.
 
-    With `fall`, a frame whose branch loses stability or ends falls there to a stable equilibrium
-    (`snap_through.let_fall`; `fall` gives the side where the loads leave it open) and is followed on from there.
+    With `fall`, a frame whose branch loses stability or ends falls to a stable equilibrium (`let_fall`) and is followed
+    from there; `fall` gives the side where the loads do not decide it.
     """
     size = problem.size
     rest = np.broadcast_to(problem.q0, (size, problem.to_nodes.shape[-1])).copy()
@@ -466,19 +460,19 @@ def follow(
 
 
 def refine(problem: Problem, start: Array, *, settings: ContinuationSettings = ContinuationSettings()) -> Equilibrium:
-    """Equilibria near known shapes `start` (T, Q): Newton alone, and `follow` for the frames where it goes astray."""
+    """Equilibria near known shapes `start` (T, Q) by Newton's method, else by `follow`."""
     full = np.ones(problem.size)
     trust, remaining = settings.max_turn * full, settings.tolerance * full
     q, near, iterations = correct(
         problem, start, full, trust=trust, remaining=remaining, max_iterations=settings.corrections
     )
-    near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch: follow from rest instead
+    near &= is_stable(problem, q)  # an unstable neighbour may belong to another branch
     found, lost = found_near(problem, q, near, iterations), np.flatnonzero(~near)
     return found.put(lost, follow(problem.take(lost), settings=settings)) if lost.size else found
 
 
 def _advance(problem: Problem, state: _State, frames: IntArray, settings: ContinuationSettings) -> None:
-    """One load step of the frames that are under way: accepted frames move on, the others shorten their step."""
+    """One load step: accepted frames advance, the others shorten their step."""
     part = problem if frames.size == problem.size else problem.take(frames)
     q, factor = state.q[frames], state.factor[frames]
     _look_ahead(part, state, frames)
@@ -498,7 +492,7 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
         loses_stability = ~is_stable(part, corrected, target)
     elif np.any(guarded):
         loses_stability[guarded] = ~is_stable(part.take(guarded), corrected[guarded], target[guarded])
-    at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost however short the step
+    at_last = loses_stability & (step < 4.0 * settings.min_step)  # stability is lost at any step length
     first = at_last & np.isnan(state.buckled_at[frames])
     state.buckled_at[frames[first]] = target[first]
     state.lost[frames[at_last]] = True
@@ -512,7 +506,7 @@ def _advance(problem: Problem, state: _State, frames: IntArray, settings: Contin
 
 
 def _stride(state: _State, frames: IntArray, settings: ContinuationSettings) -> Array:
-    """(n,) share of the load by which the frames go on: as far as the branch can be told ahead."""
+    """(n,) load steps over which the prediction is reliable."""
     turn, curl = state.turn[frames], np.maximum(state.curl[frames], 1e-300)
     step = np.minimum(state.step[frames], settings.max_turn / np.maximum(turn, 1e-300))
     step = np.minimum(step, np.maximum(_HIGHER_ORDER_SHARE * turn, settings.least_correction) / curl)
@@ -520,7 +514,7 @@ def _stride(state: _State, frames: IntArray, settings: ContinuationSettings) -> 
 
 
 def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
-    """Slope of the branch with the load, and its next two terms, where a frame has moved since they were known."""
+    """Slope of the branch by the load, and its next two terms, for frames that moved."""
     stale = np.flatnonzero(~state.fresh[frames])
     if stale.size == 0:
         return
@@ -528,7 +522,7 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
     part = problem if stale.size == frames.size else problem.take(stale)
     q, factor = state.q[chosen], state.factor[chosen]
     right = by_load(part, q, factor)
-    if np.all(factor == 0.0):  # then the tangent is diagonal
+    if np.all(factor == 0.0):  # the tangent is diagonal
         slope = right / part.stiff
         second, third = terms_at_rest(part, q, slope)
     else:
@@ -541,7 +535,7 @@ def _look_ahead(problem: Problem, state: _State, frames: IntArray) -> None:
 
 
 def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array, Array]:
-    """The same of the cubic through the last two places on the branch and the slopes there; 0 where there is one."""
+    """The same two terms from the cubic through the last two points and slopes; 0 if there is one point."""
     h = (state.factor[frames] - state.factor_before[frames])[:, None]
     with np.errstate(invalid="ignore"):
         mean, before = (state.q[frames] - state.q_before[frames]) / h, state.slope[frames]
@@ -550,9 +544,9 @@ def _terms_behind(state: _State, frames: IntArray, slope: Array) -> tuple[Array,
 
 
 def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -> Array:
-    """(T, Q) where the branch is a step ahead: along its slope, bent as it was so far if that changes little."""
+    """(T, Q) prediction along the slope, with higher terms if they change little."""
     t = step[:, None]
-    with np.errstate(invalid="ignore", over="ignore"):  # after a very short step the cubic is none: NaN is not little
+    with np.errstate(invalid="ignore", over="ignore"):  # after a very short step the cubic is NaN
         bent = t**2 * (state.second[frames] + t * state.third[frames])
     turn = np.max(np.abs(apply(problem.to_nodes, bent)), axis=-1)
     little = turn < _HIGHER_ORDER_SHARE * step * state.turn[frames]
@@ -560,7 +554,7 @@ def _predicted(problem: Problem, state: _State, frames: IntArray, step: Array) -
 
 
 def _fall(problem: Problem, state: _State, frames: IntArray, side: Side) -> None:
-    """Frames that have lost their branch fall, the load a little beyond, to another; or end where they are."""
+    """Frames off their branch fall under a slightly larger load, or end."""
     if frames.size == 0:
         return
     beyond = np.minimum(1.0, (1.0 + _LOAD_OVERSHOOT) * state.factor[frames])

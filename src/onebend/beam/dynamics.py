@@ -1,7 +1,7 @@
 """The equation of motion (7) in curvature coordinates, on Gauss panels.
 
-The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`, so that theta0 = 0. With `alpha = rest + A theta` at the
-nodes and the velocity `v = L int u' alpha'` the kinetic energy is
+The curvature is `q(s, t) = q0(s) + sum_i theta_i(t) phi_i(s)`. With `alpha = rest + A theta` at the nodes and the
+velocity `v = L int u' alpha'`:
 
     T = 1/2 sum_ij H_ij cos(alpha_i - alpha_j) alpha'_i alpha'_j + 1/2 sum_i D_i alpha'_i^2
     H = L^3 R^T diag(w mu) R,   D = w L iota                                    (R integrates from the base to a node)
@@ -9,8 +9,7 @@ nodes and the velocity `v = L int u' alpha'` the kinetic energy is
     B = A^T (H o cos(alpha_i - alpha_j) + diag D) A,   K = int k phi phi^T,   D_theta = int d phi phi^T
     C = A^T (H o sin(alpha_i - alpha_j)) diag(alpha') A,   G = -L^2 A^T (R^T (w mu) o u'.g)
 
-Assumed: the beam is inextensible, does not shear, is linear-elastic with Kelvin-Voigt damping, and the centre of mass
-of every section lies on the line that `r(s)` follows.
+The beam neither stretches nor shears and is linear-elastic with Kelvin-Voigt damping; centres of mass lie on r(s).
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ _NONE = Uniform(0.0)
 
 @dataclass(frozen=True)
 class Body:
-    """A beam tabulated for motion: n coordinates, Q nodes. Make one with `body`."""
+    """See `body`: n coordinates, Q nodes."""
 
     length: float  # L, m
     grid: Grid
     curvature: Array  # (Q, n): phi_i at the nodes
-    to_angle: Array  # (Q, n): A, the integral of phi_i up to the nodes
+    to_angle: Array  # (Q, n): A
     rest_curvature: Array  # (Q,) rad: q0
-    rest_angle: Array  # (Q,) rad: alpha at theta = 0 with the base as it is clamped
+    rest_angle: Array  # (Q,) rad: alpha at theta = 0
     clamp_angle: float  # rad
     carried: Array  # (Q, Q) kg m^2: H
     lever: Array  # (Q,) kg m
@@ -50,21 +49,20 @@ class Body:
 
     @property
     def n(self) -> int:
-        """Number of coordinates."""
         return int(self.to_angle.shape[1])
 
     def to_places(self, s: Array) -> Array:
-        """(S, n): a_i(s), d alpha(s) / d theta_i."""
+        """(S, n)."""
         return np.asarray(self.grid.integral_to(np.asarray(s, dtype=float)) @ self.curvature)
 
     def angle(self, s: Array, theta: Array, base_angle: Array | float = 0.0) -> Array:
-        """(T, S) rad, the tangent's angle for states (T, n), base turned by `base_angle` () or (T,). Equation (3)."""
+        """(T, S) rad for states (T, n), base turned by `base_angle` () or (T,). Equation (3)."""
         rows = self.grid.integral_to(np.asarray(s, dtype=float))
         turned = np.asarray(base_angle, dtype=float)[..., None]
         return np.asarray(self.clamp_angle + turned + (self.rest_curvature + theta @ self.curvature.T) @ rows.T)
 
     def xy(self, s: Array, theta: Array, base: Array | None = None) -> Array:
-        """(T, S, 2) m, positions for states (T, n); base poses (T, 3) of (x, y, turn), 0 if None. Equation (4)."""
+        """(T, S, 2) m for states (T, n), base poses (T, 3) of (x, y, turn), default 0. Equation (4)."""
         pose = np.zeros(3) if base is None else np.asarray(base, dtype=float)
         alpha = self.rest_angle + pose[..., 2:] + theta @ self.to_angle.T
         rows = self.length * self.grid.integral_to(np.asarray(s, dtype=float))
@@ -84,14 +82,12 @@ def body(
     grid: Grid | None = None,
     points: Sequence[PointMass] = (),
 ) -> Body:
-    """Tables of a beam in curvature modes, or with the curvature at every node as a coordinate where `modes` is None.
+    """Tables of a beam in curvature modes, or in nodal curvatures if `modes` is None.
 
-    `rotary_inertia`: iota(s) = rho I, kg m (per metre of beam). `damping`: d(s), N m s. Modes suit smooth k(s); nodes
-    resolve any k(s), with panels that end at its jumps and at masses without size: those that ride on the beam, and
-    `points` besides. A `grid` given takes the place of the one made here.
+    Modes suit smooth k(s). Nodes resolve any k(s), with panels that end at its jumps and at point masses (the beam's
+    and `points`). `rotary_inertia`: iota(s) = rho I, kg m. `damping`: d(s), N m s. `grid` replaces the grid made here.
 
-    Raises `MechanicsError`: k or mu is not positive, iota or d negative somewhere, the beam has a thickness (the
-    equation of motion has no stretch and shear), or the grid cannot carry the modes.
+    Raises `MechanicsError`: k or mu not positive, iota or d negative, a thickness, or a grid too coarse for the modes.
     """
     refuse_section(beam, "the equation of motion")
     profiles = (beam.stiffness, beam.rest_curvature, beam.mass_per_length, rotary_inertia, damping)
@@ -130,9 +126,9 @@ def body_of_nodes(
     rotary_inertia: Array | float = 0.0,
     points: Sequence[PointMass] = (),
 ) -> Body:
-    """Tables from values (Q,) at the nodes, with the curvature there as coordinates; undamped.
+    """Undamped tables in nodal curvatures, from values (Q,).
 
-    Raises `MechanicsError`: a point mass that is negative, or off the beam.
+    Raises `MechanicsError`: a point mass that is negative or off the beam.
     """
     weights, integral = grid.weights, grid.integral_to_nodes
     carried = length**3 * integral.T @ ((weights * mass_per_length)[:, None] * integral)
@@ -160,7 +156,7 @@ def body_of_nodes(
 
 
 def mass_matrix(of: Body, theta: Array) -> Array:
-    """(..., n, n) kg m^2: B of (7) for states (..., n)."""
+    """(..., n, n) kg m^2, (7)."""
     c, s = _directions(of, theta)
     across = np.concatenate([c[..., None] * of.to_angle, s[..., None] * of.to_angle], axis=-1)  # (..., Q, 2 n)
     carried = of.carried @ across
@@ -173,7 +169,7 @@ def mass_matrix(of: Body, theta: Array) -> Array:
 def kinetic_energy(
     of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None
 ) -> Array:
-    """(...,) J for states and rates (..., n), the gripper at poses `base` (..., 3) moving at `base_rate` (..., 3)."""
+    """(...,) J for states and rates (..., n), gripper poses and rates (..., 3)."""
     pose, moving = _pose(base), _pose(base_rate)
     turning = rate @ of.to_angle.T + moving[..., 2:]
     c, s = _directions(of, theta, pose[..., 2:])
@@ -189,14 +185,14 @@ def elastic_energy(of: Body, theta: Array) -> Array:
 
 
 def weight_energy(of: Body, theta: Array, gravity: Array, base: Array | None = None) -> Array:
-    """(...,) J: minus gravity (2,) m/s^2 times mass times position, 0 at the origin; gripper at `base` (..., 3)."""
+    """(...,) J under gravity (2,) m/s^2, 0 at the origin; gripper at `base` (..., 3)."""
     pose = _pose(base)
     c, s = _directions(of, theta, pose[..., 2:])
     return np.asarray(-(gravity[0] * c + gravity[1] * s) @ of.lever - of.mass * (pose[..., :2] @ gravity))
 
 
 def momentum(of: Body, theta: Array, rate: Array, base: Array | None = None, base_rate: Array | None = None) -> Array:
-    """(..., n) kg m^2/s: derivative of the kinetic energy with respect to the rate; `B rate` where the base rests."""
+    """(..., n) kg m^2/s: derivative of the kinetic energy by the rate."""
     pose, moving = _pose(base), _pose(base_rate)
     turning = rate @ of.to_angle.T + moving[..., 2:]
     c, s = _directions(of, theta, pose[..., 2:])
@@ -206,7 +202,6 @@ def momentum(of: Body, theta: Array, rate: Array, base: Array | None = None, bas
 
 
 def _directions(of: Body, theta: Array, turn: Array | float = 0.0) -> tuple[Array, Array]:
-    """cos and sin of the angles at the nodes, (..., Q) each."""
     alpha = of.rest_angle + turn + np.asarray(theta, dtype=float) @ of.to_angle.T
     return np.cos(alpha), np.sin(alpha)
 
@@ -216,38 +211,36 @@ def _pose(given: Array | None) -> Array:
 
 
 def _refuse(good: BoolArray, name: str, values: Array, nodes: Array, rule: str) -> None:
-    """`MechanicsError` at the first node where a profile has no meaning (NaN included)."""
     if not np.all(good):
         bad = int(np.flatnonzero(~good)[0])
         raise MechanicsError(f"{name} = {values[bad]:.3g} at s = {nodes[bad]:.3f}: {rule}")
 
 
-# The actions on a moving beam, in one fixed frame: the beam's frame while the gripper's pose is zero. A moving gripper
-# enters through its part of every point's velocity; no inertial forces are to be added by hand.
+# Actions on a moving beam, in one fixed frame: the beam's while the gripper's pose is zero. A moving gripper enters
+# through the velocity of every point; add no inertial forces.
 
 InTime = Callable[[float], ArrayLike]
 
 
 @dataclass(frozen=True)
 class AppliedForce:
-    """A force on the beam at a fixed place of it: two numbers [N], or a function of time [s] that returns them."""
+    """At a fixed place: two numbers [N], or a function of time [s]."""
 
     value: ArrayLike | InTime
     at_s: float = 1.0
-    breaks: tuple[float, ...] = ()  # s, times where the function or a derivative jumps; steps end there
+    breaks: tuple[float, ...] = ()  # s, times of jumps
 
 
 @dataclass(frozen=True)
 class AppliedMoment(AppliedForce):
-    """A moment about z on the beam at a fixed place of it: a number [N m], or a function of time [s]."""
+    """At a fixed place: a number [N m], or a function of time [s]."""
 
 
 @dataclass(frozen=True)
 class Gripper:
-    """The clamp moves: `pose(t)` = (x [m], y [m], turn [rad]), `rate(t)` its derivative, which must belong to it.
+    """A moving clamp: `pose(t)` = (x [m], y [m], turn [rad]) and its derivative `rate(t)`.
 
-    The turn adds to the beam's clamp angle. A velocity that jumps is allowed at `breaks` (the clamp then gives an
-    impulse), a pose that jumps is not.
+    The turn adds to the clamp angle. The velocity may jump at `breaks`, the pose may not.
     """
 
     pose: InTime
@@ -257,8 +250,6 @@ class Gripper:
 
 @dataclass(frozen=True)
 class Actions:
-    """All that acts on a moving beam."""
-
     forces: tuple[AppliedForce, ...] = ()
     moments: tuple[AppliedMoment, ...] = ()
     gravity: ArrayLike = (0.0, 0.0)  # m/s^2
@@ -277,31 +268,29 @@ class Actions:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Times where something jumps, rising, each once."""
         gripper = self.gripper.breaks if self.gripper is not None else ()
         return tuple(sorted({*gripper, *(time for action in self._loads for time in action.breaks)}))
 
     @property
     def steady(self) -> bool:
-        """Whether nothing depends on time."""
         return self.gripper is None and not any(callable(action.value) for action in self._loads)
 
 
 @dataclass(frozen=True)
 class TabulatedActions:
-    """Actions on a body at R times, as the equation of motion wants them."""
+    """At R times."""
 
-    pull: Array  # (2, Q, R) N m: all that pulls beyond each node, weight included, times its lever; x and y
-    forced: Array  # (2, Q, R) N m: the same of the forces alone
+    pull: Array  # (2, Q, R) N m: pull beyond each node with weight, times its lever; x and y
+    forced: Array  # (2, Q, R) N m: the same of forces alone
     force: Array  # (R, 2) N: sum of the forces
-    couple: Array  # (n, R) N m: generalised force of the moments
+    couple: Array  # (n, R) N m: of the moments
     moment: Array  # (R,) N m: sum of the moments
     base: Array  # (R, 3) m, m, rad
     base_rate: Array  # (R, 3)
 
 
 def acting(on: Body, actions: Actions, times: Array) -> TabulatedActions:
-    """Actions at `times` (R,) s. Raises `MechanicsError` where a function does not return finite numbers."""
+    """At `times` (R,) s. Raises `MechanicsError` for values that are not finite."""
     count = len(times)
     weight = np.multiply.outer(np.asarray(actions.gravity, dtype=float), np.outer(on.lever, np.ones(count)))
     forced, total = np.zeros_like(weight), np.zeros((count, 2))
@@ -323,7 +312,7 @@ def acting(on: Body, actions: Actions, times: Array) -> TabulatedActions:
 
 
 def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
-    """(R,) W: power of forces and moments at states and rates (n, R), the gripper's motion included."""
+    """(R,) W: of forces and moments at states and rates (n, R), with the gripper's motion."""
     turn, spin = now.base[:, 2], now.base_rate[:, 2]
     alpha = on.rest_angle[:, None] + turn + on.to_angle @ theta
     turning = on.to_angle @ rate + spin
@@ -333,9 +322,9 @@ def power(on: Body, theta: Array, rate: Array, now: TabulatedActions) -> Array:
 
 
 def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> None:
-    """Compare the gripper's rate with differences of its pose at a few times between two breaks.
+    """Compares the gripper's rate with differences of its pose.
 
-    Raises `MechanicsError`: they differ by more than what steps of `step` s could follow.
+    Raises `MechanicsError`: they differ by more than steps of `step` s can follow.
     """
     times = first + (last - first) * np.array([0.07, 0.23, 0.41, 0.59, 0.77, 0.93])
     near = 0.01 * min(step, last - first)
@@ -352,7 +341,6 @@ def check_gripper(gripper: Gripper, first: float, last: float, step: float) -> N
 
 
 def _values(value: ArrayLike | InTime, times: Array, size: int, name: str) -> Array:
-    """(R, size) values of a constant or a function of time."""
     raw = [value(float(t)) for t in times] if callable(value) else [value] * len(times)
     try:
         out = np.asarray(raw, dtype=float).reshape(len(times), size)

@@ -1,8 +1,7 @@
-"""Panels of Gauss nodes along the beam, and the one operator that mechanics needs on them: integration from the base.
+"""Panels of Gauss nodes along the beam, and integration from the base.
 
-A quantity f is known by its values at the nodes. On each panel it is the polynomial through them, so the integral
-from 0 to any s is a row vector times the values. Applied to curvature the operator gives the angle (3), applied to
-the tangent (cos, sin) it gives the position over L (4).
+A quantity is given by its values at the nodes, and is a polynomial on each panel. Its integral from 0 to s is a row
+vector times the values. Of curvature it gives the angle (3), of the tangent (cos, sin) the position over L (4).
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ import numpy as np
 from onebend.errors import MechanicsError
 from onebend.records import Array
 
-_FEW_PLACES = 64  # up to which rows are remembered
-_NARROWEST = 1e-9  # of a panel, in s: closer edges are one edge
+_FEW_PLACES = 64  # rows for up to so many places are cached
+_NARROWEST = 1e-9  # narrowest panel; closer edges are merged
 
 
 @dataclass(frozen=True)
 class Grid:
     """`P` panels with `order` Gauss-Legendre nodes each, `Q = P * order` in all.
 
-    `edges` may have leading batch axes (a push whose place changes from frame to frame); everything then has them.
+    Leading batch axes of `edges` (a push whose place varies between frames) appear in all arrays.
     """
 
     edges: Array  # (..., P + 1), rising from 0 to 1
@@ -43,7 +42,7 @@ class Grid:
 
     @property
     def nodes(self) -> Array:
-        """(..., Q) places of the nodes."""
+        """(..., Q)"""
         x, _ = _gauss(self.order)
         h = np.diff(self.edges)
         s = self.edges[..., :-1, None] + 0.5 * h[..., None] * (x + 1.0)
@@ -51,13 +50,13 @@ class Grid:
 
     @property
     def weights(self) -> Array:
-        """(..., Q) quadrature weights; they sum to 1."""
+        """(..., Q); they sum to 1."""
         _, w = _gauss(self.order)
         out = 0.5 * np.diff(self.edges)[..., None] * w
         return np.asarray(out.reshape(*out.shape[:-2], -1))
 
     def integral_to(self, s: Array) -> Array:
-        """Rows R (..., S, Q) with `R @ f = int_0^s f` for places `s` (..., S) in [0, 1]; not to be written to."""
+        """Rows R (..., S, Q) with `R @ f = int_0^s f` for `s` (..., S). Read-only."""
         s = np.asarray(s, dtype=float)
         if s.ndim == self.edges.ndim == 1 and len(s) <= _FEW_PLACES:
             return _remembered(_integral_to, s.tobytes(), self.edges.tobytes(), self.order)
@@ -65,18 +64,18 @@ class Grid:
 
     @property
     def integral_to_nodes(self) -> Array:
-        """(..., Q, Q): the matrix B of `alpha = alpha0 + B q` at the nodes."""
+        """(..., Q, Q): B of `alpha = alpha0 + B q`."""
         return self.integral_to(self.nodes)
 
     def value_at(self, s: Array) -> Array:
-        """Rows R (..., S, Q) with `R @ f` the values at places `s` (S,); not to be written to."""
+        """Rows R (..., S, Q) with `R @ f` the values at `s` (S,). Read-only."""
         s = np.asarray(s, dtype=float)
         if self.edges.ndim == 1 and len(s) <= _FEW_PLACES:
             return _remembered(_value_at, s.tobytes(), self.edges.tobytes(), self.order)
         return _value_at(s, self.edges, self.order)
 
     def legendre_tail(self, f: Array) -> Array:
-        """Share of the last two Legendre coefficients in f (..., Q), the largest over the panels: 0 is resolved."""
+        """Share of the last two Legendre coefficients in f (..., Q), largest over the panels; 0 is resolved."""
         per_panel = f.reshape(*f.shape[:-1], -1, self.order)
         coefficients = np.abs(per_panel @ _to_legendre(self.order).T)
         largest = np.max(coefficients, axis=(-1, -2))
@@ -85,7 +84,7 @@ class Grid:
 
 
 def make_grid(breaks: tuple[float, ...] = (), *, order: int = 16, widest: float = 1.0) -> Grid:
-    """A grid with an edge at each of `breaks` and no panel wider than `widest`."""
+    """Has an edge at each of `breaks`; no panel is wider than `widest`."""
     inner = sorted(b for b in breaks if _NARROWEST < b < 1.0 - _NARROWEST)
     edges = [0.0]
     for stop in [*inner, 1.0]:
@@ -98,19 +97,18 @@ def make_grid(breaks: tuple[float, ...] = (), *, order: int = 16, widest: float 
 
 
 def apply(rows: Array, values: Array) -> Array:
-    """rows (S, Q) or (T, S, Q) on values (Q,) or (T, Q): one matrix product where the rows are shared."""
+    """rows (S, Q) or (T, S, Q) times values (Q,) or (T, Q)."""
     if rows.ndim == 2:
         return np.asarray(values @ rows.T)
     return np.asarray((rows @ values[..., None])[..., 0])
 
 
 def transposed(matrix: Array) -> Array:
-    """The last two axes swapped."""
     return np.swapaxes(matrix, -1, -2)
 
 
 def paired(x: Array, y: Array) -> Array:
-    """(..., 2) of two arrays that are broadcast, as `numpy.stack` makes it in several times the time."""
+    """(..., 2), faster than `numpy.stack`; x and y are broadcast."""
     shape = x.shape if x.shape == y.shape else np.broadcast_shapes(x.shape, y.shape)
     out = np.empty((*shape, 2))
     out[..., 0], out[..., 1] = x, y
@@ -118,7 +116,7 @@ def paired(x: Array, y: Array) -> Array:
 
 
 def solve_each(matrices: Array, right: Array) -> Array:
-    """(T, n, P) solutions of T systems; NaN where a matrix is singular."""
+    """(T, n, P) solutions of T systems; NaN if singular."""
     try:
         return np.asarray(np.linalg.solve(matrices, right))
     except np.linalg.LinAlgError:
@@ -137,7 +135,7 @@ def _gauss(order: int) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=32)
 def _to_legendre(order: int) -> Array:
-    """(order, order): Legendre coefficients of the polynomial through values at the Gauss nodes."""
+    """(order, order): from values at the Gauss nodes to Legendre coefficients."""
     x, w = _gauss(order)
     degree = np.arange(order)
     return np.asarray((degree[:, None] + 0.5) * np.polynomial.legendre.legvander(x, order - 1).T * w)
@@ -145,14 +143,13 @@ def _to_legendre(order: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _remembered(make: Callable[[Array, Array, int], Array], places: bytes, edges: bytes, order: int) -> Array:
-    """The places of a beam's tags are asked for again and again."""
+    """Cached: the same places are asked for repeatedly."""
     rows = make(np.frombuffer(places), np.frombuffer(edges), order)
     rows.flags.writeable = False
     return rows
 
 
 def _value_at(s: Array, edges: Array, order: int) -> Array:
-    """As `Grid.value_at`."""
     panels = edges.shape[-1] - 1
     panel = np.clip(np.sum(edges[..., None, :] < s[:, None], axis=-1) - 1, 0, panels - 1)  # (..., S)
     low = np.take_along_axis(edges, panel, axis=-1)
@@ -163,7 +160,6 @@ def _value_at(s: Array, edges: Array, order: int) -> Array:
 
 
 def _integral_to(s: Array, edges: Array, order: int) -> Array:
-    """As `Grid.integral_to`."""
     h = np.diff(edges)  # (..., P)
     local = (s[..., :, None] - edges[..., None, :-1]) / h[..., None, :]  # (..., S, P), 0..1 inside
     rows = 0.5 * h[..., None, :, None] * _integral_rows(np.clip(local, 0.0, 1.0), order)
@@ -171,13 +167,13 @@ def _integral_to(s: Array, edges: Array, order: int) -> Array:
 
 
 def _integral_rows(local: Array, order: int) -> Array:
-    """`int_{-1}^{x} l_j dx` of the Lagrange polynomials l_j at the Gauss nodes, x = 2 local - 1: (..., order)."""
+    """(..., order) `int_{-1}^{x} l_j dx` of the Lagrange polynomials at the Gauss nodes, x = 2 local - 1."""
     return np.asarray(_integrals(local, order) @ _to_legendre(order))
 
 
 def _integrals(local: Array, count: int) -> Array:
     """(..., count) `int_{-1}^{x} P_k dx`, x = 2 local - 1."""
-    p = np.polynomial.legendre.legvander(2.0 * local - 1.0, count)  # P_0 .. P_count
+    p = np.polynomial.legendre.legvander(2.0 * local - 1.0, count)
     out = np.empty((*np.shape(local), count))
     out[..., 0] = 2.0 * local
     # (2k + 1) int_{-1}^{x} P_k = P_{k+1}(x) - P_{k-1}(x)
@@ -185,17 +181,17 @@ def _integrals(local: Array, count: int) -> Array:
     return out
 
 
-# Curvature modes `q(s) = sum_i theta_i phi_i(s)` (1), (2), and the shapes of their states (3), (4), on fixed nodes. The
-# paper's modes are the powers s^i. They span the same shapes as the Legendre polynomials of 2 s - 1, for which the
-# condition number of K is near 10 where the powers reach 1e10 (n = 8).
+# Curvature modes `q(s) = sum_i theta_i phi_i(s)` (1), (2), and the shapes of their states (3), (4). The Legendre
+# polynomials of 2 s - 1 span the same shapes as the paper's powers s^i, but the condition number of K is near 10
+# instead of 1e10 (n = 8).
 
 MOST_POWERS = 8
-_GRID = make_grid(order=30)  # resolves cos(alpha) of physical shapes to machine precision
+_GRID = make_grid(order=30)  # resolves cos(alpha) to machine precision
 
 
 @dataclass(frozen=True)
 class Modes:
-    """n curvature modes: the Legendre polynomials of 2 s - 1."""
+    """n curvature modes: Legendre polynomials of 2 s - 1."""
 
     n: int
 
@@ -208,15 +204,15 @@ class Modes:
         return np.asarray(np.polynomial.legendre.legvander(2.0 * np.asarray(s, dtype=float) - 1.0, self.n - 1))
 
     def angle(self, s: Array) -> Array:
-        """a_i(s), the integral of phi_i from 0 to s (3): `s.shape + (n,)`."""
+        """Integral of phi_i from 0 to s (3): `s.shape + (n,)`."""
         return 0.5 * _integrals(np.asarray(s, dtype=float), self.n)
 
 
 @lru_cache(maxsize=16)
 def powers_to_legendre(n: int) -> Array:
-    """(n, n) with the Legendre states (in x = 2 s - 1) of s^i in column i.
+    """(n, n): Legendre states of s^i in column i.
 
-    Raises `MechanicsError` for more than `MOST_POWERS`: double precision cannot tell them apart.
+    Raises `MechanicsError` for more than `MOST_POWERS`, which double precision cannot separate.
     """
     if n > MOST_POWERS:
         raise MechanicsError(
@@ -232,7 +228,7 @@ def powers_to_legendre(n: int) -> Array:
 
 @dataclass(frozen=True)
 class Places:
-    """Tables that turn states into poses at fixed places of the beam; made once, used for every frame."""
+    """Tables from states to poses at fixed places."""
 
     length: float  # m
     modes: Modes
@@ -244,13 +240,13 @@ class Places:
 
 
 def places(length: float, modes: Modes, s: Array, grid: Grid = _GRID) -> Places:
-    """Tables for positions, angles and Jacobians at `s` (S,) of a beam of `length` m."""
+    """For `s` (S,) on a beam of `length` m."""
     s = np.asarray(s, dtype=float)
     return Places(length, modes, s, grid, modes.angle(grid.nodes), modes.angle(s), grid.integral_to(s))
 
 
 def angles(places: Places, theta: Array, alpha0: float = 0.0) -> Array:
-    """(T, S) rad, tangent's angle for states (T, n). Equation (3)."""
+    """(T, S) rad for states (T, n). Equation (3)."""
     return np.asarray(alpha0 + theta @ places.to_places.T)
 
 
@@ -261,7 +257,7 @@ def positions(places: Places, theta: Array, alpha0: float = 0.0) -> Array:
 
 
 def jacobians(places: Places, theta: Array, alpha0: float = 0.0) -> Array:
-    """(T, S, 2, n) m, d r(s) / d theta: `J_i(v) = L int_0^v (-sin alpha, cos alpha) a_i ds`."""
+    """(T, S, 2, n) m, d r(s) / d theta: `J_i(s) = L int_0^s (-sin alpha, cos alpha) a_i ds`."""
     alpha = alpha0 + theta @ places.to_nodes.T
     weighted = np.einsum("sq,qi->sqi", places.rows, places.to_nodes).reshape(len(places.s), alpha.shape[-1], -1)
     jx = -np.einsum("tq,sqi->tsi", np.sin(alpha), weighted, optimize=True)

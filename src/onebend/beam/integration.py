@@ -1,7 +1,7 @@
-"""Motion in time: the equation of motion (7) stepped by collocation, from a state, under actions.
+"""Motion in time: the equation of motion (7) by collocation.
 
-`simulate` takes fixed steps (a fixed step is what lets a symplectic method keep its energy) that end where an action
-jumps. `converged` halves the step until the markers no longer move by more than a tolerance.
+`simulate` takes fixed steps, so that a symplectic method keeps its energy; steps end where an action jumps. `converged`
+halves the step until the markers reach a tolerance.
 """
 
 from __future__ import annotations
@@ -32,19 +32,16 @@ from onebend.errors import MechanicsError
 from onebend.progress import Progress, Silent, one_blas_thread
 from onebend.records import Array
 
-# Collocation methods for motion. A step of length h seeks stage velocities V_j at the times t + c_j h with the momenta
+# Collocation. A step of length h seeks stage velocities V_j at t + c_j h with the momenta
 #
 #     p_i = p_0 + h sum_j a_ij f_j,   theta_i = theta_0 + h sum_j a_ij V_j.
 #
 # Gauss with s stages has order 2 s and is symmetric, symplectic and A-stable. Radau IIA has order 2 s - 1 and is
-# L-stable: it takes energy out of motions faster than the step (Hairer, Lubich, Wanner, Geometric Numerical
-# Integration, II.1).
+# L-stable: it damps motions faster than the step (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1).
 
 
 @dataclass(frozen=True)
 class Method:
-    """A family and its number of stages; `gauss` with three stages (order 6) is the default of motion."""
-
     stages: int = 3
     family: Literal["gauss", "radau"] = "gauss"
 
@@ -54,51 +51,49 @@ class Method:
 
     @property
     def order(self) -> int:
-        """The error after a given time falls with this power of the step."""
+        """Order of the error in the step."""
         return 2 * self.stages - (self.family == "radau")
 
 
 @dataclass(frozen=True)
 class Tableau:
-    """Numbers of a method."""
-
     c: Array  # (s,) stage times
     a: Array  # (s, s)
     b: Array  # (s,)
-    to_end: Array  # (s,) d = b a^-1: y_1 = y_0 + sum_i d_i (Y_i - y_0) without amplifying what is stiff
-    ahead: Array  # (s, s): values at the stages of the next equal step, by the polynomial through this step's stages
+    to_end: Array  # (s,) d = b a^-1: y_1 = y_0 + sum_i d_i (Y_i - y_0), stable for stiff parts
+    ahead: Array  # (s, s): extrapolates stage values to the next equal step
 
 
 def tableau(method: Method) -> Tableau:
-    """The numbers of a method: stage times in (0, 1] are roots of P_s for Gauss, of P_s - P_(s-1) for Radau IIA."""
+    """Stage times are roots of P_s for Gauss, of P_s - P_(s-1) for Radau IIA."""
     polynomial = np.append(np.zeros(method.stages), 1.0)
     if method.family == "radau":
         polynomial[-2] = -1.0
     c = 0.5 * (np.sort(np.real(np.polynomial.legendre.legroots(polynomial))) + 1.0)
     powers = np.arange(1, method.stages + 1)
-    values = c[:, None] ** (powers - 1)  # Vandermonde; s <= 6 keeps it harmless
+    values = c[:, None] ** (powers - 1)  # Vandermonde, well-conditioned for s <= 6
     a = np.linalg.solve(values.T, (c[:, None] ** powers / powers).T).T
     b = np.linalg.solve(values.T, 1.0 / powers)
     ahead = np.linalg.solve(values.T, ((c[:, None] + 1.0) ** (powers - 1)).T).T
     return Tableau(*(np.asarray(x, dtype=float) for x in (c, a, b, np.linalg.solve(a.T, b), ahead)))
 
 
-# One step of motion: a simplified Newton iteration on the stage velocities V (n, s). With X, Y the momentum of all that
-# each node carries, the generalised momentum and force come from the Lagrangian without B, C or an acceleration:
+# One step: simplified Newton on the stage velocities V (n, s). With X, Y the momentum carried by each node, generalised
+# momentum and force follow from the Lagrangian without B, C or accelerations:
 #
 #     Y = H (cos alpha o alpha') + lever y_b',   X = -H (sin alpha o alpha') + lever x_b'
 #     p = A^T (pi + D alpha'),                   pi = cos alpha Y - sin alpha X
 #     f = A^T tau - K theta - D_theta theta' + a M,
 #     tau = -alpha' (cos alpha X + sin alpha Y) + cos alpha N_y - sin alpha N_x
 #
-# The iteration matrix is the exact derivative at the mean of the stages, and is kept over steps while it serves. This
-# is the hot loop: it works in place on arrays made once.
+# The iteration matrix is the exact derivative at the mean stage, kept over steps while it serves. This is the hot loop,
+# in place.
 
-_ITERATIONS = 12  # with one iteration matrix
-_REFRESHES = 4  # of that matrix within a step
-_SLOW = 0.05  # a mean contraction above this asks for a new matrix at the next step
-_ASTRAY = 1e3  # rad, turn of an update
-_ROUNDING = 1e-14  # share of the states that rounding leaves uncertain
+_ITERATIONS = 12  # per iteration matrix
+_REFRESHES = 4  # of the matrix within a step
+_SLOW = 0.05  # mean contraction that asks for a new matrix at the next step
+_ASTRAY = 1e3  # rad, diverging update
+_ROUNDING = 1e-14  # relative rounding error of states
 
 
 class StepError(MechanicsError):
@@ -107,17 +102,15 @@ class StepError(MechanicsError):
 
 @dataclass(frozen=True)
 class Step:
-    """What a step found."""
-
-    theta: Array  # (n,) at its end
-    momentum: Array  # (n,) kg m^2/s at its end
+    theta: Array  # (n,) at the end
+    momentum: Array  # (n,) kg m^2/s at the end
     velocity: Array  # (n, s) at the stages
     stage_theta: Array  # (n, s)
     iterations: int
 
 
 class Stepper:
-    """Steps of one length with one body and method. Holds the work arrays and the iteration matrix."""
+    """Steps of one length; holds work arrays and the iteration matrix."""
 
     def __init__(self, body: Body, numbers: Tableau, h: float, *, tolerance: float) -> None:
         self.body, self.numbers, self.h, self.tolerance = body, numbers, h, tolerance
@@ -138,9 +131,9 @@ class Stepper:
         self._prepare(q, s)
 
     def advance(self, theta: Array, momentum: Array, guess: Array, now: TabulatedActions, time: float) -> Step:
-        """One step from (theta, momentum) under what acts at the stages; `guess` (n, s) of the stage velocities.
+        """One step under the actions at the stages; `guess` (n, s) of the stage velocities.
 
-        Raises `StepError`: the stage equations were not solved; the message names the time and the cure.
+        Raises `StepError`: stage equations not solved.
         """
         if now is not self._now:
             self._take(now)
@@ -153,7 +146,7 @@ class Stepper:
             solved, iterations, slow = self._iterate(theta, velocity)
             count += iterations
             if solved and self.h * float(np.abs(velocity).max()) > np.pi:
-                break  # a step that turns the beam this far has solved equations that no longer mean its motion
+                break  # so large a turn is no solution of the motion
             if solved:
                 if slow:
                     self._factor = None
@@ -173,7 +166,7 @@ class Stepper:
         )
 
     def _prepare(self, q: int, s: int) -> None:
-        """Work arrays, and views of them: c, s for cos, sin; y, x for the momenta Y, -X."""
+        """Work arrays and views: c, s for cos, sin; y, x for the momenta Y, -X."""
         self._turned = np.empty((q, 3 * s))
         self._twice, self._alpha = self._turned[:, : 2 * s], self._turned[:, 2 * s :]
         self._directions, self._moving = np.empty((q, 2 * s)), np.empty((q, 2 * s))
@@ -185,7 +178,6 @@ class Stepper:
         self._pi, self._tau, self._other = np.empty((q, s)), np.empty((q, s)), np.empty((q, s))
 
     def _take(self, now: TabulatedActions) -> None:
-        """The actions from here on."""
         self._now = now
         self._pull = now.pull if np.any(now.pull) else None
         moves = np.any(now.base_rate) or np.any(now.base)
@@ -196,7 +188,7 @@ class Stepper:
         self._spun = np.outer(self.body.rotary @ self._angle, now.base_rate[:, 2])
 
     def _begin(self, theta: Array, momentum: Array) -> None:
-        """What is constant during the iteration: angles at the start, and the constant part of the residual."""
+        """Angles at the start, and the constant part of the residual."""
         now = self._now
         assert now is not None
         self._start_angle = (self.body.rest_angle + self._angle @ theta)[:, None]
@@ -206,7 +198,7 @@ class Stepper:
         self._constant = (constant @ self._to_stage - momentum[:, None] + self._spun).ravel()
 
     def _iterate(self, theta: Array, velocity: Array) -> tuple[bool, int, bool]:
-        """Newton with the iteration matrix at hand, in place on `velocity`: solved, count, slow."""
+        """Newton in place on `velocity`: solved, count, slow."""
         assert self._factor is not None
         rounding = _ROUNDING * (1.0 + float(np.abs(theta).max())) / self.h
         enough = self.tolerance * float(np.abs(velocity).max()) + rounding
@@ -216,7 +208,7 @@ class Stepper:
             update = dgetrs(lu, pivots, self._residual(velocity))[0].reshape(velocity.shape)
             velocity -= update
             size = float(np.abs(update).max())
-            if not self.h * size < _ASTRAY:  # NaN included
+            if not self.h * size < _ASTRAY:  # also NaN
                 return False, count, True
             contraction = size / before if count > 1 else 0.9
             if size < enough or (contraction < 0.5 and size * contraction < enough):
@@ -229,7 +221,7 @@ class Stepper:
         return False, _ITERATIONS, True
 
     def _residual(self, velocity: Array) -> Array:
-        """(n s,) of the stage equations."""
+        """(n s,)."""
         np.dot(self._angle, np.dot(velocity, self._spread), out=self._turned)
         alpha, moving, carried = self._alpha, self._moving, self._carried
         alpha += self._start_angle
@@ -256,13 +248,13 @@ class Stepper:
         return np.asarray(out)
 
     def _stage_momentum(self) -> Array:
-        """(n, s) after the last update of the iteration, whose effect is added to first order."""
+        """(n, s) after the last update, to first order."""
         turning = self._turned[:, : self._pi.shape[1]]
         found = self._angle_t @ (self._pi + self.body.rotary[:, None] * turning)
         return np.asarray(found - self._mass @ self._last)
 
     def _renew(self, theta: Array, velocity: Array) -> None:
-        """Factor the derivative of the stage equations, taken at the mean of the stages."""
+        """Factors the derivative of the stage equations at the mean stage."""
         body, n = self.body, self.body.n
         rate, pull = self._mean_rate, self._mean_pull
         alpha = body.rest_angle + self._mean_turn + np.dot(self._angle, theta + np.dot(velocity, self._mean_stage))
@@ -286,7 +278,7 @@ class Stepper:
         self._factor = (lu, pivots)
 
     def _coupled(self, mass: Array, damping: Array, stiffness: Array) -> Array:
-        """(n s, n s): `mass x I + damping x h a + stiffness x h^2 a^2`, Kronecker products over the stages."""
+        """(n s, n s): `mass x I + damping x h a + stiffness x h^2 a^2`, Kronecker products."""
         n, s = self.body.n, len(self.numbers.c)
         parts = np.empty((n * n, 3))
         parts[:, 0], parts[:, 1], parts[:, 2] = mass.ravel(), damping.ravel(), stiffness.ravel()
@@ -295,8 +287,6 @@ class Stepper:
 
 @dataclass(frozen=True)
 class MotionState:
-    """Where a motion starts."""
-
     theta: Array  # (n,) rad
     rate: Array  # (n,) rad/s
     time: float = 0.0  # s
@@ -304,33 +294,31 @@ class MotionState:
 
 @dataclass(frozen=True)
 class IntegrationSettings:
-    """How a motion is stepped."""
-
     method: Method = field(default_factory=Method)
-    tolerance: float = 1e-10  # stage velocities are solved to this share of the largest
-    every: int = 1  # keep every so many steps (the last one always)
-    max_steps: int = 1_000_000  # steps
+    tolerance: float = 1e-10  # of stage velocities, relative to the largest
+    every: int = 1  # keep every so many steps, and the last
+    max_steps: int = 1_000_000
     progress: Progress = field(default_factory=Silent)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion at T times. Energies are of the beam in the fixed frame."""
+    """A motion at T times; energies in the fixed frame."""
 
     body: Body
     time: Array  # (T,) s
     theta: Array  # (T, n) rad
     rate: Array  # (T, n) rad/s
-    base: Array  # (T, 3) m, m, rad: the gripper's pose
+    base: Array  # (T, 3) m, m, rad
     kinetic: Array  # (T,) J
     elastic: Array  # (T,) J
     weight: Array  # (T,) J, potential of gravity
-    work: Array  # (T,) J done by forces and moments since the start
-    loss: Array  # (T,) J taken by damping since the start
-    step: float  # s, the longest taken
+    work: Array  # (T,) J of forces and moments since the start
+    loss: Array  # (T,) J of damping since the start
+    step: float  # s, longest step
     steps: int
-    iterations: int  # of Newton's method, in all steps
-    error: float  # m, estimate of `converged` for its markers; NaN after `simulate`, which makes none
+    iterations: int  # of Newton's method, in total
+    error: float  # m, of the markers by `converged`; else NaN
 
     @property
     def energy(self) -> Array:
@@ -338,15 +326,15 @@ class Motion:
         return self.kinetic + self.elastic + self.weight
 
     def xy(self, s: ArrayLike) -> Array:
-        """(T, S, 2) m, positions at places `s` (S,)."""
+        """(T, S, 2) m at `s` (S,)."""
         return self.body.xy(np.atleast_1d(np.asarray(s, dtype=float)), self.theta, self.base)
 
     def angle(self, s: ArrayLike) -> Array:
-        """(T, S) rad, the tangent's angle at places `s` (S,)."""
+        """(T, S) rad at `s` (S,)."""
         return self.body.angle(np.atleast_1d(np.asarray(s, dtype=float)), self.theta, self.base[:, 2])
 
     def states_at(self, time: ArrayLike) -> Array:
-        """(R, n) states between the steps, by cubic interpolation of states and rates (fourth order in the spacing).
+        """(R, n) by cubic interpolation (fourth order in the spacing).
 
         Raises `MechanicsError`: a time outside the motion.
         """
@@ -368,8 +356,8 @@ def simulate(
 ) -> Motion:
     """Motion from `start` for `duration` s in equal steps of at most `step` s.
 
-    Raises `MechanicsError`: a start that does not fit the body, more steps than allowed, actions that are not finite,
-    or stage equations that could not be solved (the message names the time).
+    Raises `MechanicsError`: a start that does not fit the body, too many steps, actions that are not finite, or
+    unsolved stage equations.
     """
     stretches = _stretches(body, start, duration, step, actions, settings.max_steps)
     return _follow(body, start, stretches, actions, settings)
@@ -388,11 +376,10 @@ def converged(
     settings: IntegrationSettings = IntegrationSettings(),
     halvings: int = 10,
 ) -> Motion:
-    """Motion whose markers at `at_s` are known to `tolerance` m, judged by halving the step.
+    """Motion whose markers at `at_s` are accurate to `tolerance` m, by halving the step.
 
-    The first run takes `step`; runs are compared at all of its times. `Motion.error` is twice the largest change, and
-    below `tolerance`: what no step resolved yet is wrong in both runs by as much, so the change is not divided by
-    2^order - 1 as if all errors fell with the order.
+    `Motion.error` is twice the largest change between the last two runs. It is not divided by 2^order - 1, because
+    unresolved parts are equally wrong in both.
 
     Raises `MechanicsError`: as `simulate`, or the tolerance was not met after `halvings`.
     """
@@ -437,7 +424,7 @@ def _stretches(
 def _attempt(
     body: Body, start: MotionState, stretches: list[_Stretch], actions: Actions, settings: IntegrationSettings
 ) -> Motion | None:
-    """The motion, or None where these steps are too long for it."""
+    """The motion; None if these steps are too long."""
     if sum(stretch.count for stretch in stretches) > settings.max_steps:
         raise MechanicsError(f"the tolerance is not met with the {settings.max_steps} steps allowed")
     try:
@@ -471,7 +458,6 @@ def _follow(
 
 
 def _run(ledger: _Ledger, stretch: _Stretch, numbers: Tableau, actions: Actions, settings: IntegrationSettings) -> None:
-    """Equal steps between two jumps of the actions."""
     body, h = ledger.body, stretch.step
     stepper = Stepper(body, numbers, h, tolerance=settings.tolerance)
     inside = h * np.minimum(numbers.c, 1.0 - 1e-12)  # a stage at the end still belongs to this side of a jump
@@ -493,8 +479,6 @@ def _run(ledger: _Ledger, stretch: _Stretch, numbers: Tableau, actions: Actions,
 
 @dataclass(frozen=True)
 class _Stretch:
-    """A time in which no action jumps."""
-
     first: float
     last: float
     count: int
@@ -505,7 +489,7 @@ class _Stretch:
 
 
 class _Ledger:
-    """What a run has taken so far. Lives only inside `simulate`."""
+    """Steps taken so far, inside `simulate`."""
 
     def __init__(self, body: Body, start: MotionState, actions: Actions) -> None:
         now = acting(body, actions, np.array([start.time]))
@@ -519,12 +503,12 @@ class _Ledger:
         self.keep(start.time)
 
     def rate_after(self, time: float, h: float) -> Array:
-        """(n,) rate just after `time`, where the gripper's velocity may have jumped."""
+        """(n,) rate just after `time`, where the gripper's velocity may jump."""
         now = acting(self.body, self.actions, np.array([time + 1e-9 * h]))
         return np.asarray(_rates(self.body, self.theta[None], self.momentum[None], now.base, now.base_rate)[0])
 
     def add(self, taken: Step, now: TabulatedActions, weights: Array) -> None:
-        """One more step; work and loss by the method's own quadrature at its stages."""
+        """Adds a step; work and loss by the method's quadrature."""
         self.theta, self.momentum = taken.theta, taken.momentum
         self.steps += 1
         self.iterations += taken.iterations
@@ -537,10 +521,9 @@ class _Ledger:
         self._rows.append((time, self.theta, self.momentum, self.work, self.loss))
 
     def motion(self, longest: float) -> Motion:
-        """The record of what was kept."""
         time, theta, momenta, work, loss = (np.array(column, dtype=float) for column in zip(*self._rows, strict=True))
         now = acting(self.body, self.actions, time)
-        parts = [slice(i, i + 500) for i in range(0, len(time), 500)]  # 500 matrices at a time fit the cache
+        parts = [slice(i, i + 500) for i in range(0, len(time), 500)]  # 500 matrices fit the cache
         rate = np.concatenate([_rates(self.body, theta[p], momenta[p], now.base[p], now.base_rate[p]) for p in parts])
         return Motion(
             body=self.body,
@@ -561,6 +544,6 @@ class _Ledger:
 
 
 def _rates(body: Body, theta: Array, momenta: Array, base: Array, base_rate: Array) -> Array:
-    """(T, n) rates that belong to momenta (T, n) while the gripper is at `base` (T, 3) and moves at `base_rate`."""
+    """(T, n) rates for momenta (T, n) and gripper poses and rates (T, 3)."""
     own = momenta - momentum(body, theta, np.zeros_like(theta), base, base_rate)
     return np.asarray(np.linalg.solve(mass_matrix(body, theta), own[..., None])[..., 0])

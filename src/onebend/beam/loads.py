@@ -1,7 +1,7 @@
-"""What may act on a beam: point forces and moments at any s, follower forces, and weight. Batched over frames.
+"""Loads on a beam, batched over frames: point forces and moments at any s, follower forces, and weight.
 
-A dead force keeps its direction in the beam's frame; a follower force turns with the tangent where it acts. Make loads
-with `push`, `twist`, `follow_push`, `weight` and join them with `+`. A force is positive when it acts ON the beam.
+A dead force keeps its direction in the beam's frame; a follower force turns with the tangent at its place. Make loads
+with `push`, `twist`, `follow_push` and `weight`, and add them with `+`. Forces act ON the beam.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from onebend.records import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class Loads:
-    """Loads for a batch of T equilibria; every array leads with T or with 1 (the same in all frames)."""
+    """Loads for T equilibria; arrays lead with T, or with 1 if equal in all frames."""
 
     force: Array = field(default_factory=partial(np.zeros, (1, 0, 2)))  # (T, a, 2) N, beam's frame
-    force_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, a) where each force acts
+    force_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, a)
     moment: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, b) N m about z
     moment_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, b)
-    follower: Array = field(default_factory=partial(np.zeros, (1, 0, 2)))  # (T, c, 2) N: along the tangent, to its left
+    # (T, c, 2) N: along the tangent and to its left
+    follower: Array = field(default_factory=partial(np.zeros, (1, 0, 2)))
     follower_s: Array = field(default_factory=partial(np.zeros, (1, 0)))  # (T, c)
     gravity: Array = field(default_factory=partial(np.zeros, (1, 2)))  # (T, 2) m/s^2 in the beam's frame
 
@@ -41,18 +42,17 @@ class Loads:
 
     @cached_property
     def size(self) -> int:
-        """T, the number of equilibria asked for."""
+        """T."""
         return max(len(getattr(self, item.name)) for item in fields(self))
 
     @cached_property
     def places(self) -> Array:
-        """(T, a + b + c) every place where something acts."""
+        """(T, a + b + c) places of all loads."""
         full = self.spread(self.size)
         some = [places for places in (full.force_s, full.moment_s, full.follower_s) if places.shape[1]]
         return some[0] if len(some) == 1 else np.concatenate([full.force_s[:, :0], *some], axis=1)
 
     def __add__(self, other: Loads) -> Loads:
-        """Both loads together, in the same frames."""
         size = max(self.size, other.size)
         a, b = self.spread(size), other.spread(size)
         joined = {
@@ -63,7 +63,7 @@ class Loads:
         return Loads(**joined, gravity=a.gravity + b.gravity)
 
     def spread(self, size: int) -> Loads:
-        """The same loads with every batch axis `size` long."""
+        """The loads with batch axes of length `size`."""
 
         def spread(x: Array) -> Array:
             if x.shape[0] not in (1, size):
@@ -75,32 +75,31 @@ class Loads:
         return Loads(**{item.name: spread(getattr(self, item.name)) for item in fields(self)})
 
     def take(self, chosen: IntArray | BoolArray | slice) -> Loads:
-        """The loads of some frames of the batch."""
         full = self.spread(self.size)
         return Loads(**{item.name: getattr(full, item.name)[chosen] for item in fields(self)})
 
 
 def push(force: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
-    """One dead point force: (2,) or (T, 2) N at one place or (T,) places."""
+    """A dead point force: (2,) or (T, 2) N at `at_s`, a number or (T,)."""
     f, s = _point_force(force, at_s)
     return Loads(force=f, force_s=s)
 
 
 def follow_push(force: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
-    """One follower force: (2,) or (T, 2) N along the tangent at its place and to the tangent's left."""
+    """A follower force: (2,) or (T, 2) N along the tangent at its place and to its left."""
     f, s = _point_force(force, at_s)
     return Loads(follower=f, follower_s=s)
 
 
 def twist(moment: ArrayLike, at_s: ArrayLike = 1.0) -> Loads:
-    """One point moment about z: a number or (T,) N m, at one place or (T,) places."""
+    """A point moment about z: a number or (T,) N m."""
     m = np.atleast_1d(np.asarray(moment, dtype=float))
     s = np.broadcast_to(np.asarray(at_s, dtype=float), m.shape)
     return Loads(moment=m[:, None], moment_s=s[:, None])
 
 
 def weight(gravity: ArrayLike) -> Loads:
-    """The beam's own weight under gravity (2,) or (T, 2) m/s^2, in the beam's frame."""
+    """The beam's weight under gravity (2,) or (T, 2) m/s^2 in the beam's frame."""
     return Loads(gravity=np.atleast_2d(np.asarray(gravity, dtype=float)))
 
 

@@ -1,4 +1,4 @@
-"""The beam as users meet it: a frozen record with a length, profiles along it, and its shape under a load."""
+"""`Beam`: length, profiles along it, and its shape under a load."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from onebend.records import Array, PointMass
 
 @dataclass(frozen=True)
 class Shape:
-    """The beam in equilibrium: one shape, or T where T forces were given (all arrays then lead with T)."""
+    """Equilibrium shapes: one, or T where T forces were given (arrays then lead with T)."""
 
     solved: Equilibrium
     single: bool
 
     def xy(self, s: ArrayLike) -> Array:
-        """(..., 2) m, positions at `s` (a number or an array)."""
+        """(..., 2) m, positions at `s`."""
         out = self.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))
         return self._plain(out[:, 0] if np.ndim(s) == 0 else out)
 
     def angle(self, s: ArrayLike) -> Array:
-        """rad, the tangent's angle at `s` (a number or an array)."""
+        """(...) rad, the tangent's angle at `s`."""
         out = self.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))
         return self._plain(out[:, 0] if np.ndim(s) == 0 else out)
 
     @property
     def stable(self) -> bool:
-        """Whether every shape is a stable equilibrium."""
+        """Whether all shapes are stable."""
         return bool(np.all(self.solved.stable))
 
     def _plain(self, values: Array) -> Array:
@@ -48,7 +48,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Beam:
-    """A planar slender beam, clamped at s = 0. It stretches and shears where a thickness is given, else it does not."""
+    """A planar slender beam, clamped at s = 0. It stretches and shears only where a thickness is given."""
 
     length: float  # L, m
     stiffness: Profile  # k(s) = E I / L, N m
@@ -57,29 +57,29 @@ class Beam:
     mass_per_length: Profile = field(default_factory=lambda: Uniform(0.0))  # mu(s), kg/m
     thickness: float | None = None  # h0, m, in the plane of bending where k is its mean; None: no stretch, no shear
     poisson: float = POISSON  # nu
-    varies: Literal["thickness", "width"] = "thickness"  # what makes k(s) vary
-    masses: tuple[PointMass, ...] = ()  # that ride on it, besides its own
+    varies: Literal["thickness", "width"] = "thickness"  # the dimension whose variation makes k(s) vary
+    masses: tuple[PointMass, ...] = ()  # on the beam, besides its own mass
 
     def __post_init__(self) -> None:
         if not self.length > 0.0:
             raise MechanicsError(f"a beam's length must be positive, got {self.length} m")
-        _ = self.section  # checks its numbers
+        _ = self.section  # validates
         for one in self.masses:
             if not (0.0 <= one.s <= 1.0 and 0.0 <= one.mass < math.inf):
                 raise MechanicsError(f"a mass rides at s in [0, 1] and is 0 kg or more, got {one.mass} kg at {one.s}")
 
     @property
     def section(self) -> RectangularSection | None:
-        """From which EA and kGA follow; None for a beam that neither stretches nor shears."""
+        """Gives EA and kGA; None without stretch and shear."""
         return None if self.thickness is None else RectangularSection(self.thickness, self.poisson, self.varies)
 
     @cached_property
     def memory(self) -> GridMemory:
-        """What it remembers from one equilibrium to the next; the numbers do not depend on it."""
+        """Cached arrays; results do not depend on them."""
         return GridMemory()
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields alone: what is remembered is not copied."""
+        """Without the cache."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
     @one_blas_thread
@@ -91,14 +91,15 @@ class Beam:
         gravity: ArrayLike | None = None,
         fall: Side | None = None,
     ) -> Shape:
-        """The beam's shape under a force (2,) or forces (T, 2) [N] on it at `at_s`, one place or (T,), and its weight.
+        """The shape under a force (2,) or forces (T, 2) [N] at `at_s`, a number or (T,), and the beam's weight.
 
-        `gravity`: (2,) or (T, 2) m/s^2 in the beam's frame. `fall`: None stays on the branch that grows from rest, even
-        where it is unstable. "left" or "right": where that branch loses stability or ends, the beam falls to where it
-        stands; to this side of it, where the loads leave that open (a perfectly axial force).
+        Args:
+            gravity: (2,) or (T, 2) m/s^2 in the beam's frame.
+            fall: None stays on the branch that grows from rest, even where it is unstable. With "left" or "right" the
+                beam falls where that branch loses stability or ends; the side decides only where the loads do not.
 
-        Raises `MechanicsError`: k(s) is not positive somewhere, or the branch of equilibria that grows from rest ends
-        before the full load (the beam snaps through) and no `fall` was asked for, or led nowhere.
+        Raises `MechanicsError`: k(s) is not positive, the branch ends before the full load (snap-through) without
+        `fall`, or the fall finds no equilibrium.
         """
         if fall not in (None, "left", "right"):
             raise MechanicsError(f"a beam falls to its 'left' or to its 'right' (or None: not at all), got {fall!r}")
@@ -116,7 +117,7 @@ class Beam:
         return Shape(solved, single=np.ndim(force) == 1)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data from which `Beam.from_dict` makes an equal beam."""
+        """Plain data for `Beam.from_dict`."""
         section = {"thickness_m": self.thickness, "poisson": self.poisson, "varies": self.varies}
         return {
             "length_m": self.length,
@@ -130,7 +131,7 @@ class Beam:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Beam:
-        """Inverse of `as_dict`. Raises `MechanicsError` where an entry is missing."""
+        """Inverse of `as_dict`. Raises `MechanicsError` for a missing entry."""
         try:
             return cls(
                 length=float(data["length_m"]),

@@ -1,6 +1,6 @@
-"""What is solved: the arrays of a batch of beams under loads, on a grid with an edge at every load and every jump.
+"""Arrays of a batch of beams under loads, on a grid with an edge at every load and every jump.
 
-The statics of dead loads needs nothing of them but the sums N(s) of all forces and m(s) of all moments beyond s.
+Dead loads enter the statics only by the sums N(s) of forces and m(s) of moments beyond s.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from onebend.errors import MechanicsError
 from onebend.records import Array, BoolArray, IntArray, PointMass
 
 _Made = TypeVar("_Made")
-_REMEMBERED, _MADE = 8, 24  # grids a beam, and what others made
-RESOLVED = 3e-10  # share of a curvature that angles may miss; positions miss less
-NARROW = 1.0 / 32.0  # panels that are not halved again
-AS_ROUGH = 3.0  # times what angles miss of the beam's own curvatures: what a load may make of it
-_MOST_KNOTS = 60  # that get an edge each
+_REMEMBERED, _MADE = 8, 24  # cached grids per beam; cached arrays of other modules
+RESOLVED = 3e-10  # relative error of the turns due to curvature; positions are more accurate
+NARROW = 1.0 / 32.0  # narrowest panel to halve
+AS_ROUGH = 3.0  # factor on the error of the beam's own curvatures, for those that loads cause
+_MOST_KNOTS = 60  # most knots that get an edge
 _BETWEEN_KNOTS = ((4, 1.0), (6, 1.0), (8, 1.0), (10, 1.0), (12, 1.0), (16, 1.0), (16, 0.5))  # nodes, share of widest
-_MOMENT_ORDER, _ROUGH_ORDER = 16, 8  # of a moment's polynomials
-_FEWEST_NODES = 2.0  # for each node of a moment, for which the basis is worth its while
-_SAME_TIP = 1e-11  # share of its way by which a finer grid moves the tip
-_MOMENTS = np.arange(3)[:, None]  # turn of the tip, its way, and one more: two might agree by chance
+_MOMENT_ORDER, _ROUGH_ORDER = 16, 8  # orders of a moment's polynomials
+_FEWEST_NODES = 2.0  # nodes per unknown from which on the basis is worthwhile
+_SAME_TIP = 1e-11  # relative motion of the tip under refinement
+_MOMENTS = np.arange(3)[:, None]  # turn and motion of the tip, and one more: two might agree by chance
 
 
 @dataclass(frozen=True)
 class NodalBeam:
-    """One beam at the Q nodes of one grid: all of a problem that its loads do not change."""
+    """One beam at the Q nodes of one grid, without loads."""
 
     grid: Grid
     nodes: Array  # (Q,)
@@ -41,19 +41,19 @@ class NodalBeam:
     to_nodes: Array  # (Q, Q): B
     k: Array  # (Q,) N m
     q0: Array  # (Q,) rad
-    mass_beyond: Array  # (Q,) kg, with the masses that ride on the beam
+    mass_beyond: Array  # (Q,) kg, with point masses
     places: tuple[float, ...]  # of all loads
 
     @cached_property
     def basis(self) -> MomentBasis | None:
-        """For loads at `places`; None where it has not much fewer unknowns than there are nodes."""
+        """For loads at `places`; None where it saves few unknowns."""
         if len(self.nodes) < _FEWEST_NODES * len(make_grid(self.places, order=_MOMENT_ORDER).nodes):
             return None
         return self._moments(_MOMENT_ORDER)
 
     @cached_property
     def rough(self) -> MomentBasis:
-        """The same in few unknowns, for shapes from which `moment_basis.settle` goes on."""
+        """Fewer unknowns, to start `moment_basis.settle`."""
         return self._moments(_ROUGH_ORDER)
 
     def _moments(self, order: int) -> MomentBasis:
@@ -68,31 +68,28 @@ class NodalBeam:
 
 @dataclass(frozen=True)
 class MomentBasis:
-    """n curvatures that are orthonormal in the bending energy, of moments that are polynomials between loads."""
+    """n curvatures, orthonormal in the bending energy, of moments that are polynomials between loads."""
 
     modes: Array  # (Q, n): R
     turned: Array  # (Q, n): B R, the angles
-    rest: Array  # (n,): q0 in the basis, which holds it exactly
+    rest: Array  # (n,): q0 in the basis (exact)
 
 
 @dataclass
 class GridMemory:
-    """Arrays that a beam keeps from one call to the next, for the grids used last."""
+    """Arrays cached with a beam, for the grids used last."""
 
     beams: dict[Hashable, NodalBeam] = field(default_factory=dict)
     made: dict[Hashable, Any] = field(default_factory=dict)  # of other modules
 
     def nodal(self, key: Hashable, make: Callable[[], NodalBeam]) -> NodalBeam:
-        """The arrays of the key, made once."""
         return _kept(self.beams, key, make, _REMEMBERED)
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
-        """The result of `make` for the key, made once."""
         return cast(_Made, _kept(self.made, key, make, _MADE))
 
 
 def _kept(where: dict[Hashable, _Made], key: Hashable, make: Callable[[], _Made], most: int) -> _Made:
-    """An entry, made if it is new; the oldest one goes where there are `most`."""
     found = where.get(key)
     if found is None:
         found = make()
@@ -103,7 +100,7 @@ def _kept(where: dict[Hashable, _Made], key: Hashable, make: Callable[[], _Made]
 
 
 def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
-    """(..., Q) kg, of the masses that ride on a beam beyond each node."""
+    """(..., Q) kg of point masses beyond each node."""
     out = np.zeros(nodes.shape)
     for one in masses:
         out += one.mass * (nodes < one.s)
@@ -111,11 +108,11 @@ def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
 
 
 def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
-    """The coarsest grid that resolves q0 and (1 - s) / k, and the share of them by which its angles are off.
+    """The coarsest grid that resolves q0 and (1 - s) / k, the curvature under a small tip force, and its relative error
+    of the angles.
 
-    The beam bends by (1 - s) / k under a small force across its tip. The grid has an edge at the knots where that is
-    enough. Where halving the panels does not resolve the two, it is the first whose tip agrees with the one before.
-    The beam remembers it.
+    It has an edge at the knots where that suffices. Where halving panels does not resolve both, it is the first grid
+    whose tip agrees with the one before. Cached with the beam.
     """
     places = loads.places
     common = tuple(float(place) for place in places[0]) if are_common(places) else ()
@@ -141,20 +138,19 @@ def _first_resolution(beam: Rod, common: tuple[float, ...]) -> tuple[Resolution,
 
 
 def _widest(edges: tuple[float, ...]) -> float:
-    """Of the panels between edges."""
     return float(np.max(np.diff(make_grid(edges).edges)))
 
 
 def missed_by_angles(grid: Grid, q: Array) -> Array:
-    """(...) share of curvatures q (..., Q) by which their angles at the nodes may be off.
+    """(...) relative error of the angles at the nodes for curvatures q (..., Q).
 
-    The last Legendre coefficient of a panel of width h turns the beam by up to h / (2 order + 1) of it.
+    The last Legendre coefficient of a panel of width h turns the beam by up to h / (2 order + 1) times itself.
     """
     return grid.legendre_tail(q) * float(np.max(np.diff(grid.edges))) / (2 * grid.order + 1)
 
 
 def _own(beam: Rod, grid: Grid) -> tuple[float, Array]:
-    """Of (1 - s) / k and q0: the share that angles miss; (2, 3) turn and way of the tip by them."""
+    """For (1 - s) / k and q0: relative error of angles; (2, 3) turn and motion of the tip."""
     arm = 1.0 - grid.nodes
     k = np.asarray(beam.stiffness(grid.nodes), dtype=float)
     check_positive(k, grid.nodes)
@@ -163,7 +159,7 @@ def _own(beam: Rod, grid: Grid) -> tuple[float, Array]:
 
 
 def check_positive(k: Array, nodes: Array) -> None:
-    """Raises `MechanicsError` where k (..., Q) is not positive."""
+    """Raises `MechanicsError` unless k (..., Q) is positive."""
     if not np.all(k > 0.0):
         bad = np.flatnonzero(~(k > 0.0))[0]
         where = np.broadcast_to(nodes, k.shape).flat[bad]
@@ -173,7 +169,7 @@ def check_positive(k: Array, nodes: Array) -> None:
 
 
 def loads_at_nodes(grid: Grid, nodes: Array, loads: Loads, mass_beyond: Array) -> dict[str, Array]:
-    """The entries of a `Problem` for the loads of T frames; `mass_beyond` (Q,) or (T, Q) kg weighs where gravity is."""
+    """Entries of a `Problem` for the loads of T frames; `mass_beyond` (Q,) or (T, Q) kg."""
     size, frames = loads.size, nodes.shape[-1]
     dead = transposed(_beyond(nodes, loads.force_s)) @ loads.force
     if np.any(loads.gravity != 0.0):
@@ -197,19 +193,19 @@ def _beyond(nodes: Array, places: Array) -> Array:
 
 
 def are_common(places: Array) -> bool:
-    """Whether all frames have their loads at the same places."""
+    """Whether loads have the same places in all frames."""
     return len(places) == 1 or places.shape[1] == 0 or bool(np.all(places == places[:1]))
 
 
 def grid_for(places: Array, jumps: tuple[float, ...], order: int, widest: float) -> Grid:
-    """One grid for the batch where all frames have their loads at the same places, else one a frame."""
+    """One grid if all frames have the same places, else one per frame."""
     if are_common(places):
         fixed = tuple(float(p) for p in places[0])
         return make_grid((*fixed, *jumps), order=order, widest=widest)
     common = make_grid(jumps, order=order, widest=widest).edges
     inside = np.clip(places, 1e-6, 1.0 - 1e-6)
     edges = np.sort(np.concatenate([np.broadcast_to(common, (places.shape[0], len(common))), inside], axis=1), axis=1)
-    # Equal edges are pulled apart by an invisible amount so that every frame has the same number of panels.
+    # Equal edges are separated minimally, so that every frame has the same number of panels.
     step = 1e-7 * np.arange(edges.shape[1])
     edges = np.maximum.accumulate(edges - step, axis=1) + step
     edges = (edges - edges[:, :1]) / (edges[:, -1:] - edges[:, :1])
@@ -218,7 +214,7 @@ def grid_for(places: Array, jumps: tuple[float, ...], order: int, widest: float)
 
 
 class Rod(Protocol):
-    """What mechanics needs to know of a beam; `model.Beam` is one."""
+    """The interface of a beam for mechanics; `model.Beam` is one."""
 
     @property
     def length(self) -> float: ...
@@ -239,35 +235,34 @@ class Rod(Protocol):
 
 
 def has_mass(rod: Rod) -> bool:
-    """Whether it has a mass of its own: without, gravity does nothing and nothing swings."""
+    """Without a mass of its own gravity does nothing and nothing swings."""
     return bool(np.any(np.asarray(rod.mass_per_length(np.linspace(0.0, 1.0, 11))) > 0.0))
 
 
 def refuse_section(rod: Rod, who: str) -> None:
-    """Raises `MechanicsError` where a beam has a thickness and `who` does not know stretch and shear."""
+    """Raises `MechanicsError` for a beam with a thickness, which `who` does not support."""
     if rod.section is not None:
         raise MechanicsError(f"{who} takes beams that neither stretch nor shear: give the beam without its thickness")
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely a beam is resolved: `order` Gauss nodes a panel, no panel wider than `widest`."""
+    """`order` Gauss nodes per panel, no panel wider than `widest`."""
 
     order: int = 16
     widest: float = 1.0
-    at_knots: bool = False  # an edge also where a derivative of k(s) or q0(s) jumps
+    at_knots: bool = False  # also an edge where a derivative of k(s) or q0(s) jumps
 
     def finer(self) -> Resolution:
-        """Panels half as wide."""
         return replace(self, widest=0.5 * self.widest)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Arrays of one batch of equilibria: T frames, Q nodes. What differs from beam to beam leads with T.
+    """One batch of equilibria: T frames, Q nodes. Arrays that differ between beams lead with T.
 
-    A beam stretches and shears by its `section`, whose 1/EA and 1/kGA follow k, or by given arrays `stretch` and
-    `shear`. Without any of them, or with zeros, it does neither.
+    Stretch and shear come from `section` (1/EA and 1/kGA follow k) or from the arrays `stretch` and `shear`; without
+    them, or with zeros, there is none.
     """
 
     grid: Grid
@@ -283,9 +278,9 @@ class Problem:
     follower_beyond: Array  # (T, c, Q): 1 where the follower acts beyond the node
     follower_rows: Array  # (T, c, Q): angle at the follower's place
     section: RectangularSection | None = None
-    stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA, where there is no section
-    shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA, where there is no section
-    modes: Array | None = None  # (Q, n): then unknowns, q0 and columns of B are of these curvatures, not of the nodes
+    stretch: Array | None = None  # (Q,) or (T, Q) 1/N: 1/EA without a section
+    shear: Array | None = None  # (Q,) or (T, Q) 1/N: 1/kGA without a section
+    modes: Array | None = None  # (Q, n): if given, unknowns, q0 and columns of B are of these curvatures
 
     @property
     def size(self) -> int:
@@ -294,29 +289,29 @@ class Problem:
 
     @cached_property
     def dead_pull(self) -> tuple[Array, Array]:
-        """(T, Q) N m each: the dead force beyond the nodes times L w, its components x and y."""
+        """(T, Q) N m each: x and y of L w times the dead force beyond the nodes."""
         lw = self.length * self.weights
         return lw * self.dead_force[..., 0], lw * self.dead_force[..., 1]
 
     @cached_property
     def stiff(self) -> Array:
-        """(Q,) or (T, Q) N m: w k; (n,) 1 for modes, which are orthonormal in it."""
+        """(Q,) or (T, Q) N m: w k; (n,) 1 for modes."""
         return self.weights * self.k if self.modes is None else np.ones(self.modes.shape[-1])
 
     @property
     def unbend(self) -> Array:
-        """(Q,) or (T, Q) 1 / sqrt(w k): curvature of unit bending energy, times two, at each node."""
+        """(Q,) or (T, Q) 1 / sqrt(w k): scales curvatures to a bending energy of half their sum of squares."""
         return np.asarray(1.0 / np.sqrt(self.weights * self.k))
 
     @cached_property
     def couple(self) -> Array:
-        """(T, Q) or (T, n) N m: w times the point moments beyond the nodes, their work for each unknown."""
+        """(T, Q) or (T, n) N m: w times the point moments beyond the nodes."""
         out = self.weights * self.moment
         return out if self.modes is None else out @ self.modes
 
     @cached_property
     def compliance(self) -> tuple[Array, Array] | None:
-        """(Q,) or (T, Q) 1/N each: 1/EA and 1/kGA; None for a beam that neither stretches nor shears."""
+        """(Q,) or (T, Q) 1/N each: 1/EA and 1/kGA; None without stretch and shear."""
         if self.section is not None:
             if self.stretch is not None or self.shear is not None:
                 raise MechanicsError("1/EA and 1/kGA follow from the section: give it or them, not both")
@@ -330,14 +325,14 @@ class Problem:
 
     @cached_property
     def strain_lever(self) -> Array | None:
-        """(Q,) or (T, Q) 1/(N m): delta / (L w) of `nodal_forces.py`, or None where `compliance` is."""
+        """(Q,) or (T, Q) 1/(N m): delta / (L w); None where `compliance` is."""
         if self.compliance is None:
             return None
         stretch, shear = self.compliance
         return np.asarray((stretch - shear) / (self.length * self.weights))
 
     def under(self, dead_force: Array, q0: Array, alpha0: Array) -> Problem:
-        """The same beams under these dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle."""
+        """The beams under dead forces (T, Q, 2) N alone, with this rest curvature and clamp angle."""
         size, nodes = dead_force.shape[:2]
         none = np.zeros((size, 0, nodes))
         return replace(
@@ -352,7 +347,7 @@ class Problem:
         )
 
     def strained(self, share: Array) -> Problem:
-        """With 1/EA and 1/kGA times `share` (T,): 0 is the beam that neither stretches nor shears."""
+        """With 1/EA and 1/kGA times `share` (T,)."""
         if self.compliance is None:
             return self
         stretch, shear = (share[:, None] * compliance for compliance in self.compliance)
@@ -369,7 +364,6 @@ class Problem:
         )
 
     def take(self, chosen: IntArray | BoolArray) -> Problem:
-        """Some frames of the batch."""
 
         def pick(x: Array, plain: int) -> Array:
             return x[chosen] if x.ndim > plain else x
@@ -395,7 +389,7 @@ class Problem:
 
 
 def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | None:
-    """The beam at the nodes for loads at these places, made once; None where places differ from frame to frame.
+    """The beam at the nodes, cached; None where places differ between frames.
 
     Raises `MechanicsError`: k(s) is not positive at every node.
     """
@@ -418,7 +412,7 @@ def remembered(beam: Rod, loads: Loads, resolution: Resolution) -> NodalBeam | N
 
 
 def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution()) -> Problem:
-    """The arrays of a beam under loads; the beam remembers those that do not depend on the loads.
+    """One beam under loads.
 
     Raises `MechanicsError`: k(s) is not positive at every node.
     """
@@ -440,9 +434,9 @@ def make_problem(beam: Rod, loads: Loads, resolution: Resolution = Resolution())
 
 
 def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = Resolution()) -> Problem:
-    """The arrays of several beams, one a frame (or one for all frames), on one grid.
+    """Several beams, one per frame (or one for all), on one grid.
 
-    Raises `MechanicsError`: k(s) is not positive at a node; as many beams as frames are needed, or one.
+    Raises `MechanicsError`: k(s) is not positive at a node, or the number of beams is neither 1 nor that of frames.
     """
     size = max(loads.size, len(beams))
     if len(beams) not in (1, size):
@@ -474,7 +468,7 @@ def make_problems(beams: Sequence[Rod], loads: Loads, resolution: Resolution = R
 
 
 def _knots(beams: Sequence[Rod]) -> tuple[float, ...]:
-    """Where a derivative of a profile of any of the beams jumps."""
+    """Where a derivative of any profile jumps."""
     return tuple(sorted({j for b in beams for p in (b.stiffness, b.rest_curvature) for j in knots_of(p)}))
 
 
@@ -483,7 +477,7 @@ def _edges(beams: Sequence[Rod], resolution: Resolution) -> tuple[float, ...]:
 
 
 def _jumps(beams: Sequence[Rod]) -> tuple[float, ...]:
-    """Where a profile of any of the beams jumps, and where a mass rides."""
+    """Where any profile jumps, and places of point masses."""
     jumps = {j for b in beams for p in (b.stiffness, b.rest_curvature, b.mass_per_length) for j in p.jumps}
     return tuple(sorted(jumps.union(one.s for b in beams for one in b.masses)))
 

@@ -1,13 +1,13 @@
-"""Cross-sections: from shapes and materials along the beam to bending stiffness, mass, rotary inertia and rest shape.
+"""Cross-sections: bending stiffness, mass, rotary inertia and rest shape from shapes and materials along the beam.
 
-Bending is about the modulus-weighted centroid (the neutral axis); y counts towards the beam's left, z across. With area
-A, centroid y_c and second moment I about its own centroid, per part:
+Bending is about the modulus-weighted centroid (neutral axis); y counts to the beam's left, z across. Per part, with
+area A, centroid y_c and second moment I about it:
 
     EA = sum E A,   y_n = sum E A y_c / EA,   EI = sum E (I + A (y_c - y_n)^2)
     mu = sum rho A, iota = sum rho (I + A (y_c - y_n)^2),   curvature at rest = -sum E A (y_c - y_n) e / EI
 
-(e: the strain of a part if it were free, as from heat or swelling; Timoshenko 1925). Parts do not slip. Width is
-measured along z, thickness along y.
+e is the free strain of a part, as from heat or swelling (Timoshenko 1925). Parts do not slip. Width is along z,
+thickness along y.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ from onebend.records import Array, BoolArray, SectionShapeName, StatedSection
 
 @dataclass(frozen=True)
 class Material:
-    """What a part is made of."""
-
     modulus: float  # E, Pa
     density: float  # rho, kg/m^3
     free_strain: float = 0.0  # e
@@ -51,14 +49,12 @@ class Material:
 
 
 class SectionShape(Protocol):
-    """A plane figure whose size follows profiles along the beam."""
-
     @property
     def sizes(self) -> tuple[Profile, ...]:
-        """The profiles that it depends on [m]."""
+        """In m."""
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
-        """At places (S,): area [m^2], centroid y [m] in the shape's own axes, second moment about it [m^4]."""
+        """At (S,): area [m^2], centroid y [m] in its own axes, second moment about the centroid [m^4]."""
 
 
 class _Figure:
@@ -69,7 +65,7 @@ class _Figure:
 
 @dataclass(frozen=True)
 class Rectangle(_Figure):
-    """A rectangle centred on its own axes."""
+    """Centred."""
 
     width: Profile
     thickness: Profile
@@ -81,8 +77,6 @@ class Rectangle(_Figure):
 
 @dataclass(frozen=True)
 class Circle(_Figure):
-    """A full circle."""
-
     diameter: Profile
 
     def moments(self, s: Array) -> tuple[Array, Array, Array]:
@@ -92,7 +86,7 @@ class Circle(_Figure):
 
 @dataclass(frozen=True)
 class Tube(_Figure):
-    """A circle with a concentric round hole."""
+    """A circle with a concentric hole."""
 
     outer: Profile  # diameter
     inner: Profile
@@ -106,9 +100,9 @@ class Tube(_Figure):
 
 @dataclass(frozen=True)
 class Polygon(_Figure):
-    """A simple polygon of corners (y, z), stretched by `thickness` along y and by `width` along z.
+    """A simple polygon of corners (y, z) in either order, scaled by `thickness` along y and `width` along z.
 
-    Either order of corners is taken. With corners in metres the two profiles are `Uniform(1.0)`.
+    With corners in metres the profiles are `Uniform(1.0)`.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -131,8 +125,6 @@ class Polygon(_Figure):
 
 @dataclass(frozen=True)
 class SectionPart:
-    """A shape of one material whose own axes stand at y = `offset` of the section."""
-
     shape: SectionShape
     material: Material
     offset: Profile = field(default_factory=lambda: Uniform(0.0))  # m
@@ -140,8 +132,6 @@ class SectionPart:
 
 @dataclass(frozen=True)
 class LaminateLayer:
-    """A rectangular layer of a laminate."""
-
     width: Profile
     thickness: Profile
     material: Material
@@ -149,10 +139,10 @@ class LaminateLayer:
 
 @dataclass(frozen=True)
 class SectionProperties:
-    """A section at places (S,)."""
+    """At places (S,)."""
 
     axial: Array  # EA, N
-    neutral_axis: Array  # y_n, m, in the section's reference
+    neutral_axis: Array  # y_n, m
     bending: Array  # EI, N m^2
     mass: Array  # mu, kg/m
     rotary: Array  # iota, kg m, about the neutral axis
@@ -162,19 +152,16 @@ class SectionProperties:
 
 @dataclass(frozen=True)
 class SectionProfiles:
-    """A section's properties as profiles of a beam of given length."""
+    """Profiles for a beam of given length."""
 
     stiffness: Pieces  # k = EI / L, N m
     mass_per_length: Pieces  # mu, kg/m
     rotary_inertia: Pieces  # iota, kg m
-    rest_curvature: Pieces  # q0 = L times the curvature, rad
+    rest_curvature: Pieces  # q0 = L times curvature, rad
 
 
 def section(parts: tuple[SectionPart, ...], s: Array) -> SectionProperties:
-    """Properties of a section of several parts at places `s` (S,).
-
-    Raises `MechanicsError`: no part, or a size that is not positive.
-    """
+    """Raises `MechanicsError`: no part, or a size that is not positive."""
     if not parts:
         raise MechanicsError("a section needs at least one part")
     places = np.atleast_1d(np.asarray(s, dtype=float))
@@ -200,7 +187,7 @@ def section(parts: tuple[SectionPart, ...], s: Array) -> SectionProperties:
 
 
 def laminate(layers: tuple[LaminateLayer, ...]) -> tuple[SectionPart, ...]:
-    """Layers stacked upwards along y, the lowest face of the first at y = 0."""
+    """Layers stacked along y, from y = 0 upwards."""
     return tuple(
         SectionPart(
             Rectangle(layer.width, layer.thickness),
@@ -212,9 +199,9 @@ def laminate(layers: tuple[LaminateLayer, ...]) -> tuple[SectionPart, ...]:
 
 
 def along(parts: tuple[SectionPart, ...], length: float) -> SectionProfiles:
-    """Profiles of a beam of `length` m with this section, to 1e-12 of their largest values, with all jumps kept.
+    """Profiles of a beam of `length` m, to 1e-12 of their largest values, with all jumps.
 
-    Raises `MechanicsError`: as `section`, or a size that jumps without saying so in its `jumps`.
+    Raises `MechanicsError`: as `section`, or an unlisted jump of a size.
     """
     if not length > 0.0:
         raise MechanicsError(f"a beam's length must be positive, got {length} m")
@@ -230,9 +217,9 @@ def along(parts: tuple[SectionPart, ...], length: float) -> SectionProfiles:
 
 
 def polygon_moments(corners: tuple[tuple[float, float], ...]) -> tuple[float, float, float]:
-    """Area, centroid y, and second moment `int (y - y_c)^2 dA` of a simple polygon (y, z), by Green's theorem."""
+    """Area, centroid y, and `int (y - y_c)^2 dA` of a simple polygon (y, z), by Green's theorem."""
     points = np.asarray(corners, dtype=float)
-    middle = points.mean(axis=0)  # moments about a point nearby lose no digits
+    middle = points.mean(axis=0)  # preserves digits
     y, z = (points - middle).T
     y1, z1 = np.roll(y, -1), np.roll(z, -1)
     cross = y * z1 - y1 * z
@@ -247,7 +234,7 @@ def polygon_moments(corners: tuple[tuple[float, float], ...]) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class _Stacked:
-    """Half of one thickness above the sum of those below."""
+    """Half of one thickness plus those below."""
 
     below: tuple[Profile, ...]
     own: Profile
@@ -264,7 +251,6 @@ class _Stacked:
 
 
 def _knots(profile: Profile) -> tuple[float, ...]:
-    """Where a profile is not smooth: its jumps, and knots where only a higher derivative jumps."""
     if isinstance(profile, Scaled):
         return _knots(profile.profile)
     if isinstance(profile, _Stacked):
@@ -282,7 +268,6 @@ def _size(profile: Profile, s: Array) -> Array:
 
 
 def _crosses_itself(points: Array) -> bool:
-    """Whether two sides that are not neighbours meet in their insides."""
 
     def side(a: Array, b: Array, c: Array) -> float:
         return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
@@ -297,24 +282,20 @@ def _crosses_itself(points: Array) -> bool:
     return False
 
 
-# A cross-section as it was measured along the beam: its second moment I(s), how sure that is, and its shape.
-#
-# I = w h^3 / 12 of a rectangle (h in the plane of bending), pi d^4 / 64 of a circle, pi (d^4 - c^4) / 64 of a tube
-# and 5 sqrt(3) / 144 d^4 of a regular hexagon (d across its flats, about any axis). Where only I is known, its fourth
-# root goes straight between the places, as the sizes of the others do.
+# A measured cross-section along the beam. I = w h^3 / 12 of a rectangle (h in the plane of bending), pi d^4 / 64 of a
+# circle, pi (d^4 - c^4) / 64 of a tube, 5 sqrt(3) / 144 d^4 of a regular hexagon (d across flats, any axis). Sizes are
+# linear between places; where only I is known, its fourth root is.
 
-_SIDE = 1.0 / math.sqrt(3.0)  # of a hexagon that is one wide across its flats
+_SIDE = 1.0 / math.sqrt(3.0)  # side of a hexagon of unit width across flats
 HEXAGON = ((0.5, -_SIDE / 2), (0.5, _SIDE / 2), (0.0, _SIDE), (-0.5, _SIDE / 2), (-0.5, -_SIDE / 2), (0.0, -_SIDE))
 _SECTION_PLACES = np.linspace(0.0, 1.0, 401)
-_SHARP = 10.0  # change of the slope of log I, per unit of s, from which on a corner counts as a jump
-_FLAT = 1e-9  # of log I: a step that is smaller is none
+_SHARP = 10.0  # change of the slope of log I per unit of s that makes a corner a jump
+_FLAT = 1e-9  # smallest step of log I
 _MOST_JUMPS = 24
 
 
 def second_moment(section: StatedSection, s: Array) -> tuple[Array, Array]:
-    """(S,) I [m^4] at places `s`, and one sd of its log; NaN outside the places where the section was measured.
-
-    The sd is 0 where nobody says how exactly the sizes were measured.
+    """(S,) I [m^4] and the sd of log I (0 if not stated); NaN outside the measured places.
 
     Raises `MechanicsError`: sizes that are not positive, or fewer than two places.
     """
@@ -325,8 +306,8 @@ def second_moment(section: StatedSection, s: Array) -> tuple[Array, Array]:
 
 
 def moment_errors(section: StatedSection, s: Array) -> Array:
-    """(S, n) what each stated error does to log I, to first order and for one sd: of each size on its own, alike at all
-    places; n = 0 where the section counts as exact."""
+    """(S, n) first-order change of log I for one sd of each stated error, common to all places; n = 0 without
+    errors."""
     s = np.asarray(s, dtype=float)
     if section.shape == "second moment":
         return section.moment_sd * np.ones((*s.shape, 1)) if section.moment_sd > 0.0 else np.zeros((*s.shape, 0))
@@ -342,9 +323,7 @@ def moment_errors(section: StatedSection, s: Array) -> Array:
 
 
 def relative_moment(section: StatedSection) -> Polyline:
-    """log I(s) less its mean along the beam; beyond the places where the section was measured it stays as it is there.
-
-    Its `jumps` are the section's steps, and its sharpest corners.
+    """log I(s) less its mean, constant beyond the measured places; `jumps` are steps and sharp corners.
 
     Raises `MechanicsError`: as `second_moment`.
     """
@@ -354,13 +333,13 @@ def relative_moment(section: StatedSection) -> Polyline:
 
 
 def mean_moment(section: StatedSection) -> float:
-    """m^4, the geometric mean of I along the beam: what `relative_moment` is relative to."""
+    """m^4, geometric mean of I."""
     s, logs, _ = _log_moment(section)
     return float(np.exp(np.trapezoid(logs, s)))
 
 
 def _log_moment(section: StatedSection) -> tuple[Array, Array, Array]:
-    """Places (S,) close together, log I there, and the places of the steps, which stand twice among them."""
+    """Dense places (S,), log I, and the steps, which stand twice."""
     s = np.union1d(np.clip(section.s, 0.0, 1.0), _SECTION_PLACES)
     steps = np.asarray(section.s)[1:][np.diff(section.s) == 0.0]
     logs = np.log(_moment(section, s))
@@ -370,7 +349,6 @@ def _log_moment(section: StatedSection) -> tuple[Array, Array, Array]:
 
 
 def _jumps(section: StatedSection, steps: Array, s: Array, logs: Array) -> tuple[float, ...]:
-    """Places inside (0, 1) where log I jumps, or where its slope changes most."""
     rows = np.unique(section.s[(section.s > 0.0) & (section.s < 1.0)])
     corners = np.setdiff1d(rows, steps)
     width = 1e-6
@@ -382,7 +360,7 @@ def _jumps(section: StatedSection, steps: Array, s: Array, logs: Array) -> tuple
 
 
 def _moment(section: StatedSection, s: Array) -> Array:
-    """(S,) m^4, beyond the first and the last place as there."""
+    """(S,) m^4, constant beyond the ends."""
     if section.moment is not None:
         if not np.all(section.moment > 0.0):
             raise MechanicsError("a section's second moment must be positive")
@@ -404,8 +382,8 @@ def _along(section: StatedSection, size: Array) -> Polyline:
 
 
 def section_as_dict(section: StatedSection) -> dict[str, Any]:
-    """For JSON: `in_plane_m` is the size in the plane of bending, `across_m` the one across it, `inner_m` the inner
-    diameter of a tube; where only the second moment is known, `I_m4` and `I_sd` (a share) stand instead."""
+    """For JSON: `in_plane_m`, `across_m` (across the plane of bending), `inner_m` of a tube; or `I_m4` and `I_sd`
+    (relative)."""
     out: dict[str, Any] = {"shape": section.shape, "s": section.s.tolist()}
     if section.moment is not None:
         sd = section.moment_sd if np.isfinite(section.moment_sd) else None
@@ -416,7 +394,7 @@ def section_as_dict(section: StatedSection) -> dict[str, Any]:
 
 
 def section_from_dict(data: dict[str, Any]) -> StatedSection:
-    """From `section_as_dict`. Raises `MechanicsError` where it is no section."""
+    """Inverse of `section_as_dict`. Raises `MechanicsError`."""
     shape, s = data["shape"], np.array(data["s"], dtype=float)
     if shape not in get_args(SectionShapeName) or s.ndim != 1:
         raise MechanicsError(f"a section is one of {', '.join(get_args(SectionShapeName))}, with places along the beam")
@@ -437,35 +415,33 @@ def section_from_dict(data: dict[str, Any]) -> StatedSection:
     return section
 
 
-# Young's modulus from bending stiffness and a measured cross-section: E(s) = k(s) L / I(s).
-#
-# An error of the sizes enters to first order: `d log I = dw/w + 3 dh/h` of a rectangle, `4 dd/d` of a circle.
+# Young's modulus E(s) = k(s) L / I(s). Size errors enter to first order: `d log I = dw/w + 3 dh/h` of a rectangle,
+# `4 dd/d` of a circle.
 
-_MEAN_PLACES = np.linspace(0.0, 1.0, 201)  # s, of a mean along the beam
+_MEAN_PLACES = np.linspace(0.0, 1.0, 201)  # s, for means along the beam
 
 
 @dataclass(frozen=True)
 class ModulusBand:
-    """Young's modulus and how sure it is, at places s (S,); NaN where the section was not measured."""
+    """E and its band at places (S,); NaN outside the measured section."""
 
     s: Array
     modulus: Array  # E, Pa
     low: Array  # Pa; NaN where k(s) has no band
     high: Array  # Pa
-    identified: BoolArray  # as of k(s), and the section is known there
+    identified: BoolArray  # k(s) is identified, and the section known
 
 
 @one_blas_thread
 def modulus_band(
     stiffness: UncertainStiffness | Profile, length: float, section: StatedSection, s: Array, level: float = 0.95
 ) -> ModulusBand:
-    """Young's modulus of a beam of `length` m between the quantiles that leave out `1 - level`, half on either side.
+    """E of a beam of `length` m between quantiles that leave out `1 - level`.
 
-    The errors of k(s), the force's common scale among them, and of the sizes are independent; where k(s) was learned as
-    the section's shape times a modulus they are not, and E is that modulus (`UncertainStiffness.nominal`). Of a k(s)
-    without a band E has none, and no place counts as identified.
+    Errors of k(s), the force's scale and the sizes are independent, unless k(s) was learned as modulus times section:
+    then E is that modulus (`UncertainStiffness.nominal`). Without a band of k(s), E has none.
 
-    Raises `MechanicsError`: a length or a size that is not positive.
+    Raises `MechanicsError`: a length or size that is not positive.
     """
     if not length > 0.0:
         raise MechanicsError(f"a beam's length must be positive, got {length} m")
@@ -485,8 +461,7 @@ def modulus_band(
 def one_modulus(
     stiffness: UncertainStiffness | Profile, length: float, section: StatedSection | None, level: float = 0.95
 ) -> tuple[float, float, float] | None:
-    """Pa: E as one number, its geometric mean along the beam, and its band; None where k(s) was not learned as the
-    section's shape times a modulus."""
+    """Pa: geometric mean of E and its band; None unless k(s) was learned as modulus times section."""
     if section is None or not isinstance(stiffness, UncertainStiffness) or stiffness.nominal is None:
         return None
     nominal = stiffness.nominal

@@ -1,7 +1,7 @@
 """Derivatives of an equilibrium by the implicit function theorem: `dq/dp = -T^-1 dg/dp`, T the tangent.
 
-Perturbations are joined with `+` and solved together: the tangent is factorised once, for the parameters or, where
-those are fewer, for the quantities asked for (the adjoint method).
+Perturbations add with `+` and share one factorisation, for the parameters or, if fewer, for the quantities asked for
+(adjoint method).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from onebend.records import Array, IntArray
 
 
 class _Joined:
-    """One or several sets of parameters, one after the other."""
+    """Sets of parameters, one after the other."""
 
     parts: tuple[Perturbation, ...]
 
@@ -29,32 +29,28 @@ class _Joined:
 
     @cached_property
     def columns(self) -> list[tuple[slice, Perturbation]]:
-        """The parts with their places among all parameters."""
+        """Parts with their slices of all parameters."""
         ends = [0, *accumulate(len(part.clamp) for part in self.parts)]
         return [(slice(a, b), part) for a, b, part in zip(ends[:-1], ends[1:], self.parts, strict=True)]
 
 
 @dataclass(frozen=True)
 class Perturbation(_Joined):
-    """P parameters: derivatives of what enters the balance, at the nodes of T frames. Ones may stand for T.
+    """P parameters: derivatives of what enters the balance, at the nodes of T frames (or 1 for all). None:
+    unchanged."""
 
-    None where nothing of the kind changes.
-    """
-
-    force: Array | None  # (T, Q, 2, P) N per unit: of the dead force beyond each node
-    moment: Array | None  # (T, Q, P) N m per unit: of the moment beyond each node
-    elastic: tuple[Array, Array] | None  # of k (q - q0) at fixed q: (T, Q) times functions (Q, P) or (T, Q, P), N m
+    force: Array | None  # (T, Q, 2, P) N per unit: dead force beyond each node
+    moment: Array | None  # (T, Q, P) N m per unit: moment beyond each node
+    elastic: tuple[Array, Array] | None  # k (q - q0) at fixed q: (T, Q) times functions (Q, P) or (T, Q, P), N m
     clamp: Array  # (P,) rad per unit
-    # of 1/EA and 1/kGA: (Q,) or (T, Q) each, times functions (Q, P) or (T, Q, P), 1/N
+    # 1/EA and 1/kGA: (Q,) or (T, Q) each, times functions (Q, P) or (T, Q, P), 1/N
     compliance: tuple[tuple[Array, Array], Array] | None = None
 
     @property
     def parts(self) -> tuple[Perturbation, ...]:  # type: ignore[override]
-        """Itself, as `Perturbations` has it."""
         return (self,)
 
     def take(self, chosen: IntArray) -> Perturbation:
-        """At some of the frames."""
 
         def pick(x: Array, plain: int) -> Array:
             return x[chosen] if x.ndim > plain and len(x) > 1 else x
@@ -76,22 +72,18 @@ class Perturbation(_Joined):
 
 @dataclass(frozen=True)
 class Perturbations(_Joined):
-    """Several sets of parameters, one after the other: P in all."""
-
     parts: tuple[Perturbation, ...]
 
     @property
     def clamp(self) -> Array:
-        """(P,) rad per unit."""
         return np.concatenate([part.clamp for part in self.parts])
 
     def take(self, chosen: IntArray) -> Perturbations:
-        """At some of the frames."""
         return Perturbations(tuple(part.take(chosen) for part in self.parts))
 
 
 def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Array:
-    """(T, Q, P): minus the derivative of the balance's gradient with the parameters at fixed q."""
+    """(T, Q, P): minus the gradient's derivative by the parameters at fixed q."""
     problem = solved.problem
     out = np.zeros((*solved.q.shape, len(perturbation.clamp)))
     for columns, part in perturbation.columns:
@@ -109,7 +101,7 @@ def minus_gradient(solved: Equilibrium, perturbation: Perturbation | Perturbatio
 
 
 def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
-    """(T, Q, P) N m per unit: of `w dW/dalpha` at the nodes, at fixed angles; None where force and strain stay."""
+    """(T, Q, P) N m per unit: of `w dW/dalpha` at fixed angles; None if force and strain do not change."""
     problem, out = solved.problem, None
     if part.force is not None:
         lw = (problem.length * problem.weights)[..., None]
@@ -122,7 +114,7 @@ def work_by_angle(solved: Equilibrium, part: Perturbation) -> Array | None:
 
 
 def adjoint_times(rows: Array, solved: Equilibrium, part: Perturbation) -> Array:
-    """(T, S, P): rows (T, S, Q) times `minus_gradient`; functions that frames share are not written out for each."""
+    """(T, S, P): rows (T, S, Q) times `minus_gradient`, without expanding functions that frames share."""
     out, elastic, compliance = np.zeros((*rows.shape[:-1], len(part.clamp))), part.elastic, part.compliance
     if elastic is not None and elastic[1].ndim == 2:
         out += _times(rows * -(solved.problem.weights * elastic[0])[..., None, :], elastic[1])
@@ -139,13 +131,13 @@ def adjoint_times(rows: Array, solved: Equilibrium, part: Perturbation) -> Array
 
 
 def _times(rows: Array, functions: Array) -> Array:
-    """(T, S, P): rows (T, S, Q) times functions (Q, P), in one product."""
+    """(T, S, P): rows (T, S, Q) times functions (Q, P)."""
     return np.asarray((rows.reshape(-1, rows.shape[-1]) @ functions).reshape(*rows.shape[:-1], functions.shape[-1]))
 
 
 def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Array | None:
-    """(T, S, 2, P) m per unit: how places move by strain alone, all angles kept; `rows` (S, Q) or (T, S, Q) m
-    integrate r'. None where they stay."""
+    """(T, S, 2, P) m per unit: motion by strain at fixed angles; `rows` (S, Q) or (T, S, Q) m integrate r'. None
+    without."""
     problem, out = solved.problem, None
     if part.force is not None and problem.compliance is not None:
         by_force, force = solved.strain_by_force, part.force
@@ -162,13 +154,13 @@ def moved_by_strain(solved: Equilibrium, rows: Array, part: Perturbation) -> Arr
 
 
 def followers_turned(solved: Equilibrium) -> Array:
-    """(T, c, Q, 2) N per rad: of the internal force with the angle where each follower acts."""
+    """(T, c, Q, 2) N per rad: internal force by the angle at each follower."""
     _, turning = turned_followers(solved.problem, solved.q)
     return np.asarray(turning[:, :, None] * solved.problem.follower_beyond[..., None])
 
 
 def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array]) -> tuple[Array, Array]:
-    """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` with the compliance."""
+    """(T, Q) and functions: of `w dW/dalpha = L w Q (1 + (1/EA - 1/kGA) N)` by the compliance."""
     (stretch, shear), functions = compliance
     problem = solved.problem
     normal, transverse = solved.normal_and_shear
@@ -176,40 +168,39 @@ def _twisted(solved: Equilibrium, compliance: tuple[tuple[Array, Array], Array])
 
 
 def _by_turn(solved: Equilibrium) -> Array:
-    """(T, Q, 1): of the gradient with a common turn: T summed over a uniform turn, less elasticity."""
+    """(T, Q, 1): gradient by a common turn."""
     problem = solved.problem
     along = solved.forces.along
-    if problem.follower.shape[1]:  # they turn alike
+    if problem.follower.shape[1]:  # followers turn too
         force = np.sum(followers_turned(solved), axis=1)[..., None]
         along = along - (problem.length * problem.weights) * _dot(solved.forces.lever, force)[..., 0]
     return apply(transposed(problem.to_nodes), along)[..., None]
 
 
 def _dot(way: Array, force: Array) -> Array:
-    """(T, Q, P) of ways (T, Q, 2) and forces (T, Q, 2, P)."""
     return force[..., 1, :] * way[..., 1, None] + force[..., 0, :] * way[..., 0, None]
 
 
 @dataclass(frozen=True)
 class Response:
-    """How equilibria move with P parameters."""
+    """Derivatives of equilibria by P parameters."""
 
     solved: Equilibrium
     perturbation: Perturbation | Perturbations
 
     @cached_property
     def q(self) -> Array:
-        """(T, Q, P) rad per unit, of the curvature at the nodes."""
+        """(T, Q, P) rad per unit."""
         right = minus_gradient(self.solved, self.perturbation)
         return solve_each(tangent(self.solved.problem, self.solved.q), right)
 
     @property
     def alpha(self) -> Array:
-        """(T, Q, P) of the angle at the nodes."""
+        """(T, Q, P)."""
         return self.solved.problem.to_nodes @ self.q + self.perturbation.clamp
 
     def poses(self, s: Array) -> Array:
-        """(T, S, 3, P) m, m, rad per unit: of position and angle at places `s` (S,) or (T, S)."""
+        """(T, S, 3, P) m, m, rad per unit, at `s` (S,) or (T, S)."""
         integral = self.solved.problem.grid.integral_to(s)
         moved, turned = self._ways(integral)
         angle = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))[:, :, None]
@@ -219,20 +210,20 @@ class Response:
         return out
 
     def angle(self, s: Array) -> Array:
-        """(T, S, P) rad per unit, of the angle at places `s` (S,) or (T, S)."""
+        """(T, S, P) rad per unit."""
         integral = self.solved.problem.grid.integral_to(s)
         rows = np.broadcast_to(integral, (len(self.solved.q), *integral.shape[-2:]))
         return self._derivative_of(rows, np.ones(rows.shape[:-1]))
 
     def xy(self, s: Array) -> Array:
-        """(T, S, 2, P) m per unit, of the position at places `s` (S,) or (T, S)."""
+        """(T, S, 2, P) m per unit."""
         integral = self.solved.problem.grid.integral_to(s)
         out = self._derivative_of(*self._ways(integral))
         self._add_strain(out, integral)
         return out
 
     def clamp_wrench(self) -> Array:
-        """(T, 3, P) N, N, N m per unit: of force and moment that the clamp puts on the beam (dead loads)."""
+        """(T, 3, P) N, N, N m per unit: of the clamp's wrench on the beam (dead loads)."""
         base, along = _at_base(self.solved.problem), self.solved.forces.along
         out = np.zeros((len(along), 3, len(self.perturbation.clamp)))
         out[:, 2] = np.sum(along[..., None] * self.alpha, axis=1)
@@ -247,10 +238,8 @@ class Response:
         return out
 
     def _ways(self, integral: Array) -> tuple[Array, Array]:
-        """(T, S, 2, Q) m: how positions go with the curvature at the nodes; (T, S, 2) m: with a common turn.
-
-        `integral` (S, Q) or (T, S, Q) integrates from 0 to their places.
-        """
+        """(T, S, 2, Q) m: positions by the curvature; (T, S, 2) m: by a common turn. `integral` (S, Q) or (T, S, Q)
+        integrates from 0 to the places."""
         problem = self.solved.problem
         rows = problem.length[..., None] * integral
         ways = self.solved.forces.lever
@@ -267,9 +256,10 @@ class Response:
         return by_q, by_turn
 
     def _derivative_of(self, rows: Array, turned: Array) -> Array:
-        """(T, ..., P) of quantities that go with curvature by `rows` (T, ..., Q), with the clamp by `turned` (T, ...).
+        """(T, ..., P) of quantities with derivatives `rows` (T, ..., Q) by curvature and `turned` (T, ...) by the
+        clamp.
 
-        Where they are fewer than the parameters, T is solved for them: `rows T^-1 right = (T^-T rows^T)^T right`.
+        If these are fewer than the parameters, T is solved for them: `rows T^-1 right = (T^-T rows^T)^T right`.
         """
         flat = rows.reshape(len(rows), -1, rows.shape[-1])
         clamp = self.perturbation.clamp
@@ -285,7 +275,7 @@ class Response:
         return out + turned[..., None] * clamp if np.any(clamp != 0.0) else out
 
     def _add_strain(self, out: Array, integral: Array) -> None:
-        """Adds how positions (T, S, 2, P) move by strain alone."""
+        """Adds the motion (T, S, 2, P) by strain."""
         rows = self.solved.problem.length[..., None] * integral
         for columns, part in self.perturbation.columns:
             moved = moved_by_strain(self.solved, rows, part)
@@ -294,31 +284,24 @@ class Response:
 
 
 def respond(solved: Equilibrium, perturbation: Perturbation | Perturbations) -> Response:
-    """Derivatives of the equilibria with respect to all parameters of `perturbation`.
-
-    They are worked out when asked for. NaN in frames whose tangent is singular: at a limit point the response is
-    infinite.
-    """
+    """Derivatives by all parameters of `perturbation`, computed on demand; NaN at a limit point (singular tangent)."""
     return Response(solved, perturbation)
 
 
 def of_force(problem: Problem, at_s: Array) -> Perturbation:
-    """Two parameters: the components [N] of a dead force at `at_s`, a number or (T,)."""
+    """Two parameters: components [N] of a dead force at `at_s`, a number or (T,)."""
     beyond = _beyond(problem, at_s)
     force = beyond[..., None, None] * np.eye(2)
     return Perturbation(force, None, None, np.zeros(2))
 
 
 def of_moment(problem: Problem, at_s: Array) -> Perturbation:
-    """One parameter: a moment [N m] at `at_s`, a number or (T,)."""
+    """A moment [N m] at `at_s`, a number or (T,)."""
     return Perturbation(None, _beyond(problem, at_s)[..., None], None, np.zeros(1))
 
 
 def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
-    """P parameters: coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m].
-
-    Where the problem has a `section`, 1/EA and 1/kGA go with k by it; given arrays of them stay as they are.
-    """
+    """Coefficients of functions (Q, P) or (T, Q, P) added to k(s) [N m]; a `section`'s 1/EA and 1/kGA follow."""
     problem, section, compliance = solved.problem, solved.problem.section, None
     if section is not None and problem.compliance is not None:
         compliance = problem.compliance, section.log_by_stiffness(problem.k, problem.weights, functions)
@@ -326,9 +309,9 @@ def of_stiffness(solved: Equilibrium, functions: Array) -> Perturbation:
 
 
 def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
-    """One parameter, with which log h0, the section's thickness, grows by `slope`; 1/EA and 1/kGA go with its square.
+    """log h0 of the section, varied by `slope`; 1/EA and 1/kGA follow its square.
 
-    Raises `MechanicsError`: the problem has no section.
+    Raises `MechanicsError`: no section.
     """
     if problem.section is None or problem.compliance is None:
         raise MechanicsError("there is no section whose thickness sets 1/EA and 1/kGA: give the problem a `section`")
@@ -337,17 +320,17 @@ def of_section_thickness(problem: Problem, slope: float = 1.0) -> Perturbation:
 
 
 def of_rest_curvature(problem: Problem, functions: Array) -> Perturbation:
-    """P parameters: coefficients of functions (Q, P) added to q0(s) [rad]."""
+    """Coefficients of functions (Q, P) added to q0(s) [rad]."""
     return Perturbation(None, None, (-np.atleast_2d(problem.k), functions), np.zeros(functions.shape[-1]))
 
 
 def of_clamp_angle(problem: Problem) -> Perturbation:  # noqa: ARG001 - it takes what its sisters take
-    """One parameter: the clamp's angle [rad], the loads keeping their directions."""
+    """The clamp's angle [rad] under fixed loads."""
     return Perturbation(None, None, None, np.ones(1))
 
 
 def of_mass(problem: Problem, functions: Array, gravity: Array) -> Perturbation:
-    """P parameters: coefficients of functions (Q, P) added to mu(s) [kg/m] under gravity (T, 2) or (1, 2)."""
+    """Coefficients of functions (Q, P) added to mu(s) [kg/m] under gravity (T, 2) or (1, 2)."""
     line = problem.length[..., None] * functions  # (Q, P) or (T, Q, P)
     total = np.sum(problem.weights[..., None] * line, axis=-2, keepdims=True)
     beyond = total - problem.to_nodes @ line
@@ -356,7 +339,7 @@ def of_mass(problem: Problem, functions: Array, gravity: Array) -> Perturbation:
 
 
 def clamp_wrench(solved: Equilibrium) -> Array:
-    """(T, 3) N, N, N m: force and moment that the clamp puts on the beam."""
+    """(T, 3) N, N, N m: wrench of the clamp on the beam."""
     problem, base = solved.problem, _at_base(solved.problem)
     n = internal_force(problem, solved.q)
     moment = np.sum(solved.forces.across, axis=-1) + problem.moment @ base
@@ -364,13 +347,13 @@ def clamp_wrench(solved: Equilibrium) -> Array:
 
 
 def _beyond(problem: Problem, at_s: Array) -> Array:
-    """(T or 1, Q): 1 where `at_s` lies beyond the node. The grid must have an edge at `at_s` to be exact."""
+    """(T or 1, Q): 1 where `at_s` lies beyond the node. Exact with a grid edge at `at_s`."""
     places = np.atleast_1d(np.asarray(at_s, dtype=float))[:, None]
     return np.asarray(problem.grid.nodes < places, dtype=float)
 
 
 def _at_base(problem: Problem) -> Array:
-    """(Q,) row that evaluates a smooth quantity of the first panel at s = 0 by extrapolation of its polynomial."""
+    """(Q,) row that extrapolates the first panel's polynomial to s = 0."""
     order = problem.grid.order
     x, w = np.polynomial.legendre.leggauss(order)
     degree = np.arange(order)

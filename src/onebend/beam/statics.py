@@ -1,4 +1,4 @@
-"""Equilibrium of a clamped beam: the balance, Newton's method, continuation in the load, and its derivatives."""
+"""Equilibrium of a clamped beam: balance, Newton's method and derivatives."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from onebend.beam.grid import apply, paired, solve_each, transposed
 from onebend.beam.problem import Problem
 from onebend.records import Array, BoolArray, IntArray
 
-# Planar rod of Simo and Reissner. With the directors d1 = (cos alpha, sin alpha) and d2 = (-sin alpha, cos alpha), the
-# internal force n(s) (the sum of all forces beyond s), N = n . d1 and Q = n . d2:
+# Planar rod of Simo and Reissner. Directors d1 = (cos alpha, sin alpha), d2 = (-sin alpha, cos alpha); n(s) is the sum
+# of all forces beyond s, N = n . d1, Q = n . d2:
 #
 #     r' = L [(1 + N/EA) d1 + (Q/kGA) d2]
 #
-# Stretch and shear follow from n, so that the curvature is the only unknown. The work of the loads per s,
+# Stretch and shear follow from n, so the curvature is the only unknown. The loads' work per s,
 # `W(alpha) = L (N + N^2 / 2 EA + Q^2 / 2 kGA)`, has with delta = 1/EA - 1/kGA the derivatives
 #
 #     dW/dalpha = L Q (1 + delta N) = -M' - m',    -d2W/dalpha2 = L (N + delta (N^2 - Q^2)).
@@ -25,19 +25,19 @@ from onebend.records import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class NodalForces:
-    """Directions at the nodes, and derivatives of the loads' work `w W` with the angle there."""
+    """Directions at the nodes, and derivatives of the loads' work `w W` by the angle."""
 
     cos: Array  # (T, Q)
     sin: Array  # (T, Q)
-    along: Array  # (T, Q) N m: minus the second derivative; L w N where nothing stretches or shears
-    across: Array  # (T, Q) N m: the first derivative; L w Q where nothing stretches or shears
-    turned: tuple[Array, Array] | None  # (T, Q) each: `d(r'/L)/dalpha = turned[0] d1 + turned[1] d2`; None: it is d2
+    along: Array  # (T, Q) N m: minus the second derivative; L w N without stretch and shear
+    across: Array  # (T, Q) N m: the first derivative; L w Q without stretch and shear
+    turned: tuple[Array, Array] | None  # (T, Q) each: `d(r'/L)/dalpha = turned[0] d1 + turned[1] d2`; None: d2
 
     @cached_property
     def lever(self) -> Array:
         """(T, Q, 2): d(r'/L)/dalpha at fixed n, `(1 + delta N) d2 + delta Q d1`.
 
-        It is also the derivative of `dW/dalpha` with n, over L: a force and the place it moves are reciprocal (Betti).
+        Also d(dW/dalpha)/dn over L, by Betti's reciprocity.
         """
         if self.turned is None:
             return paired(-self.sin, self.cos)
@@ -51,7 +51,7 @@ def node_angles(problem: Problem, q: Array) -> Array:
 
 
 def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q, 2) N: the sum of all forces beyond each node, followers turned to where they point now."""
+    """(T, Q, 2) N: the sum of all forces beyond each node, followers in their present direction."""
     factor = np.asarray(load_factor, dtype=float)[..., None, None]
     if problem.follower.shape[1] == 0:
         return np.asarray(factor * problem.dead_force)
@@ -60,7 +60,7 @@ def internal_force(problem: Problem, q: Array, load_factor: Array | float = 1.0)
 
 
 def turned_followers(problem: Problem, q: Array) -> tuple[Array, Array]:
-    """(T, c, 2) N the followers in the beam's frame, and their derivative with the angle there."""
+    """(T, c, 2) N followers in the beam's frame, and their derivative by the angle."""
     angle = problem.alpha0 + np.einsum("tcq,tq->tc", problem.follower_rows, q)
     cos, sin = np.cos(angle), np.sin(angle)
     f = problem.follower
@@ -69,7 +69,6 @@ def turned_followers(problem: Problem, q: Array) -> tuple[Array, Array]:
 
 
 def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> NodalForces:
-    """Of shapes (T, Q), all loads times `load_factor` (T,)."""
     alpha = node_angles(problem, q)
     cos, sin = np.cos(alpha), np.sin(alpha)
     factor = np.asarray(load_factor, dtype=float)[..., None]
@@ -87,14 +86,12 @@ def nodal_forces(problem: Problem, q: Array, load_factor: Array | float = 1.0) -
 
 
 def normal_and_shear(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    """(T, Q) N each: N and Q, the internal force along d1 and d2."""
     alpha, n = node_angles(problem, q), internal_force(problem, q, load_factor)
     cos, sin = np.cos(alpha), np.sin(alpha)
     return n[..., 0] * cos + n[..., 1] * sin, n[..., 1] * cos - n[..., 0] * sin
 
 
 def strains(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    """(T, Q) each: stretch N/EA and shear Q/kGA at the nodes."""
     if problem.compliance is None:
         nothing = np.zeros((problem.size, problem.to_nodes.shape[-1]))
         return nothing, nothing
@@ -104,7 +101,7 @@ def strains(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tup
 
 
 def centreline_slope(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> Array:
-    """(T, Q, 2): r'/L at the nodes, `(1 + N/EA) d1 + (Q/kGA) d2`."""
+    """(T, Q, 2): r'/L, `(1 + N/EA) d1 + (Q/kGA) d2`."""
     alpha = node_angles(problem, q)
     cos, sin = np.cos(alpha), np.sin(alpha)
     if problem.compliance is None:
@@ -115,7 +112,7 @@ def centreline_slope(problem: Problem, q: Array, load_factor: Array | float = 1.
 
 
 def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
-    """(T, Q, 2, 2) 1/N: d(r'/L)/dn at fixed angle, `d1 d1^T / EA + d2 d2^T / kGA`; of a beam that is compliant."""
+    """(T, Q, 2, 2) 1/N: d(r'/L)/dn at fixed angle, `d1 d1^T / EA + d2 d2^T / kGA`; compliant beams only."""
     assert problem.compliance is not None
     stretch, shear = problem.compliance
     cos, sin = forces.cos, forces.sin
@@ -127,44 +124,41 @@ def strain_by_force(problem: Problem, forces: NodalForces) -> Array:
 
 
 # Equilibrium by nodal Gauss collocation (5)-(11). The potential of dead loads is
-# `V(q) = int k/2 (q - q0)^2 - L int N . (cos alpha, sin alpha) - int m q`, where `N(s)` and `m(s)` are the sums of all
-# forces and moments beyond s. Gauss's rule on panels that end at every load and at every jump of k gives
+# `V(q) = int k/2 (q - q0)^2 - L int N . (cos alpha, sin alpha) - int m q`, with the sums N(s), m(s) of all forces and
+# moments beyond s. On panels that end at every load and every jump of k, with the integration matrix B:
 #
 #     g = w (k (q - q0) - m) - B^T (w L N . u'),        T = diag(w k) + B^T diag(w L N . u) B,
 #
-# B the integration matrix, u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). A beam that stretches and shears
-# takes other values of `L N . u'` and `L N . u` (see above); V is then its potential with the strains eliminated. A
-# follower force has no potential, and its part of T is not symmetric.
+# u = (cos alpha, sin alpha), u' = (-sin alpha, cos alpha). Stretch and shear change `L N . u'` and `L N . u` (see
+# above). A follower force has no potential; its part of T is not symmetric.
 
-_TABULATED = 300_000  # numbers up to which B^T diag(d) B is done by a table
-RESOLVED = 1e-10  # share of the last Legendre coefficients of a curvature that the grid carries
+_TABULATED = 300_000
+RESOLVED = 1e-10  # largest share of the last Legendre coefficients
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Solved shapes of a `Problem`, one a frame."""
+    """Solved shapes of a `Problem`, one per frame."""
 
     problem: Problem
     q: Array  # (T, Q) rad, curvature at the nodes
-    converged: BoolArray  # (T,) equilibrium reached on the branch that grows from rest, or fallen to where it is lost
-    stable: BoolArray  # (T,) the second variation of the potential is positive there
-    load_factor: Array  # (T,) share of the load reached: below 1 the branch ends there (snap-through)
-    buckled_at: Array  # (T,) share of the load at which the branch lost stability; NaN where it never did
-    fell: BoolArray  # (T,) the branch was lost, and the beam fell from it to the one it stands on now
-    iterations: int  # Newton iterations, the most that a frame took
+    converged: BoolArray  # (T,) reached on the branch that grows from rest, or by falling from it
+    stable: BoolArray  # (T,) the second variation of the potential is positive
+    load_factor: Array  # (T,) share of the load reached; below 1 the branch ends there (snap-through)
+    buckled_at: Array  # (T,) share of the load at which the branch lost stability, else NaN
+    fell: BoolArray  # (T,) the beam fell from the branch
+    iterations: int  # largest number of Newton iterations of a frame
 
     @property
     def resolved(self) -> BoolArray:
-        """(T,) whether the grid carries the curvature: its last Legendre coefficients are below 1e-10 of the first."""
+        """(T,) whether the last Legendre coefficients of the curvature are below 1e-10."""
         return np.asarray(self.problem.grid.legendre_tail(self.q) < RESOLVED)
 
     def take(self, chosen: IntArray) -> Equilibrium:
-        """Some of the frames."""
         parts = {name: getattr(self, name)[chosen] for name in _OF_FRAMES}
         return replace(self, problem=self.problem.take(chosen), **parts)
 
     def put(self, frames: IntArray, by: Equilibrium) -> Equilibrium:
-        """With other solutions of these frames."""
         parts = {name: getattr(self, name).copy() for name in _OF_FRAMES}
         for name, values in parts.items():
             values[frames] = getattr(by, name)
@@ -172,54 +166,53 @@ class Equilibrium:
 
     @cached_property
     def alpha(self) -> Array:
-        """(T, Q) the director's angle at the nodes: the tangent's, where nothing shears."""
+        """(T, Q) rad, the director's angle; the tangent's without shear."""
         return node_angles(self.problem, self.q)
 
     @cached_property
     def forces(self) -> NodalForces:
-        """Internal forces at the nodes under the full load."""
         return nodal_forces(self.problem, self.q)
 
     @cached_property
     def normal_and_shear(self) -> tuple[Array, Array]:
-        """(T, Q) N each: N and Q at the nodes under the full load."""
+        """(T, Q) N each."""
         return normal_and_shear(self.problem, self.q)
 
     @cached_property
     def strain_by_force(self) -> Array:
-        """(T, Q, 2, 2) 1/N: of r'/L with the internal force; of a beam that is compliant."""
+        """(T, Q, 2, 2) 1/N, d(r'/L)/dn; compliant beams only."""
         return strain_by_force(self.problem, self.forces)
 
     @cached_property
     def strained(self) -> Array:
-        """(T, Q, 2): what strain adds to r'/L under the full load; of a beam that is compliant."""
+        """(T, Q, 2): part of r'/L due to strain; compliant beams only."""
         assert self.problem.compliance is not None
         return self.strained_by(self.problem.compliance)
 
     def strained_by(self, compliance: tuple[Array, Array]) -> Array:
-        """The same, of these 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
+        """The same, for 1/EA and 1/kGA (Q,) or (T, Q) [1/N]."""
         (normal, transverse), cos, sin = self.normal_and_shear, self.forces.cos, self.forces.sin
         along, across = compliance[0] * normal, compliance[1] * transverse
         return paired(along * cos - across * sin, along * sin + across * cos)
 
     def angle(self, s: Array) -> Array:
-        """(T, S) tangent's angle at places `s` (S,) or (T, S). Equation (3)."""
+        """(T, S) rad, tangent's angle at `s` (S,) or (T, S). Equation (3)."""
         return self.problem.alpha0 + apply(self.problem.grid.integral_to(s), self.q)
 
     def xy(self, s: Array) -> Array:
-        """(T, S, 2) m, position at places `s` (S,) or (T, S). Equation (4)."""
+        """(T, S, 2) m, position at `s` (S,) or (T, S). Equation (4)."""
         return self._slope_by(self.problem.grid.integral_to(s))
 
     def xy_by_s(self, s: Array) -> Array:
-        """(T, S, 2) m, d r / d s at places `s` (S,): how positions go along the beam, stretch and shear included."""
+        """(T, S, 2) m, d r / d s at `s` (S,), with stretch and shear."""
         return self._slope_by(self.problem.grid.value_at(s))
 
     def moment(self) -> Array:
-        """(T, Q) N m, internal bending moment k (q - q0) at the nodes."""
+        """(T, Q) N m, k (q - q0)."""
         return self.problem.k * (self.q - self.problem.q0)
 
     def _slope_by(self, rows: Array) -> Array:
-        """(T, S, 2) m: rows (S, Q) or (T, S, Q) times r', under the share of the loads that acts on the shapes."""
+        """(T, S, 2) m: rows (S, Q) or (T, S, Q) times r', under the loads that act on the shapes."""
         factor = np.where(np.isfinite(self.load_factor), self.load_factor, 1.0)
         slope = centreline_slope(self.problem, self.q, factor)
         unit = np.stack([apply(rows, slope[..., 0]), apply(rows, slope[..., 1])], axis=-1)
@@ -230,18 +223,18 @@ _OF_FRAMES = ("q", "converged", "stable", "load_factor", "buckled_at", "fell")
 
 
 def found_near(problem: Problem, q: Array, found: BoolArray, iterations: int = 0) -> Equilibrium:
-    """Shapes that are stable equilibria where `found`, and none elsewhere; no branch was followed to them."""
+    """Stable equilibria where `found`."""
     none = np.full(len(q), np.nan)
     factor = np.where(found, 1.0, np.nan)
     return Equilibrium(problem, q, found, found.copy(), factor, none, np.zeros(len(q), dtype=bool), iterations)
 
 
 def potential(problem: Problem, q: Array) -> Array:
-    """(T,) J: bending energy less the work of the dead loads, whose gradient `gradient` is. Followers have none."""
+    """(T,) J: bending energy less the work of the dead loads."""
     alpha = node_angles(problem, q)
     elastic = 0.5 * problem.k * (q - problem.q0) ** 2 - problem.moment * q
     x, y = np.cos(alpha), np.sin(alpha)
-    if problem.compliance is not None:  # loads work on the whole strain, and half of it is stored
+    if problem.compliance is not None:  # loads work on the whole strain, half of it is stored
         slope = centreline_slope(problem, q)
         x, y = 0.5 * (x + slope[..., 0]), 0.5 * (y + slope[..., 1])
     work = problem.length * (problem.dead_force[..., 0] * x + problem.dead_force[..., 1] * y)
@@ -249,7 +242,7 @@ def potential(problem: Problem, q: Array) -> Array:
 
 
 def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
-    """(T, Q) out-of-balance; zero at equilibrium. `load_factor` (T,) scales all loads; `forces`: of q, where known."""
+    """(T, Q) out-of-balance, zero at equilibrium; `forces` if known."""
     forces = forces or nodal_forces(problem, q, load_factor)
     factor = np.asarray(load_factor, dtype=float)[..., None]
     elastic = problem.stiff * (q - problem.q0) - factor * problem.couple
@@ -257,7 +250,7 @@ def gradient(problem: Problem, q: Array, load_factor: Array | float = 1.0, force
 
 
 def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces: NodalForces | None = None) -> Array:
-    """(T, Q, Q) derivative of the gradient; symmetric unless a follower force acts."""
+    """(T, Q, Q) derivative of `gradient`; symmetric without follower forces."""
     forces = forces or nodal_forces(problem, q, load_factor)
     out = second_variation(problem, forces.along, problem.stiff)
     if problem.follower.shape[1]:
@@ -274,16 +267,14 @@ def tangent(problem: Problem, q: Array, load_factor: Array | float = 1.0, forces
 
 
 def balance(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> tuple[Array, Array]:
-    """Gradient and tangent together, for Newton's method."""
     forces = nodal_forces(problem, q, load_factor)
     return gradient(problem, q, load_factor, forces), tangent(problem, q, load_factor, forces)
 
 
 def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> BoolArray:
-    """(T,) whether the equilibrium stands: the second variation is positive (a Cholesky factor of T exists).
+    """(T,) whether the second variation is positive (T has a Cholesky factor).
 
-    With follower forces there is no potential: then "stable" means that no real eigenvalue of T is negative or zero
-    (no divergence). Flutter is a matter of dynamics and not seen here.
+    With follower forces: whether no real eigenvalue of T is zero or negative (no divergence; flutter is not seen).
     """
     forces = nodal_forces(problem, q, load_factor)
     if problem.follower.shape[1]:
@@ -299,9 +290,9 @@ def is_stable(problem: Problem, q: Array, load_factor: Array | float = 1.0) -> B
 
 
 def is_convex(problem: Problem) -> BoolArray:
-    """(T,) True where a bound proves the potential of dead loads convex at every shape: then there is one equilibrium.
+    """(T,) True where a bound proves the potential of dead loads convex, so that there is one equilibrium.
 
-    It is that of `_surely_stable`, all forces taken as compression. It holds for beams that neither stretch nor shear.
+    The bound of `_surely_stable` with all forces as compression, for beams without stretch and shear.
     """
     if problem.compliance is not None or problem.follower.shape[1]:
         return np.zeros(problem.size, dtype=bool)
@@ -309,7 +300,7 @@ def is_convex(problem: Problem) -> BoolArray:
 
 
 def scaled(problem: Problem, matrices: Array) -> Array:
-    """(T, Q, Q) of (T, Q, Q), for curvatures in units in which the bending energy is half their sum of squares."""
+    """(T, Q, Q) in units of curvature in which the bending energy is half the sum of squares."""
     scale = 1.0 / np.sqrt(problem.stiff)
     return np.asarray(matrices * (scale[..., :, None] * scale[..., None, :]))
 
@@ -323,18 +314,18 @@ def second_variation(problem: Problem, along: Array, diagonal: Array) -> Array:
 
 
 def _surely_stable(problem: Problem, along: Array) -> BoolArray:
-    """(T,) True where a bound that needs no factor proves the second variation positive.
+    """(T,) True where a bound without factorisation proves the second variation positive.
 
-    A change of shape that costs the bending energy E turns node i by at most `2 E sum_j B_ij^2 / (w k)_j` squared
-    (Cauchy's inequality). Where compression gains less than E from such turns, nothing lowers the potential. For a
-    uniform column that holds up to 2 EI / L^2; Euler's load is 2.47.
+    A change of shape of bending energy E turns node i by at most `2 E sum_j B_ij^2 / (w k)_j` squared (Cauchy). If
+    compression gains less than E from such turns, the shape is stable. For a uniform column this holds up to 2 EI / L^2
+    (Euler: 2.47).
     """
     gained = apply(problem.to_nodes**2, 1.0 / problem.stiff)
     return np.asarray(np.sum(np.minimum(along, 0.0) * gained, axis=-1) > -(1.0 - 1e-9))
 
 
 def _congruence(b: Array, diagonal: Array) -> Array:
-    """(T, Q, Q) `B^T diag(d) B`: for a small shared B one product with a table of its rows' squares."""
+    """(T, Q, Q) `B^T diag(d) B`; for a small shared B by a table of its rows' squares."""
     nodes = b.shape[-1]
     if b.ndim == 2 and b.size * nodes <= _TABULATED:
         return np.asarray((diagonal @ _squares(b.tobytes(), nodes)).reshape(*diagonal.shape[:-1], nodes, nodes))
@@ -349,7 +340,6 @@ def _squares(matrix: bytes, nodes: int) -> Array:
 
 
 def positive_definite(matrices: Array) -> BoolArray:
-    """(T,) of symmetric (T, n, n)."""
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
@@ -357,26 +347,23 @@ def positive_definite(matrices: Array) -> BoolArray:
     return np.ones(len(matrices), dtype=bool)
 
 
-# Newton's method on the balance of a batch of beams, at fixed loads.
-
-TOLERANCE = 3e-7  # rad, of the last update: what is left then is its square
+TOLERANCE = 3e-7  # rad, of the last update; the remaining error is its square
 
 
 def correct(
     problem: Problem, start: Array, factor: Array, *, trust: Array, remaining: Array, max_iterations: int = 8
 ) -> tuple[Array, BoolArray, int]:
-    """Newton from `start` (T, Q) with all loads times `factor` (T,); frames that are done are not solved again.
+    """Newton from `start` (T, Q) with all loads times `factor` (T,).
 
-    Returns the shapes, True where no more than about `remaining` (T,) rad is left to turn and no update took the beam
-    further than `trust` (T,) rad from the start, and the number of iterations. Updates fall with the square of the one
-    before: after updates u and v, `v (v / u)^2` is left. Where rounding keeps updates from falling (a tangent near
-    singular), one below `TOLERANCE` will do.
+    Returns the shapes, (T,) success, and the number of iterations. A frame succeeds if at most about `remaining` (T,)
+    rad is left to turn and no update moved it further than `trust` (T,) rad from the start. After updates u and v,
+    `v (v / u)^2` is left; near a singular tangent an update below `TOLERANCE` suffices.
     """
     q = start.copy()
     near = np.zeros(len(q), dtype=bool)
     todo, part = np.arange(len(q)), problem
     q_now, moved, count = q, np.zeros((len(q), problem.to_nodes.shape[-2])), 0
-    before = np.zeros(len(q))  # rad, the update before the last
+    before = np.zeros(len(q))  # rad
     while todo.size and count < max_iterations:
         count += 1
         residual, matrices = balance(part, q_now, factor)
@@ -403,5 +390,5 @@ def correct(
 
 
 def solve_batch(matrices: Array, right_side: Array) -> Array:
-    """(T, n) solutions of (T, n, n) systems; frames whose matrix is singular come back as NaN."""
+    """(T, n) solutions of (T, n, n) systems; NaN if singular."""
     return solve_each(matrices, right_side[..., None])[..., 0]

@@ -1,7 +1,7 @@
-"""Families of the bending stiffness distribution k(s) [N m], and profiles along the beam in general.
+"""Bending stiffness k(s) [N m], and other profiles along the beam.
 
-A profile is a frozen record that evaluates at any `s` in [0, 1], names the places where it jumps, and can be written
-as plain data and read back. What is linear in its coefficients also gives its basis, for regression.
+A profile is a frozen record that evaluates at `s` in [0, 1], lists its jumps, and converts to plain data. Profiles
+linear in their coefficients also give their basis.
 """
 
 from __future__ import annotations
@@ -24,21 +24,19 @@ from onebend.records import Array, BoolArray, IntArray
 
 @runtime_checkable
 class Profile(Protocol):
-    """A quantity along the beam."""
-
     def __call__(self, s: Array | float) -> Array:
-        """Value at `s` (any shape, in [0, 1])."""
+        """Value at `s` of any shape."""
 
     @property
     def jumps(self) -> tuple[float, ...]:
-        """Places strictly inside (0, 1) where the profile or its slope is not continuous."""
+        """Places inside (0, 1) where value or slope jumps."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data from which `profile_from_dict` makes an equal profile."""
+        """Plain data for `profile_from_dict`."""
 
 
 class _Kind:
-    """A frozen record that is smooth, unless it says otherwise, and is written as its `kind` and its fields."""
+    """Base of profiles: smooth by default, written as `kind` and fields."""
 
     kind: ClassVar[str]
 
@@ -51,7 +49,6 @@ class _Kind:
 
 
 def _plain_fields(record: Any) -> dict[str, Any]:
-    """The fields that are not None, as JSON has them."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -64,18 +61,14 @@ def _plain_fields(record: Any) -> dict[str, Any]:
     return {name: plain(value) for name, value in values.items() if value is not None}
 
 
-# Values that go straight from place to place, as a drawing or a table of measured sizes gives them.
-
-
 @dataclass(frozen=True)
 class Polyline(_Kind):
-    """Straight between places, constant beyond the first and the last. A place that stands twice is a step: there the
-    second value holds."""
+    """Linear between places, constant beyond. A place given twice is a step with the second value."""
 
     kind = "polyline"
     s: tuple[float, ...]
     values: tuple[float, ...]
-    jumps: tuple[float, ...] = ()  # steps, and corners so sharp that a grid needs an edge there
+    jumps: tuple[float, ...] = ()  # steps, and corners sharp enough to need a grid edge
 
     def __post_init__(self) -> None:
         if len(self.s) != len(self.values) or len(self.s) < 2:
@@ -94,24 +87,21 @@ class Polyline(_Kind):
         return np.asarray(values[i] + share * (values[i + 1] - values[i]))
 
 
-# A profile in polynomial pieces: any smooth function between given places, to machine precision, jumps kept.
-#
-# Sections of tapered and layered beams give k(s), mass and curvature as functions that are smooth between jumps but
-# of no named family. Legendre pieces hold them as plain numbers, and evaluate fast.
+# Piecewise polynomials resolve any piecewise smooth function to machine precision, as plain numbers.
 
 _DEGREE = 15
-_NARROWEST = 2.0**-12  # in s: a piece is not cut further
+_NARROWEST = 2.0**-12  # in s
 
 
 @dataclass(frozen=True)
 class Pieces(_Kind):
-    """On each piece between `edges` a Legendre series of the given degree, in x from -1 to 1 across the piece."""
+    """A Legendre series of the given degree on each piece between `edges`."""
 
     kind = "pieces"
-    edges: tuple[float, ...]  # rising from 0 to 1
+    edges: tuple[float, ...]  # 0 to 1
     degree: int
     coefficients: tuple[float, ...]  # (P * (degree + 1),), piece after piece
-    jumps: tuple[float, ...] = ()  # those edges where the profile or its slope is not continuous
+    jumps: tuple[float, ...] = ()  # edges where value or slope jumps
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or self.edges[0] != 0.0 or self.edges[-1] != 1.0 or np.any(np.diff(self.edges) <= 0.0):
@@ -134,14 +124,14 @@ class Pieces(_Kind):
 
 
 def taper(first: float, last: float) -> Pieces:
-    """A profile that runs in a straight line from `first` at the base to `last` at the tip."""
+    """Linear from base to tip."""
     return Pieces((0.0, 1.0), 1, (0.5 * (first + last), 0.5 * (last - first)))
 
 
 def broken_line(s: tuple[float, ...], values: tuple[float, ...]) -> Pieces:
-    """Straight lines through values at places from 0 to 1; a place given twice is a jump from one value to the next.
+    """Linear between values at places from 0 to 1; a place given twice is a jump.
 
-    Raises `MechanicsError`: places that do not run from 0 to 1, or not one value a place.
+    Raises `MechanicsError`: places or values that do not match.
     """
     if len(s) != len(values) or len(s) < 2:
         raise MechanicsError(f"a broken line needs one value a place, got {len(s)} places and {len(values)} values")
@@ -159,11 +149,9 @@ def in_pieces(
     jumps: tuple[float, ...] = (),
     tolerance: float = 1e-12,
 ) -> Pieces:
-    """The pieces of a function of s, cut at `breaks` and `jumps`, and halved until each is resolved to `tolerance`.
+    """A function of s as pieces, cut at `breaks` and `jumps`, halved to `tolerance` times the largest value.
 
-    `tolerance` is a share of the largest value. `jumps` are the places where the value or slope may jump.
-
-    Raises `MechanicsError`: values that are not finite, or a piece that halving does not resolve (a jump not listed).
+    Raises `MechanicsError`: values that are not finite, or an unlisted jump.
     """
     inner = sorted({b for b in (*breaks, *jumps) if 0.0 < b < 1.0})
     x = np.polynomial.legendre.leggauss(_DEGREE + 1)[0]
@@ -188,8 +176,6 @@ def in_pieces(
 
 @dataclass(frozen=True)
 class Uniform(_Kind):
-    """The same value everywhere."""
-
     kind = "uniform"
     value: float
 
@@ -199,12 +185,12 @@ class Uniform(_Kind):
 
 @dataclass(frozen=True)
 class Gaussians(_Kind):
-    """`k(s) = sum_w gamma_w Pi_w(s)` with the paper's normalised Gaussians (15) at fixed centres."""
+    """`k(s) = sum_w gamma_w Pi_w(s)` with normalised Gaussians (15)."""
 
     kind = "gaussians"
     centres: tuple[float, ...]
-    width: float  # sigma of (15), in units of s
-    coefficients: tuple[float, ...]  # gamma, N m
+    width: float  # sigma, in units of s
+    coefficients: tuple[float, ...]  # N m
 
     def __post_init__(self) -> None:
         if not self.width > 0.0:
@@ -218,10 +204,10 @@ class Gaussians(_Kind):
 
 @dataclass(frozen=True)
 class Powers(_Kind):
-    """`k(s) = sum_w gamma_w s^w`, the paper's polynomial family (12)."""
+    """`k(s) = sum_w gamma_w s^w` (12)."""
 
     kind = "powers"
-    coefficients: tuple[float, ...]  # gamma, N m, of s^0, s^1, ...
+    coefficients: tuple[float, ...]  # N m
 
     def __call__(self, s: Array | float) -> Array:
         return np.asarray(np.polynomial.polynomial.polyval(np.asarray(s, dtype=float), np.asarray(self.coefficients)))
@@ -229,7 +215,7 @@ class Powers(_Kind):
 
 @dataclass(frozen=True)
 class Table(_Kind):
-    """Values at given places: monotone cubic between them, constant beyond. For measured or computed profiles."""
+    """Monotone cubic between values at places, constant beyond."""
 
     kind = "table"
     s: tuple[float, ...]
@@ -252,7 +238,7 @@ class Table(_Kind):
 
 @dataclass(frozen=True)
 class Steps(_Kind):
-    """Constant pieces: `values[i]` between `edges[i]` and `edges[i + 1]`; edges run from 0 to 1."""
+    """`values[i]` between `edges[i]` and `edges[i + 1]`; edges run from 0 to 1."""
 
     kind = "steps"
     edges: tuple[float, ...]
@@ -275,13 +261,13 @@ class Steps(_Kind):
 
 @dataclass(frozen=True)
 class LogSpline(_Kind):
-    """`log k(s)` as a B-spline, positive whatever the coefficients; beside a known part of log k where there is one."""
+    """`log k(s)` as a B-spline, plus `offset`."""
 
     kind = "log-spline"
-    knots: tuple[float, ...]  # with the ends repeated, as scipy's BSpline takes them
+    knots: tuple[float, ...]  # with repeated ends, as for scipy's BSpline
     coefficients: tuple[float, ...]  # of log(k / (N m))
     degree: int = 3
-    offset: Polyline | None = None  # of log k, known beforehand: that of the section's second moment
+    offset: Polyline | None = None  # known part of log k, from the section
 
     def __call__(self, s: Array | float) -> Array:
         s = np.asarray(s, dtype=float)
@@ -298,8 +284,6 @@ class LogSpline(_Kind):
 
 @dataclass(frozen=True)
 class Scaled(_Kind):
-    """Another profile times a constant, e.g. E times the second moment of area over L."""
-
     kind = "scaled"
     factor: float
     profile: Profile
@@ -313,7 +297,7 @@ class Scaled(_Kind):
 
 
 def knots_of(profile: Profile) -> tuple[float, ...]:
-    """Places strictly inside (0, 1) where a derivative jumps: a spline's knots, a table's places."""
+    """Places inside (0, 1) where a derivative jumps."""
     if isinstance(profile, Scaled):
         return knots_of(profile.profile)
     places = profile.s if isinstance(profile, Table) else profile.knots if isinstance(profile, LogSpline) else ()
@@ -321,18 +305,18 @@ def knots_of(profile: Profile) -> tuple[float, ...]:
 
 
 def gaussian_basis(s: Array | float, centres: Array | tuple[float, ...], width: float) -> Array:
-    """The Gaussians of (15) at `s`: shape `s.shape + (m,)`, unit 1 (each has unit area over the real line)."""
+    """`s.shape + (m,)`: the Gaussians of (15), each of unit area over the real line."""
     z = (np.asarray(s, dtype=float)[..., None] - np.asarray(centres, dtype=float)) / width
     return np.asarray(np.exp(-0.5 * z**2) / (width * math.sqrt(2.0 * math.pi)))
 
 
 def power_basis(s: Array | float, m: int) -> Array:
-    """`s^0 .. s^(m-1)` at `s`: shape `s.shape + (m,)`."""
+    """`s.shape + (m,)`: `s^0 .. s^(m-1)`."""
     return np.asarray(np.asarray(s, dtype=float)[..., None] ** np.arange(m))
 
 
 def equidistant(m: int) -> tuple[float, ...]:
-    """Centres of m Gaussians, the first at 0 and the last at 1 (the paper says equidistant, no more)."""
+    """Centres of m Gaussians from 0 to 1; the paper says only "equidistant"."""
     return tuple(float(c) for c in np.linspace(0.0, 1.0, m))
 
 
@@ -341,7 +325,7 @@ _KINDS: dict[str, Callable[..., Profile]] = {family.kind: family for family in _
 
 
 def profile_from_dict(data: dict[str, Any]) -> Profile:
-    """The profile that `as_dict` wrote. Raises `MechanicsError` on an unknown kind or missing entry."""
+    """Inverse of `as_dict`. Raises `MechanicsError` for an unknown kind or a missing entry."""
     try:
         entries = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
         inner = {key: profile_from_dict(value) for key, value in entries.items() if isinstance(value, dict)}
@@ -350,26 +334,25 @@ def profile_from_dict(data: dict[str, Any]) -> Profile:
         raise MechanicsError(f"cannot make a profile of kind {data.get('kind')!r}: {error}") from error
 
 
-# A solid rectangular section: how far a beam stretches and shears follows from k(s) and one thickness.
+# Stretch and shear of a solid rectangular section, from k(s) and one thickness. With EI = k L, I = A h^2 / 12, shear
+# factor 5/6 (Timoshenko) and G = E / (2 (1 + nu)):
 #
-# Bending stiffness EI = k L, second moment I = A h^2 / 12, shear factor 5/6 (Timoshenko), G = E / (2 (1 + nu)):
+#     EA = 12 k L / h^2,   kGA = 5/6 EA / (2 (1 + nu)),   h(s) = h0 (k / mean k)^p
 #
-# EA = 12 k L / h^2,   kGA = 5/6 EA / (2 (1 + nu)),   h(s) = h0 (k / mean k)^p
-#
-# with p = 1/3 where the thickness makes k(s) vary (k goes with h^3) and p = 0 where the width does.
+# p = 1/3 where the thickness varies, 0 where the width does.
 
-POISSON = 0.48  # silicone and other rubbers: 0.45 to 0.5
+POISSON = 0.48  # silicone, rubber: 0.45 to 0.5
 SHEAR_FACTOR = 5.0 / 6.0  # of a rectangle
 
 
 @dataclass(frozen=True)
 class RectangularSection:
-    """Thickness in the plane of bending, and what makes k(s) vary."""
+    """Thickness in the plane of bending, and the dimension that varies."""
 
-    thickness: float | Array  # h0, m, where k is its mean along the beam: a number, or (T, 1) for T beams
+    thickness: float | Array  # h0, m, where k is its mean: a number, or (T, 1) for T beams
     poisson: float = POISSON  # nu
     varies: Literal["thickness", "width"] = "thickness"
-    share: float = 1.0  # of the stretch and shear that such a section has; 0: none
+    share: float = 1.0  # factor on stretch and shear
 
     def __post_init__(self) -> None:
         if not np.all(np.asarray(self.thickness) > 0.0):
@@ -380,7 +363,6 @@ class RectangularSection:
             raise MechanicsError(f"k(s) varies with 'thickness' or 'width', got {self.varies!r}")
 
     def take(self, chosen: IntArray | BoolArray) -> RectangularSection:
-        """That of some beams of the batch."""
         h = self.thickness
         return self if np.ndim(h) == 0 else replace(self, thickness=np.asarray(h)[chosen])
 
@@ -390,7 +372,7 @@ class RectangularSection:
         return 1.0 / 3.0 if self.varies == "thickness" else 0.0
 
     def compliance(self, k: Array, weights: Array, length: Array) -> tuple[Array, Array]:
-        """1/EA and 1/kGA [1/N] at nodes of quadrature `weights` (Q,) or (T, Q); `length` () or (T, 1) m."""
+        """1/EA and 1/kGA [1/N] at nodes with quadrature `weights` (Q,) or (T, Q); `length` () or (T, 1) m."""
         squared = self.share * np.asarray(self.thickness) ** 2
         if self.exponent:
             squared = squared * np.cbrt(k / _mean(k, weights)) ** 2
@@ -398,10 +380,8 @@ class RectangularSection:
         return stretch, stretch * (2.0 * (1.0 + self.poisson) / SHEAR_FACTOR)
 
     def log_by_stiffness(self, k: Array, weights: Array, functions: Array) -> Array:
-        """(Q, P) or (T, Q, P): d log(1/EA), and equally d log(1/kGA), for coefficients of functions added to k [N m].
-
-        `d log(1/EA) = (2 p - 1) dk / k - 2 p d(mean k) / mean k`.
-        """
+        """(Q, P) or (T, Q, P): d log(1/EA) = d log(1/kGA) for coefficients of functions added to k [N m],
+        `(2 p - 1) dk / k - 2 p d(mean k) / mean k`."""
         out = (2.0 * self.exponent - 1.0) * functions / k[..., None]
         if self.exponent:
             mean = _mean(functions, weights[..., None], axis=-2) / _mean(k, weights)[..., None]
@@ -410,9 +390,9 @@ class RectangularSection:
 
 
 def common_section(sections: Sequence[RectangularSection | None]) -> RectangularSection | None:
-    """One section for a batch, of thickness (T, 1) where several beams differ in it; None where no beam has one.
+    """One section for a batch, with thickness (T, 1) where beams differ in it; None if no beam has one.
 
-    Raises `MechanicsError`: some have one and others none, or they differ in more than the thickness.
+    Raises `MechanicsError`: only some have one, or they differ otherwise.
     """
     first, *others = sections
     if first is None or not others or all(other == first for other in others):
@@ -428,17 +408,16 @@ def _mean(values: Array, weights: Array, axis: int = -1) -> Array:
     return np.asarray(np.sum(weights * values, axis=axis, keepdims=True))
 
 
-# A stiffness distribution that is not known exactly: log k(s) as a spline, its coefficients' mean and covariance.
-#
-# Where its bands differ from a normal's, their shape is known too.
+# Uncertain k(s): mean and covariance of the spline coefficients of log k(s), and the shape of bands that are not
+# normal.
 
-SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # of the bands that `UncertainStiffness.shape` holds
+SHAPE_LEVELS = np.array([0.5, 0.8, 0.95])  # of the bands in `UncertainStiffness.shape`
 SHAPE_PLACES = np.linspace(0.0, 1.0, 41)  # s
-IDENTIFIED_SD = 0.2  # of log k: beyond, k is not known to within half of itself either way (95 %)
+IDENTIFIED_SD = 0.2  # of log k: to within half of k (95 %)
 
 
 def half_width_words(half: float) -> str:
-    """Half a band of log k as people read it: "± 7.4 %", or "a factor of 2.4" where k may be twice as large."""
+    """ "± 7.4 %", or "a factor of 2.4" for wide bands."""
     share = 100.0 * float(np.expm1(half))
     if share >= 99.5:
         return f"a factor of {np.exp(half):.2g}"
@@ -447,41 +426,39 @@ def half_width_words(half: float) -> str:
 
 
 def half_width(sd: Array | float, level: float = 0.95) -> Array:
-    """Half the width of the band between the quantiles of a normal of this sd that leave out `1 - level`."""
+    """Half the distance between the normal quantiles at `level`."""
     return np.asarray(ndtri(0.5 + 0.5 * level) * sd)
 
 
 @dataclass(frozen=True)
 class Band:
-    """k(s) and how sure it is, at places s (S,)."""
+    """k(s) and its band at places (S,)."""
 
     s: Array
     k: Array  # N m
     low: Array  # N m
     high: Array  # N m
-    identified: BoolArray  # False where the prior rather than the data sets the band, or k(s) is in doubt as a whole
+    identified: BoolArray  # False where the prior sets the band, or k(s) is in doubt
 
 
 @dataclass(frozen=True)
 class UncertainStiffness:
-    """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: an `offset` o that is known, coefficients c, and one common log scale
-    g, normal of sd `gain_sd`.
+    """`log k(s) = o(s) + sum_i c_i B_i(s) + g`: known `offset` o, coefficients c, common log scale g of sd `gain_sd`.
 
-    Where k may have a step or not, log k is a mixture: its 50 % band is narrower than a normal's of the same sd.
-    `shape` tells by how much; draws are normal.
+    With a possible step log k is a mixture: its 50 % band is narrower than a normal's by `shape`. Draws are normal.
     """
 
-    knots: Array  # with the ends repeated, as scipy's BSpline takes them
-    mean: Array  # (p,) of the coefficients, log(N m)
+    knots: Array  # with repeated ends, as for scipy's BSpline
+    mean: Array  # (p,) of coefficients, log(N m)
     covariance: Array  # (p, p)
-    gain_sd: float = 0.0  # what an uncertain force gain does to all of k alike
+    gain_sd: float = 0.0  # from the force's gain
     degree: int = 3
-    doubts: tuple[str, ...] = ()  # why none of it is to be relied on: then no place counts as identified
-    # (levels, S) widths of the bands of SHAPE_LEVELS at SHAPE_PLACES over those of a normal; None: all one
+    doubts: tuple[str, ...] = ()  # if any, no place counts as identified
+    # (levels, S) widths of the bands over those of a normal, at SHAPE_LEVELS and SHAPE_PLACES; None: all 1
     shape: Array | None = None
-    offset: Polyline | None = None  # of log k, where the section's shape is stated; None: zero
-    # `E(s) I(s) / L` with I as stated, where k(s) was learned as a stated section's shape times a modulus: k(s) itself
-    # also holds what that section is off by
+    offset: Polyline | None = None  # of log k, from the stated section
+    # `E(s) I(s) / L` with the stated I, if k(s) was learned as modulus times section: k(s) also includes the section's
+    # errors
     nominal: UncertainStiffness | None = None
 
     def __post_init__(self) -> None:
@@ -502,48 +479,46 @@ class UncertainStiffness:
         return self._with(self.mean)
 
     def log_at(self, s: Array) -> tuple[Array, Array]:
-        """(S,) mean and sd of log k at `s`, the common scale apart."""
+        """(S,) mean and sd of log k, without the common scale."""
         basis = self.basis(s)
         mean = basis @ self.mean + (0.0 if self.offset is None else self.offset(s))
         return mean, np.sqrt(np.sum((basis @ self.covariance) * basis, axis=1))
 
     @one_blas_thread
     def band(self, s: Array, level: float = 0.95) -> Band:
-        """k(s) between the quantiles that leave out `1 - level`, half on either side; the common scale included."""
+        """k(s) and its `level` band, with the common scale."""
         mean, sd = self.log_at(s)
         wide = self.half_width(s, level)
         return Band(s, np.exp(mean), np.exp(mean - wide), np.exp(mean + wide), (sd < IDENTIFIED_SD) & (not self.doubts))
 
     def best_known(self, s: Array) -> BoolArray:
-        """(S,) where the data tell k; where they tell it nowhere, the quarter of the places where they tell most.
-
-        Doubts do not count: this is what the axes of a picture go by, that nothing else may stretch them.
-        """
+        """(S,) where k is identified, else the best quarter; ignores doubts. For axes of pictures."""
         sd = self.log_at(s)[1]
         known = sd < IDENTIFIED_SD
         return np.asarray(known if np.any(known) else sd <= np.quantile(sd, 0.25))
 
     def half_width(self, s: Array, level: float = 0.95) -> Array:
-        """(S,) half the width of the band of log k, the common scale included: `k exp(+- this)` is the band of k."""
+        """(S,) half-width of the band of log k, with the common scale."""
         return half_width(np.hypot(self._widening(s, level) * self.log_at(s)[1], self.gain_sd), level)
 
     def log_covariance(self, s: Array, level: float = 0.95) -> Array:
-        """(S, S) covariance of log k at `s`, the common scale apart: of normals whose band at `level` is `band`'s."""
+        """(S, S) covariance of log k without the common scale, scaled to the band at `level`."""
         root = np.asarray(self._widening(s, level))[..., None] * self.basis(s)
         return np.asarray(root @ self.covariance @ root.T)
 
     def _widening(self, s: Array, level: float) -> Array | float:
-        """(S,) width of a band over that of a normal; beyond SHAPE_LEVELS as at the nearest of them."""
+        """(S,) width of the band over that of a normal."""
         if self.shape is None:
             return 1.0
         at_places = [np.interp(level, SHAPE_LEVELS, widths) for widths in self.shape.T]
         return np.asarray(np.interp(s, SHAPE_PLACES, at_places))
 
     def draw(self, count: int, *, seed: int) -> tuple[LogSpline, ...]:
-        """Stiffness distributions as probable as this one says; a seed gives the same ones on every machine."""
+        """Random k(s), reproducible by seed on every machine."""
         rng = np.random.default_rng(seed)
         values, vectors = np.linalg.eigh(self.covariance)
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # the symmetric one: no sign or order is free
+        # independent of sign and order of the vectors
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
         drawn = self.mean + rng.standard_normal((count, len(self.mean))) @ root.T
         drawn += self.gain_sd * rng.standard_normal((count, 1))
         return tuple(self._with(c) for c in drawn)
@@ -552,23 +527,22 @@ class UncertainStiffness:
         return LogSpline(tuple(self.knots.tolist()), tuple(coefficients.tolist()), self.degree, self.offset)
 
     def basis(self, s: Array) -> Array:
-        """(S, p) the splines' values at `s`."""
+        """(S, p) values of the splines."""
         s = np.clip(np.asarray(s, dtype=float), 0.0, 1.0)
         return np.asarray(BSpline.design_matrix(s, self.knots, self.degree).toarray())
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return _plain_fields(self)
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> UncertainStiffness:
-        """From `as_dict`. Raises `MechanicsError` where sizes do not fit or a number is not finite."""
+        """Inverse of `as_dict`. Raises `MechanicsError` for wrong sizes or numbers that are not finite."""
         arrays = [np.asarray(data[key], dtype=float) for key in ("knots", "mean", "covariance")]
         shape = None if data.get("shape") is None else np.asarray(data["shape"], dtype=float)
         arrays += [] if shape is None else [shape]
         if not all(np.all(np.isfinite(array)) for array in arrays) or not float(data["gain_sd"]) >= 0.0:
             raise MechanicsError("an uncertain stiffness holds numbers that are not finite")
-        doubts = tuple(map(str, data.get("doubts", ())))  # absent in models of before, as the shape
+        doubts = tuple(map(str, data.get("doubts", ())))  # absent in older models, as is the shape
         gain_sd, degree = float(data["gain_sd"]), int(data["degree"])
         offset = profile_from_dict(data["offset"]) if "offset" in data else None
         if not (offset is None or isinstance(offset, Polyline)):

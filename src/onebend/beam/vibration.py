@@ -1,7 +1,7 @@
-"""Rest under steady actions, and small vibrations about an equilibrium.
+"""Rest under steady loads, and small vibrations about an equilibrium.
 
-Near an equilibrium the motion obeys `B x'' + T x = 0` with the exact tangent T and the mass matrix B there, hence
-`T x = omega^2 B x`. With the curvature at Gauss nodes as coordinates the frequencies converge spectrally for any k(s).
+Near an equilibrium `B x'' + T x = 0` with the exact tangent T and the mass matrix B, so `T x = omega^2 B x`. With the
+curvature at Gauss nodes as coordinates the frequencies converge spectrally for any k(s).
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from onebend.records import Array, PointMass
 
 @dataclass(frozen=True)
 class Vibration:
-    """Small vibrations about one equilibrium, the slowest first."""
+    """Small vibrations about an equilibrium, slowest first."""
 
     body: Body
-    theta: Array  # (n,) rad, the equilibrium in the body's coordinates
+    theta: Array  # (n,) rad
     base: Array  # (3,) the gripper's pose
-    squared: Array  # (m,) (rad/s)^2, omega^2; negative where the equilibrium is unstable
-    shapes: Array  # (n, m) kg^-1/2 m^-1: coordinates of each mode, scaled to x^T B x = 1
+    squared: Array  # (m,) (rad/s)^2; negative if unstable
+    shapes: Array  # (n, m) kg^-1/2 m^-1, scaled to x^T B x = 1
 
     @property
     def frequency(self) -> Array:
-        """(m,) Hz; NaN for a mode that grows instead of vibrating."""
+        """(m,) Hz; NaN if unstable."""
         with np.errstate(invalid="ignore"):
             return np.sqrt(self.squared) / (2.0 * np.pi)
 
     def moved(self, s: ArrayLike) -> Array:
-        """(m, S, 2): how positions at `s` (S,) move per unit of each mode's coordinate, 1 / sqrt(kg)."""
+        """(m, S, 2) 1 / sqrt(kg): motion of `s` (S,) per unit of each mode."""
         places = np.atleast_1d(np.asarray(s, dtype=float))
         alpha = self.body.rest_angle + self.base[2] + self.body.to_angle @ self.theta
         turning = (self.body.to_angle @ self.shapes).T
@@ -49,11 +49,9 @@ class Vibration:
 
 
 def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_steps: int = 20) -> MotionState:
-    """The state at rest under the actions as they stand at `time`: equilibrium within the coordinates (8).
+    """Equilibrium (8) under the actions at `time`, in equal load steps.
 
-    Loads grow in equal steps, each solved by Newton's method from the one before.
-
-    Raises `MechanicsError`: no equilibrium found, or the one found is not stable.
+    Raises `MechanicsError`: no equilibrium, or an unstable one.
     """
     now = acting(on, actions, np.array([time]))
     pull, couple = now.pull[:, :, 0], now.couple[:, 0]
@@ -76,9 +74,9 @@ def settle(on: Body, actions: Actions = Actions(), time: float = 0.0, *, load_st
 
 
 def vibration_of(on: Body, state: MotionState, actions: Actions = Actions(), *, count: int = 6) -> Vibration:
-    """The `count` slowest small vibrations of a body about an equilibrium `state` under steady actions.
+    """The `count` slowest vibrations of a body about `state` under steady actions.
 
-    Raises `MechanicsError`: the state is not an equilibrium under these actions.
+    Raises `MechanicsError`: the state is not an equilibrium.
     """
     now = acting(on, actions, np.array([state.time]))
     alpha = on.rest_angle + now.base[0, 2] + on.to_angle @ state.theta
@@ -95,12 +93,12 @@ def vibration_of(on: Body, state: MotionState, actions: Actions = Actions(), *, 
 def vibration(
     beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
 ) -> Vibration:
-    """The `count` slowest small vibrations about an exact equilibrium of the statics, its far end free.
+    """The `count` slowest vibrations about an equilibrium of the statics with a free end.
 
-    `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; without it the beam is Euler-Bernoulli's.
+    `frame` picks one of the batch. `rotary_inertia`: iota(s) = rho I, kg m; None: Euler-Bernoulli.
 
-    Raises `MechanicsError`: no equilibrium was found for this frame, it is of another beam, the beam has no mass or has
-    a thickness, or follower forces act (their vibrations are `exponents`).
+    Raises `MechanicsError`: no equilibrium of this frame, another beam, no mass, a thickness, or follower forces (see
+    `exponents`).
     """
     if solved.problem.follower.shape[1]:
         raise MechanicsError("follower forces have no potential, and so no such modes: use `exponents`")
@@ -112,20 +110,19 @@ def vibration(
 def exponents(
     beam: Rod, solved: Equilibrium, *, frame: int = 0, rotary_inertia: Profile = Uniform(0.0), count: int = 6
 ) -> NDArray[np.complex128]:
-    """(m,) 1/s, z of small motions exp(z t) about any equilibrium, follower forces included; slowest first.
+    """(m,) 1/s, z of small motions exp(z t) about any equilibrium, also under follower forces; slowest first.
 
-    Of each pair +-z the one that does not decay. A real part above rounding means loss of stability: by divergence
-    where the imaginary part is 0, else by flutter. Arguments and errors as for `vibration`.
+    Of each pair +-z the one that does not decay. A positive real part means divergence, or flutter with an imaginary
+    part. Arguments and errors as for `vibration`.
     """
     on, theta, stiff = _about(beam, solved, frame, rotary_inertia)
-    inverse = eigvals(mass_matrix(on, theta), stiff)  # 1 / omega^2, the slow ones large
+    inverse = eigvals(mass_matrix(on, theta), stiff)  # 1 / omega^2
     inverse = inverse[np.argsort(-np.abs(inverse))][:count]
     z = 1j / np.sqrt(inverse.astype(complex))
     return np.asarray(np.where(z.real < 0.0, -z, z))
 
 
 def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) -> tuple[Body, Array, Array]:
-    """Body on the grid of one equilibrium, its state there, and its tangent."""
     if not solved.converged[frame]:
         raise MechanicsError(f"load {frame} has no equilibrium to vibrate about")
     refuse_section(beam, "the equation of motion")
@@ -138,7 +135,7 @@ def _about(beam: Rod, solved: Equilibrium, frame: int, rotary_inertia: Profile) 
 
 
 def _tangent(on: Body, alpha: Array, pull: Array) -> Array:
-    """(n, n) N m: second derivative of the potential at node angles (Q,) under dead loads (2, Q)."""
+    """(n, n) N m at node angles (Q,) under dead loads (2, Q)."""
     along = np.cos(alpha) * pull[0] + np.sin(alpha) * pull[1]
     return np.asarray(on.stiffness + on.to_angle.T @ (along[:, None] * on.to_angle))
 
@@ -146,8 +143,8 @@ def _tangent(on: Body, alpha: Array, pull: Array) -> Array:
 def _modes(stiff: Array, mass: Array, count: int) -> tuple[Array, Array]:
     """omega^2 rising and shapes, from `mass x = (stiff + shift mass) x / (omega^2 + shift)`.
 
-    The mass matrix is nearly singular in many coordinates, so it stands on the left: its large eigenvalues, the slow
-    modes, then come out to full relative precision. The shift makes the right side positive about unstable equilibria.
+    The nearly singular mass matrix stands on the left, so the slow modes have full relative precision. The shift makes
+    the right side positive.
     """
     shift, scale = 0.0, float(np.max(np.diag(stiff)) / np.max(np.diag(mass)))
     for i in range(40):
@@ -163,41 +160,40 @@ def _modes(stiff: Array, mass: Array, count: int) -> tuple[Array, Array]:
     raise MechanicsError("the tangent at this equilibrium has no finite frequencies")
 
 
-# Natural frequencies of a clamped beam about its static equilibrium under gravity, and their derivatives.
+# Natural frequencies of a clamped beam about its equilibrium under gravity, and their derivatives. Weight is an axial
+# force, and makes the beam sag. With `T v = omega^2 B v`, to first order (Rayleigh)
 #
-# A beam that hangs, stands or lies swings at three frequencies: its weight is an axial force, which stiffens or
-# softens it, and makes it sag. Near rest the motion obeys `T v = omega^2 B v`, see `vibration.py`, so that to first
-# order
+#     d omega^2 = v' (dT - omega^2 dB) v,     v' B v = 1.
 #
-# d omega^2 = v' (dT - omega^2 dB) v,     v' B v = 1
-#
-# (Rayleigh). T and B also change with the shape at rest, whose change follows from the balance of moments.
+# T and B also change with the shape at rest, whose change follows from the balance.
 
 _RESOLUTION = Resolution(order=12, widest=0.25)
-_MOST = 12  # modes: more are not resolved to 1e-5
+_MOST = 12  # modes resolved to 1e-5
 
 
 @dataclass(frozen=True)
 class FrequencySlopes:
-    """Derivatives of log frequencies of M modes with what the beam is, at its Q nodes."""
+    """Derivatives of log frequencies of M modes at the beam's Q nodes."""
 
     log_k: Array  # (M, Q)
     mass_per_length: Array  # (M, Q) m/kg
     rest_curvature: Array  # (M, Q) 1/rad
-    log_length: Array  # (M,), k [N m] and all masses [kg] staying as they are
+    log_length: Array  # (M,), k [N m] and masses [kg] fixed
 
 
 @one_blas_thread
 def natural_frequencies(
     beam: Rod, *, gravity: ArrayLike = (0.0, 0.0), points: Sequence[PointMass] = (), count: int = 3
 ) -> Array:
-    """(count,) Hz, undamped and small, the slowest first, about the rest of a beam with a mass; its far end is free.
+    """(count,) Hz, small and undamped, slowest first; the far end is free.
 
-    `gravity`: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, and (0, 0) swings
-    across gravity (level, and so stiff that it does not sag). `points`: masses on the beam.
+    Args:
+        gravity: (2,) m/s^2 in the beam's frame: (9.81, 0) hangs, (-9.81, 0) stands, (0, -9.81) lies, (0, 0) swings
+            across gravity.
+        points: masses on the beam.
 
-    Raises `MechanicsError`: a beam without a mass, or with a thickness; one that gravity makes buckle; a `count` out of
-    range, a point mass off the beam.
+    Raises `MechanicsError`: no mass, a thickness, buckling under gravity, a `count` out of range, a point mass off the
+    beam.
     """
     if not 1 <= count <= _MOST:
         raise MechanicsError(f"frequencies of 1 to {_MOST} modes can be had, not of {count}")
@@ -209,10 +205,7 @@ def natural_frequencies(
 
 
 def frequency_slopes(found: Vibration, gravity: Array, modes: Sequence[int]) -> FrequencySlopes:
-    """Derivatives for some modes (by index) of a body whose coordinates are the curvatures at its nodes.
-
-    `gravity` (2,) m/s^2 is that under which it was found.
-    """
+    """For some modes (by index) of a body in nodal curvatures, found under `gravity` (2,) m/s^2."""
     on, weights = found.body, found.body.grid.weights
     rows, length = on.to_angle, on.length
     alpha = on.rest_angle + rows @ found.theta
@@ -227,7 +220,7 @@ def frequency_slopes(found: Vibration, gravity: Array, modes: Sequence[int]) -> 
         by_angle = u**2 * on.lever * across + 2.0 * squared * u * (sin * carried_y - cos * carried_x)
         y = np.linalg.solve(stiff, rows.T @ by_angle)
         turned, strain = rows @ y, np.diag(on.stiffness)
-        by_lever = u**2 * along + turned * across  # (Q,) of what pulls beyond each node
+        by_lever = u**2 * along + turned * across  # (Q,) of the pull beyond each node
         moved = length**2 * ((rows @ (sin * u)) ** 2 + (rows @ (cos * u)) ** 2)
         slopes = (
             strain * (v**2 - y * found.theta),
@@ -240,10 +233,10 @@ def frequency_slopes(found: Vibration, gravity: Array, modes: Sequence[int]) -> 
 
 
 def shear_share(found: Vibration, compliance: Array, modes: Sequence[int]) -> Array:
-    """(M,) by which shear lowers the squares of frequencies, to first order: `squared / (1 + share)`.
+    """(M,) first-order effect of shear: `squared / (1 + share)`.
 
-    The largest energy of shear, `1/2 int Q^2 / kGA`, over that of bending and weight, `1/2 omega^2` of a mode scaled to
-    `v' B v = 1`, with Q the shear force of the mode's own inertia. `compliance` (Q,) 1/N: 1/kGA at the nodes.
+    Energy of shear `1/2 int Q^2 / kGA` under the mode's inertia over `1/2 omega^2`, with `v' B v = 1`. `compliance`
+    (Q,) 1/N: 1/kGA at the nodes.
     """
     on = found.body
     alpha = on.rest_angle + on.to_angle @ found.theta
@@ -251,7 +244,7 @@ def shear_share(found: Vibration, compliance: Array, modes: Sequence[int]) -> Ar
     out = []
     for i in modes:
         squared, u = float(found.squared[i]), on.to_angle @ found.shapes[:, i]
-        # (Q,) of each node, times L w: the inertial forces of all that lies beyond it, along x and y
+        # (Q,) times L w: inertial forces beyond each node, x and y
         x, y = squared * (on.carried @ (-sin * u)), squared * (on.carried @ (cos * u))
         shear = (cos * y - sin * x) / (on.length * on.grid.weights)
         out.append(on.length * float(on.grid.weights @ (compliance * shear**2)) / squared)

@@ -1,22 +1,27 @@
 """The command line. Results go to standard output, progress and errors to standard error.
 
-Exit codes: 0 done; 2 the input or the request cannot be used, with one message that says what to do, or a fault of
-onebend itself, with the file that says more; 130 interrupted.
-The list of commands stands here as text, so that `--version` and `--help` load no command; each loads what it needs.
+Exit codes: 0 done; 2 unusable input or request, or a fault of onebend; 130 interrupted. Commands are listed here as
+text, and their options in `options.json` (from `make docs`), so that `--version` and every `--help` load none.
 """
 
 from __future__ import annotations
 
 import gc
+import json
 import os
-from collections.abc import Callable, Mapping
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from functools import wraps
 from importlib import import_module
-from typing import Annotated, Any, Literal, NoReturn
+from inspect import Parameter, Signature, signature
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.models import OptionInfo
 
 import onebend
 from onebend.crash import guarded
@@ -25,8 +30,10 @@ from onebend.wings import Place, wings
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
-MOST_NEW = 100_000  # objects between two looks for garbage in cycles: every 700 they take a 20th of the time
-COMPLETE = "_ONEBEND_COMPLETE"  # where the completion script's shell stands in the environment, as Typer names it
+MOST_NEW = 100_000  # objects between garbage collections, which otherwise take a 20th of the time
+HELP = ("-h", "--help")
+OPTIONS = Path(__file__).parent / "options.json"
+COMPLETE = "_ONEBEND_COMPLETE"  # Typer's variable for the completing shell
 
 
 COMMANDS = {
@@ -42,23 +49,23 @@ COMMANDS = {
     ),
     "plan": Place(
         "onebend.cli.learning:plan",
-        "Say which push to make next: what each would leave of the band on k(s).",
+        "Rank the next pushes by how much each would narrow the band of k(s).",
         "out/linear-beam --count 3",
     ),
     "damp": Place(
         "onebend.cli.motion:damp",
-        "Learn a learned beam's damping from a recording in which it swings freely, and check k over mass.",
+        "Estimate a learned beam's damping from a free swing, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
     ),
     "sense": Place(
         "onebend.cli.motion:sense",
-        "Tell the force on a learned beam from its shape, frame by frame, with a 95 % region.",
+        "Estimate the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
     ),
     "frequencies": Place(
         "onebend.cli.motion:frequencies",
-        "Find the natural frequencies in a free swing, to be written in recording.toml.",
+        "Find the natural frequencies in a free swing, for recording.toml.",
         "examples/ruler/swing.csv",
     ),
     "reach": Place(
@@ -73,35 +80,35 @@ COMMANDS = {
     ),
     "path": Place(
         "onebend.cli.control:path",
-        "Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag.",
+        "Compute the forces or gripper poses that follow goals in time, as CSV and ROS 2 messages.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam"),
     "topics": Place(
         "onebend.cli.recordings:topics",
-        "List the topics of a ROS bag, with types, counts, rates and times, and what to write of them.",
+        "List the topics of a ROS bag, and say which to write in recording.toml.",
         "out/path/bag",
         "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
     "check": Place(
         "onebend.cli.recordings:check",
-        "Read a recording's files, look for the tags in some frames, say and draw what was understood.",
+        "Check a recording in seconds: read its files, search some frames for tags, draw the result.",
         "examples/linear-beam/train",
     ),
     "cache": Place(
         "onebend.cli.recordings:show_cache",
-        "Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them.",
+        "List the films whose tags are cached, so that each is searched only once; --clear empties the cache.",
         "",
     ),
     "calibrate": Place(
         "onebend.cli.recordings:calibrate",
-        "Calibrate the camera from a film of a board, and write the table of the camera for recording.toml.",
+        "Calibrate the camera from a film of a board, and write its table for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
     ),
     "show": Place("onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam"),
     "export": Place(
         "onebend.cli.exporting:export_command",
-        "Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend.",
+        "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
         "out/linear-beam --to mujoco -o out/beam.xml",
     ),
     "rerun": Place(
@@ -112,11 +119,11 @@ COMMANDS = {
 }
 
 
-GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the command that runs, by name
+GIVEN: ContextVar[Mapping[str, Any]] = ContextVar("GIVEN")  # options of the running command
 
 
 def remembered(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; its options are in `GIVEN` while it runs, for what it writes."""
+    """The command with its options in `GIVEN`."""
 
     @wraps(command)
     def inside(**options: Any) -> None:
@@ -127,38 +134,106 @@ def remembered(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def all_commands() -> dict[str, Place]:
-    """The commands of the core, and those that the wings which are here bring."""
+    """Of the core and the installed wings."""
     brought = [import_module(f"onebend.{wing}").COMMANDS for wing in wings()]
     return {name: place for table in (COMMANDS, *brought) for name, place in table.items()}
 
 
+# The options of a command as data: name, kind, default and help of each.
+
+KINDS: dict[str, Any] = {"bool": bool, "int": int, "float": float, "str": str, "Path": Path, "None": None}
+MADE_OF: dict[str, Any] = {"tuple": tuple, "list": list, "one of": Literal, "either": Union}
+SAID = ("help", "metavar", "min", "max")
+
+
+def as_data(function: Callable[..., None]) -> list[dict[str, Any]]:
+    """One entry per parameter."""
+    return [_parameter_data(one) for one in signature(function).parameters.values()]
+
+
+def _parameter_data(one: Parameter) -> dict[str, Any]:
+    kind, info = get_args(one.annotation)
+    asked = isinstance(info, OptionInfo)
+    names = [name for name in (info.default, *(info.param_decls or ())) if isinstance(name, str)] if asked else None
+    said = {key: getattr(info, key) for key in SAID if getattr(info, key) is not None}
+    default = {} if one.default is Parameter.empty else {"default": one.default}
+    data = {"name": one.name, "kind": _kind_data(kind), "options": names, **said, **default}
+    return dict(json.loads(json.dumps(data, default=str)))
+
+
+def _kind_data(kind: Any) -> Any:
+    inside, origin = get_args(kind), get_origin(kind)
+    if not inside:
+        return kind if isinstance(kind, str) else "None" if kind is type(None) else kind.__name__
+    name = {tuple: "tuple", list: "list", Literal: "one of"}.get(origin, "either")
+    return [name, *(one if origin is Literal else _kind_data(one) for one in inside)]
+
+
+def function_of(data: Iterable[Mapping[str, Any]]) -> Callable[..., None]:
+    """Does nothing, with these parameters."""
+
+    def nothing(**_: Any) -> None:
+        pass
+
+    parameters = [_parameter(one) for one in data]
+    nothing.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    nothing.__annotations__ = {one.name: one.annotation for one in parameters}
+    return nothing
+
+
+def _parameter(data: Mapping[str, Any]) -> Parameter:
+    said, kind = {key: data[key] for key in SAID if key in data}, _kind(data["kind"])
+    info = typer.Argument(**said) if data["options"] is None else typer.Option(*data["options"], **said)
+    default = data.get("default", Parameter.empty)
+    if isinstance(default, list):
+        default = tuple(default)
+    return Parameter(data["name"], Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
+
+
+def _kind(data: Any) -> Any:
+    if isinstance(data, str):
+        return KINDS[data]
+    inside = tuple(data[1:]) if data[0] == "one of" else tuple(map(_kind, data[1:]))
+    return MADE_OF[data[0]][inside]
+
+
 class Command(TyperCommand):
-    """A name and a line of help; what the command does, and its options, are loaded when it is called."""
+    """A name and a line of help; function and options are loaded on call."""
 
     def __init__(self, name: str, place: Place) -> None:
         super().__init__(name, help=place.help)
         self.place = place
 
     def loaded(self) -> Any:
-        """The command itself. It works with one BLAS thread."""
+        """With one BLAS thread."""
+        return self._made(one_blas_thread(remembered(self.function())))
+
+    def described(self) -> Any:
+        """For `--help` only, from `options.json`; None if the command is not there."""
+        parameters = json.loads(OPTIONS.read_text(encoding="utf-8")).get(self.name)
+        return None if parameters is None else self._made(function_of(parameters))
+
+    def _made(self, function: Callable[..., None]) -> Any:
         single = typer.Typer(add_completion=False)
         lines = filter(None, ("Example:", self.place.first, f"{NAME} {self.name} {self.place.example}".strip()))
-        single.command(self.name, epilog="\n\n".join(lines))(one_blas_thread(remembered(self.function())))
+        single.command(self.name, help=self.place.help, epilog="\n\n".join(lines))(function)
         return typer.main.get_command(single)
 
     def function(self) -> Callable[..., None]:
-        """The command's function, with a parameter for each option."""
+        """With a parameter for each option."""
         from onebend.options import expanded  # here: `--help` does without
 
         return expanded(self.place.load())
 
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        return self.loaded().make_context(*args, **kwargs)
+    def make_context(self, info_name: str | None, args: list[str], *more: Any, **kwargs: Any) -> Any:
+        if {*HELP} & {*args} and (described := self.described()) is not None:
+            described.make_context(
+                info_name, list(args), *more, **kwargs
+            )  # returns only if `--help` is not an option here
+        return self.loaded().make_context(info_name, args, *more, **kwargs)
 
 
 class Commands(TyperGroup):
-    """The group of all commands, none of them loaded."""
-
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = {name: Command(name, place) for name, place in all_commands().items()}
@@ -170,7 +245,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": [*HELP]},
 )
 
 
@@ -182,14 +257,14 @@ def _say_version(asked: bool) -> None:
 
 def _print_completion(shell: str | None) -> None:
     if shell is not None:
-        # here, as below: Typer promises nothing of these names, and every other command does without
+        # here, as below: no public names of Typer, and seldom needed
         from typer.completion import get_completion_script  # type: ignore[attr-defined]
 
         typer.echo(get_completion_script(prog_name=NAME, complete_var=COMPLETE, shell=shell))
         raise typer.Exit
 
 
-Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say it.")]
+Version = Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version.")]
 Completion = Annotated[
     Literal["bash", "zsh", "fish"] | None,
     typer.Option(
@@ -208,8 +283,11 @@ def _all_commands(*, version: Version = False, completion: Completion = None) ->
 
 
 def main() -> NoReturn:
-    """The entry point of `onebend`; called by a shell's completion it says what the line may go on with."""
+    """The entry point of `onebend`, also for shell completion."""
     gc.set_threshold(MOST_NEW)
+    if not sys.warnoptions:  # onebend checks its numbers itself
+        os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of child processes
+        warnings.simplefilter("ignore", RuntimeWarning)
     if COMPLETE in os.environ:
         from typer.completion import completion_init  # type: ignore[attr-defined]
 

@@ -1,4 +1,4 @@
-"""Shared by all commands: errors in one message, a place to work in, progress, JSON."""
+"""Shared by all commands: errors in one message, workplaces, progress, JSON."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from onebend.text_files import printable, to_json
 if TYPE_CHECKING:
     from onebend.report.pictures import Draw, Pictures
 
-# Options that several commands take. Names and helps are the user's manual; docs/cli.md says more.
+# Options that several commands take.
 
 LEAST, MOST = POSITIVE
 
@@ -55,7 +55,7 @@ PushAt = Annotated[
 ]
 Point = Annotated[
     float,
-    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point that is led to the goal: s in (0, 1]."),
+    typer.Option("--point", min=LEAST, max=1.0, metavar="S", help="The point to bring to the goal: s in (0, 1]."),
 ]
 Goal = Annotated[tuple[float, float], typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
 Gravity = Annotated[
@@ -63,27 +63,27 @@ Gravity = Annotated[
     typer.Option(
         "--gravity-m-s2",
         metavar="GX GY",
-        help="In the beam's frame; needs a model with a mass. Default: none in plane.",
+        help="Gravity in the beam's frame; needs a model with a mass. Default: none.",
     ),
 ]
 Recording = Annotated[
     Path, typer.Argument(metavar="REC", help="Folder with recording.toml, a video and a force log; or that file.")
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="A model.json, or the results folder that holds one.")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for what comes out.")]
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for the results.")]
 Overwrite = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace earlier results in OUT.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object (SI units) and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 LogAxis = Annotated[bool, typer.Option("--log", help="Draw k(s) on a logarithmic axis.")]
 
 
-# The screen: on it what a person named is text alone. Progress: bars on a screen, lines on a pipe.
+# The screen, on which names given by people are text only. Progress: bars on a screen, lines on a pipe.
 
-QUIET_SECONDS = 1.0  # a stage that took less leaves no line behind where there is no screen to draw a bar on
+QUIET_SECONDS = 1.0  # on a pipe, shorter stages print nothing
 
 
 class _Text:
-    """A renderable whose text is escaped; colours and the like are the console's own."""
+    """A renderable with escaped text."""
 
     def __init__(self, inside: RenderableType) -> None:
         self._inside = inside
@@ -99,14 +99,12 @@ class _Escape(RenderHook):
 
 
 def text_alone(console: Console) -> Console:
-    """The console, from now on with all text escaped."""
+    """The console with all text escaped."""
     console.push_render_hook(_Escape())
     return console
 
 
 class RateColumn(ProgressColumn):
-    """Things a second, over the whole stage."""
-
     def render(self, task: Task) -> Text:
         elapsed = task.finished_time or task.elapsed
         if not elapsed or not task.completed:
@@ -115,7 +113,7 @@ class RateColumn(ProgressColumn):
 
 
 class Bars:
-    """A `Progress` of bars with rate and time left; on a pipe, one line a stage. A context manager."""
+    """A `Progress` with rate and time left; on a pipe, one line per stage. A context manager."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -128,7 +126,7 @@ class Bars:
             TimeRemainingColumn(elapsed_when_finished=True),
         )
         self._bars = RichProgress(*columns, console=console, disable=not console.is_terminal)
-        self._open: list[tuple[TaskID, str, float]] = []  # stages can be nested
+        self._open: list[tuple[TaskID, str, float]] = []  # nested stages
 
     def __enter__(self) -> Bars:
         self._bars.start()
@@ -147,7 +145,7 @@ class Bars:
     def done(self) -> None:
         task, stage, began = self._open.pop()
         if sys.exc_info()[0] is not None:
-            return  # the stage was left early: its bar stays where it was
+            return  # left early: the bar stays
         count = self._count(task)
         self._bars.update(task, total=count, completed=count)
         seconds = monotonic() - began
@@ -160,7 +158,7 @@ class Bars:
 
 @contextmanager
 def clean_errors() -> Iterator[None]:
-    """A user's mistake ends in one message, not in a traceback."""
+    """Ends a user's mistake in one message."""
     try:
         yield
     except OnebendError as error:
@@ -179,29 +177,28 @@ def _fail(message: str, error: BaseException, code: int, *, docs: str = "") -> N
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """A line for people; what somebody named in it is text, and not for the terminal to act on."""
+    """One escaped line."""
     typer.echo(printable(text), err=err)
 
 
 def say_warning(text: str, *, about: str) -> None:
-    """A warning on standard error, and where docs/troubleshooting.md says more of it."""
+    """On standard error, with its section in docs/troubleshooting.md."""
     say(f"onebend: warning: {text}\n{reference(about)}", err=True)
 
 
 def screen() -> Console:
-    """Where tables go: standard output, with what somebody named as text. (To look for numbers in a long
-    name, so as to colour them, takes minutes.)"""
+    """Standard output, escaped. (Colouring numbers in long names takes minutes.)"""
     return text_alone(Console(highlight=False))
 
 
 def stderr_screen() -> Console:
-    """Where progress goes: standard error, with what somebody named as text."""
+    """Standard error, escaped."""
     return text_alone(Console(stderr=True, highlight=False))
 
 
 @contextmanager
 def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
-    """A place to work for results in `out`; when the work ends early, its error says what was kept."""
+    """For results in `out`; an early end says what was kept."""
     place = prepare(out, kind=kind, overwrite=overwrite)
     try:
         yield place
@@ -214,7 +211,7 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
         if kept:
             again = " with --force" if place.published else ""
             error.add_note(
-                f"What was found so far is kept in {place.work}; the next run for {out}{again} goes on from there."
+                f"The work so far is kept in {place.work}; the next run for {out}{again} continues from there."
             )
         elif isinstance(error, KeyboardInterrupt) and not place.published:
             error.add_note("Nothing was written.")
@@ -224,13 +221,13 @@ def workplace(out: Path, kind: str, overwrite: bool) -> Iterator[OutputFolder]:
 
 @contextmanager
 def place_for(output: Path | None, kind: str, overwrite: bool) -> Iterator[OutputFolder | None]:
-    """A `workplace` where there is an output; else None."""
+    """A `workplace` if there is an output, else None."""
     with nullcontext() if output is None else workplace(output, kind, overwrite) as place:
         yield place
 
 
 def made_from_files(inputs: Sequence[InputFile], settings: Mapping[str, Any] = {}) -> dict[str, Any]:
-    """Where the results of this command come from, under `provenance`."""
+    """The entry `provenance`."""
     return provenance(inputs, GIVEN.get({}), settings)
 
 
@@ -242,11 +239,11 @@ def put_in_place(
     inputs: Sequence[InputFile] = (),
     made_from: Mapping[str, Any] | None = None,
 ) -> None:
-    """Publish what `write` writes, with where it comes from; say which pictures are missing, and why.
+    """Publishes what `write` writes, with provenance, and names failed pictures.
 
     Args:
-        failed: pictures that could not be drawn, and why.
-        made_from: as from `made_from_files`, where `write` says it too; None: it is made from `inputs`.
+        failed: names and reasons.
+        made_from: as from `made_from_files`, if `write` needs it; None: made from `inputs`.
     """
     made_from = made_from or made_from_files(inputs)
     again = place.published
@@ -269,10 +266,10 @@ def put_results(
     inputs: Sequence[InputFile] = (),
     made_from: Mapping[str, Any] | None = None,
 ) -> None:
-    """Publish a folder with what `tables` writes, the pictures, and `summary.json`.
+    """Publishes the files of `tables`, the pictures and `summary.json`.
 
     Args:
-        figures: the pictures' folder in it; None: they stand in a page of `tables` alone.
+        figures: folder of the pictures; None: inside a page of `tables`.
     """
 
     def write(folder: Path) -> None:
@@ -292,7 +289,7 @@ def save_results(
     wanted: Mapping[str, Draw],
     read: Sequence[Path],
 ) -> None:
-    """Draw the pictures that are wanted, and put all results into the folder `output`, made from the files `read`."""
+    """Draws the wanted pictures, and publishes all in `output`, made from the files `read`."""
     from onebend.report.pictures import draw  # here: other commands draw nothing
 
     with workplace(output, summary["format"], overwrite) as place:
@@ -300,7 +297,7 @@ def save_results(
 
 
 def open_in_browser(page: Path) -> None:
-    """Show a page in the person's browser; a warning where there is none."""
+    """With a warning if there is no browser."""
     try:
         opened = webbrowser.open(page.resolve().as_uri())
     except webbrowser.Error:
@@ -310,7 +307,7 @@ def open_in_browser(page: Path) -> None:
 
 
 def say_failed(failed: Mapping[str, str]) -> None:
-    """A warning on standard error for each picture that could not be drawn."""
+    """Warns of each failed picture."""
     for name, why in failed.items():
         text = f"the picture {name!r} could not be drawn ({why}). All else is there."
         say_warning(text, about="picture failed")
@@ -327,7 +324,6 @@ def progress_of(quiet: bool) -> Iterator[Progress]:
 
 
 def print_json(data: object) -> None:
-    """One JSON object on standard output, in characters that it can take."""
     text = to_json(data)
     try:
         text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
@@ -337,7 +333,7 @@ def print_json(data: object) -> None:
 
 
 def answer(as_json: bool, data: Mapping[str, Any], show: Callable[[Console], None], output: Path | None = None) -> None:
-    """The data as JSON, with the folder where there is one; or what `show` says on the screen."""
+    """The data as JSON, or `show` on the screen."""
     if as_json:
         print_json(data if output is None else {**data, "output": str(output)})
     else:
@@ -346,7 +342,7 @@ def answer(as_json: bool, data: Mapping[str, Any], show: Callable[[Console], Non
 
 @contextmanager
 def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
-    """Events that Ctrl-C and the Enter key set: to end the film, and to begin it. A second Ctrl-C interrupts."""
+    """Events set by Ctrl-C (end the film) and Enter (begin it). A second Ctrl-C interrupts."""
     stop, begin = threading.Event(), threading.Event()
     before = signal.getsignal(signal.SIGINT)
 
@@ -371,7 +367,7 @@ def stopped_by_hand() -> Iterator[tuple[threading.Event, threading.Event]]:
 
 
 def percent(text: str | None) -> float:
-    """A share, of text such as `5%`; NaN of none. Raises `RecordingError`: no number above 0 and up to 100."""
+    """A share from text such as `5%`; NaN for None. Raises `RecordingError` unless above 0 and up to 100."""
     if text is None:
         return math.nan
     try:
@@ -383,19 +379,19 @@ def percent(text: str | None) -> float:
     return share
 
 
-# Shared by several screens: a list of facts, remarks, a force in words, and where the files are.
+# Shared by several screens.
 
 NO_BAND = "not known: the model has no band on k(s)"
 
 
 def facts_table() -> Table:
-    """An empty table of what something is (first column) and its value."""
+    """Name and value."""
     return Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
 
 
 def listing(title: str | None, *columns: str, gap: int = 1) -> Table:
-    """An empty table without lines; a column whose head begins with `<` is aligned to the left and folds, the others
-    hold numbers. A `gap` of 2 begins at the edge."""
+    """A table without lines. Columns whose head begins with `<` hold text, the others numbers. A `gap` of 2 begins at
+    the edge."""
     tight: dict[str, Any] = {} if gap == 1 else {"pad_edge": False, "padding": (0, gap, 0, 0)}
     table = Table(title=title, title_justify="left", box=None, **tight)
     for name in columns:
@@ -414,15 +410,15 @@ def force_words(force: Array) -> str:
 
 
 def say_written(console: Console, output: Path | None, files: str) -> None:
-    """Which `files` are in the folder `output` now; nothing where none were written."""
+    """Lists `files` in the folder `output`, if any."""
     if output is not None:
         console.print(f"\nWrote {output}: {files}", markup=False)
 
 
-def remarks_list(remarks: Sequence[tuple[str, Remark]], title: str | None = "What looked odd") -> RenderableType:
-    """Remarks, each with what to do about it: warnings in colour, notes in grey."""
+def remarks_list(remarks: Sequence[tuple[str, Remark]], title: str | None = "Remarks") -> RenderableType:
+    """With remedies; warnings in colour, notes in grey."""
     if not remarks:
-        return Text("Nothing looked odd.", "dim")
+        return Text("No remarks.", "dim")
     table = Table(box=None, show_header=False, pad_edge=False, title=title, title_justify="left")
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")

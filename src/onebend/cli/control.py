@@ -1,4 +1,4 @@
-"""Commands that bend a learned beam, or rehearse to."""
+"""Commands that bend a learned beam."""
 
 from __future__ import annotations
 
@@ -32,8 +32,6 @@ from onebend.options import POSITIVE, option
 from onebend.report.wording import length_words, significant
 from onebend.results import control_files
 from onebend.results.model import model_file
-
-# The screen of `onebend reach`.
 
 
 def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
@@ -78,7 +76,6 @@ def reach(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Find the force that puts a point of a learned beam on a goal (Algorithm 1, Fig. 8)."""
     with common.clean_errors():
         stored = read_trusted(model)
         settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
@@ -89,7 +86,7 @@ def reach(
         error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
         summary = control_files.reach_summary(str(model), found, error, written_by=BY)
         if output is not None:
-            from onebend.report.control_figures import reaching  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import reaching  # here: loads Matplotlib
 
             tables = partial(control_files.write_reach, result=found)
             figures = {"reach": lambda: reaching(found, error, _within(found))}
@@ -98,7 +95,7 @@ def reach(
 
 
 def _within(found: Reach) -> ReachableSet | None:
-    """All that forces of the asked size can do; None where the force has no bound."""
+    """Reachable with forces within the bound; None without a bound."""
     settings = found.settings
     if settings.max_force is None:
         return None
@@ -110,9 +107,6 @@ def _within(found: Reach) -> ReachableSet | None:
         max_curvature=settings.max_curvature,
         gravity=settings.gravity,
     )
-
-
-# The screens of `onebend shape` and `onebend path`.
 
 
 def show_shape(console: Console, result: ShapeResult, output: Path | None) -> None:
@@ -147,7 +141,7 @@ def _sureness_of_shape(result: ShapeResult) -> str:
 
 
 def show_path(console: Console, way: FollowedPath, sure: PathSpread | None, output: Path | None, *, bag: bool) -> None:
-    """Length, stretch, forces, misses, margin; `bag`: whether a ROS 2 bag was written with the other files."""
+    """`bag`: a ROS 2 bag was written too."""
     table = common.facts_table()
     stretch = f", {way.stretch:.2f} times the goals'" if way.stretch > 1.0 + 1e-6 else ""
     table.add_row("samples", f"{len(way.time)} over {way.time[-1]:.3f} s{stretch}")
@@ -175,24 +169,24 @@ def _path_sureness(sure: PathSpread | None) -> str:
     return f"{most} at worst, at {sure.time[worst]:.3g} s (2 sd, from the band on k(s))"
 
 
-# Commands that hold a learned beam in a shape, and lead it along a path.
-
 TargetsFile = Annotated[
-    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row a place.")
+    Path, typer.Option("--targets", metavar="CSV", help="Columns s, x_m, y_m, angle_rad, weight; one row per place.")
 ]
 GoalsFile = Annotated[
     Path, typer.Option("--goals", metavar="CSV", help="Columns time_s, x_m, y_m; with s, angle_rad, weight: shapes.")
 ]
 GoalPoint = Annotated[
     float,
-    typer.Option("--point", min=common.LEAST, max=1.0, metavar="S", help="The point led along goals without column s."),
+    typer.Option(
+        "--point", min=common.LEAST, max=1.0, metavar="S", help="The point that follows goals without a column s."
+    ),
 ]
 BetweenGoals = Annotated[
     Literal["force", "smooth", "monotone", "linear"] | None,
     typer.Option(
         "--between",
-        help="From goal to goal: the force goes evenly (default for one push and one point); or the point does: a "
-        "cubic spline (default otherwise), one that does not swing beyond, straight.",
+        help="Between goals: force changes the force evenly (default for one push and one point). The others move the "
+        "targets: smooth along a cubic spline (default otherwise), monotone without overshoot, linear straight.",
     ),
 ]
 FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The beam's frame in the ROS messages.")]
@@ -200,7 +194,7 @@ FrameName = Annotated[str, typer.Option("--frame", metavar="NAME", help="The bea
 
 @dataclass(frozen=True)
 class Hands:
-    """What pushes and holds a beam."""
+    """Pushes and grip of a command."""
 
     grip: bool = option("--grip", False, "A gripper holds the end s = 1 at a position and an angle.")
     push_at: tuple[float, ...] = option(
@@ -218,20 +212,20 @@ class Hands:
     )
 
     def actuators(self) -> tuple[tuple[Pusher, ...], Grip | None]:
-        """Pushes and grip: without a word a push at the tip, with a grip only the pushes that are named."""
+        """Default: a push at the tip, or with a grip none."""
         self.refuse_idle({"--max-moment-N-m": self.max_moment})
         places = self.push_at or (() if self.grip else (1.0,))
         pushes = tuple(Pusher(place, self.max_force) for place in places)
         return pushes, Grip(self.max_force, self.max_moment) if self.grip else None
 
     def refuse_idle(self, limits: Mapping[str, float]) -> None:
-        """Raises `ControlError` for a limit of a gripper that is not there."""
+        """Raises `ControlError` for a limit of an absent gripper."""
         for name, limit in limits.items():
             if math.isfinite(limit) and not self.grip:
                 raise ControlError(f"{name} limits a gripper, and there is none: add --grip, or leave it out")
 
 
-FAR = 0.5  # of the length, rms from the targets: no shape to be of use
+FAR = 0.5  # of the length, RMS: a useless shape
 
 
 def shape(
@@ -245,7 +239,6 @@ def shape(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Find the forces, or the gripper's pose, that bring a learned beam closest to a wanted shape."""
     with common.clean_errors():
         stored = read_trusted(model)
         pushes, holding = hands.actuators()
@@ -266,7 +259,7 @@ def shape(
             )
         summary = control_files.shape_summary(str(model), found, written_by=BY)
         if output is not None:
-            from onebend.report.control_figures import shaping  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import shaping  # here: loads Matplotlib
 
             tables = partial(control_files.write_shape, result=found)
             figures = {"shape": lambda: shaping(stored.beam, found)}
@@ -288,7 +281,6 @@ def path(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Turn goals in time into forces, or gripper poses, in time: CSV, ROS 2 messages, a ROS 2 bag."""
     with common.clean_errors():
         stored = read_trusted(model)
         if not frame or not frame.isprintable():
@@ -310,7 +302,7 @@ def path(
         summary = control_files.path_summary(str(model), way, sure, written_by=BY)
         bag = installed("rosbags")
         if output is not None:
-            from onebend.report.control_figures import path_figure  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import path_figure  # here: loads Matplotlib
 
             tables = partial(control_files.write_path, way=way, frame=frame, bag=bag)
             figures = {"path": lambda: path_figure(way)}
@@ -330,31 +322,28 @@ def _led(beam: Beam, goals: Goals, pushes: tuple[Pusher, ...], grip: Grip | None
     return by_force(beam, goals, push_s=one.at_s, max_force=limit, gravity=weight)
 
 
-# The screen of `onebend loop`.
-
-
 def show_loop(
     console: Console,
     control: Controller,
     known: Margins,
     trials: tuple[LoopTrial, ...],
     output: Path | None,
-    rehearsed: Mapping[str, object],
+    further: Mapping[str, object],
 ) -> None:
     table = common.facts_table()
     x, y = control.reference.ends
     table.add_row("feedforward", f"[bold]{significant(math.hypot(x, y))} N[/]: ({x:.4g}, {y:.4g}) N, reached in "
                   f"{control.reference.rise:.2f} s")  # fmt: skip
     table.add_row("gains", f"rate {control.gains.rate:.3g} 1/s, filters at {control.gains.corner:.3g} rad/s")
-    later = "no limit found" if math.isinf(known.delay) else f"{1e3 * known.delay:.0f} ms more"
+    later = "no limit found" if math.isinf(known.delay) else f"{1e3 * known.delay:.0f} ms"
     turn = "any" if math.isinf(known.phase) else f"{math.degrees(known.phase):.0f} deg"
-    table.add_row("margins", f"gain {known.gain:.2f} times, phase {turn}, delay {later}")
-    table.add_row("rings below", f"{known.softest:.2f} of the model's k(s), everywhere alike")
-    if rehearsed["felt"] != "nothing":
-        table.add_row("the force is felt", "by a log" if rehearsed["felt"] == "log" else "by the beam's shape")
-    if rehearsed["force_off_N"]:
-        table.add_row("the robot's force", f"off by {rehearsed['force_off_N']:.3g} N, across it")
-    if rehearsed["hidden"]:
+    table.add_row("margins", f"gain {known.gain:.2f}, phase {turn}, further delay {later}")
+    table.add_row("stable while", f"the true k(s) is above {known.softest:.2f} times the model's")
+    if further["felt"] != "nothing":
+        table.add_row("the force is felt", "by a log" if further["felt"] == "log" else "by the beam's shape")
+    if further["force_off_N"]:
+        table.add_row("the robot's force", f"off by {further['force_off_N']:.3g} N, across it")
+    if further["hidden"]:
         table.add_row("the point", "never seen")
     console.print(table)
     runs = Table("true k(s)", "steady, mm", "settled to 1 mm, s", box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -368,7 +357,7 @@ def show_loop(
 
 
 def trial_name(trial: LoopTrial) -> str:
-    """Which beam a rehearsal was made on."""
+    """The beam of a simulation."""
     share = 100.0 * abs(trial.factor - 1.0)
     way = "lower" if trial.factor < 1.0 else "higher"
     if trial.beam.drawn:

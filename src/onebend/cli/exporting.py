@@ -1,4 +1,4 @@
-"""The commands that hand a learned beam, or a recording with it, to other software."""
+"""Commands that write a learned beam, or a recording with it, for other software."""
 
 from __future__ import annotations
 
@@ -10,33 +10,47 @@ import typer
 import onebend
 from onebend.cli import common
 from onebend.cli.models import read_trusted
-from onebend.export.export import DAMPING_TIME, KINDS, Kind, export
+from onebend.errors import ExportError
+from onebend.export.export import KINDS, MOST_SAMPLES, TABLES, Kind, export, without
 from onebend.export.rerun_file import write_rerun
-from onebend.files.single_file import fresh_file, write_file
+from onebend.export.sample import RodSample, drawn, sample_of_model
+from onebend.files.publish import SUMMARY
+from onebend.files.single_file import check_name_free, fresh_file, write_file
 from onebend.options import Only
 from onebend.pipeline import compare
 from onebend.recording.folder import folder_of, read_recording
 from onebend.recording.observe import ObserveSettings
 from onebend.recording.video import read_frames
 from onebend.results.detection_cache import detection_cache
-from onebend.results.model import StoredModel
+from onebend.results.model import StoredModel, model_file
+from onebend.text_files import read_json
 
-ExportTo = Annotated[Kind, typer.Option("--to", help="What the beam is for.")]
+ExportTo = Annotated[Kind, typer.Option("--to", help="The software or format.")]
 OutFile = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the ending."),
+    typer.Option("--output", "-o", metavar="FILE", help="The file to write; default: beam, with the format's ending."),
 ]
-Hinges = Annotated[int, typer.Option(min=2, max=10_000, metavar="N", help="Hinges of a chain (mujoco, urdf, sdf).")]
+Hinges = Annotated[
+    int | None,
+    typer.Option(min=2, max=10_000, metavar="N", help="Hinges of a simulator's chain; default: 40, for newton 20."),
+]
+Samples = Annotated[
+    int | None,
+    typer.Option(
+        min=1, max=MOST_SAMPLES, metavar="N", help="Draw N beams from the band: N files, or N columns of a table."
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, metavar="S", help="Of the draws.")]
 MassKg = Annotated[
     float | None,
-    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: as it was learned with."),
+    typer.Option("--mass-kg", metavar="KG", help="The beam's mass, spread evenly; default: the mass in MODEL."),
 ]
 DampingTime = Annotated[
     float | None,
     typer.Option(
         "--damping-time-s",
         metavar="SECONDS",
-        help="Of every hinge, damping over stiffness; default: as `onebend damp` found it, else 0.02.",
+        help="Damping over stiffness; default: the one in MODEL (`onebend damp`), else 0.02.",
     ),
 ]
 Observing = Annotated[ObserveSettings, Only(("threads",))]
@@ -52,34 +66,71 @@ def export_command(
     *,
     to: ExportTo,
     output: OutFile = None,
-    hinges: Hinges = 40,
+    hinges: Hinges = None,
     mass: MassKg = None,
     damping_time: DampingTime = None,
+    samples: Samples = None,
+    seed: Seed = 0,
     overwrite: common.Overwrite = False,
 ) -> None:
-    """Write the learned beam for a simulator, a robot's description, a table, or as a function without onebend."""
-    kind: Kind = to
     with common.clean_errors():
         stored = read_trusted(model)
-        path = output or Path(f"beam{KINDS[kind].suffix}")
-        content = export(
-            stored.beam,
-            kind,
-            uncertain=stored.uncertain,
-            hinges=hinges,
-            mass=mass,
-            damping_time=_damping_time(damping_time, stored),
-            sites=() if stored.origin is None else stored.origin.marker_s,
+        path = output or Path(f"beam{KINDS[to].suffix}")
+        sites = () if stored.origin is None else stored.origin.marker_s
+        told = _told(model, stored)
+        rod = sample_of_model(stored, mass=mass, damping_time=damping_time, sites=sites, told=told)
+        draws = () if samples is None else drawn(rod, samples, seed=seed)
+        files = _files(path, to, rod, draws, hinges)
+        for name in files:
+            check_name_free(name, overwrite=overwrite)
+        for name, content in files.items():
+            write_file(name, content, overwrite=overwrite)
+        first, *more = files
+        common.say(f"Wrote {first}{f' and {len(more)} more' if more else ''}: {KINDS[to].says}.")
+        for sentence in without(rod, to):
+            common.say(sentence)
+    common.say(KINDS[to].use.format(path=first))
+
+
+def _files(
+    path: Path, to: Kind, rod: RodSample, draws: tuple[RodSample, ...], hinges: int | None
+) -> dict[Path, str | bytes]:
+    """The files to write: one for each draw, or a table with a column for each."""
+    if to == "sheet":
+        if draws:
+            raise ExportError("a sheet shows the band; samples go to a table (csv) or to a simulator's files")
+        return {path: export(rod, to), path.with_suffix(".csv"): export(rod, "csv")}
+    if not draws or to in TABLES:
+        return {path: export(rod, to, hinges=hinges, samples=draws)}
+    digits = len(str(len(draws)))
+    names = (path.with_name(f"{path.stem}-{i:0{digits}d}{path.suffix}") for i in range(1, len(draws) + 1))
+    return {name: export(one, to, hinges=hinges) for name, one in zip(names, draws, strict=True)}
+
+
+def _told(model: Path, stored: StoredModel) -> tuple[tuple[str, str], ...]:
+    """How the beam was measured, and how far to trust it, for the sheet."""
+    told: list[tuple[str, str]] = []
+    if stored.origin is not None:
+        told.append(
+            ("measured", f"{stored.origin.recording}, {len(stored.origin.marker_s)} tags, {stored.origin.method}")
         )
-        write_file(path, content, overwrite=overwrite)
-    common.say(f"Wrote {path}: {KINDS[kind].says}.")
-    common.say(KINDS[kind].use.format(path=path))
-
-
-def _damping_time(asked: float | None, stored: StoredModel) -> float:
-    if asked is not None:
-        return asked
-    return DAMPING_TIME if stored.damping is None else stored.damping.loss_time
+    if stored.bench is not None:
+        pushes = (f"{push.largest:.3g} N at s = {push.at_s:.3g}" for push in stored.bench.pushes)
+        told.append(("pushed with", ", ".join(dict.fromkeys(pushes))))
+    doubts = () if stored.uncertain is None else stored.uncertain.doubts
+    summary = model_file(model).with_name(SUMMARY)
+    if doubts or stored.changed or stored.swapped:
+        words = (
+            "; ".join(doubts),
+            stored.changed and f"the file {stored.changed}",
+            stored.swapped and f"it {stored.swapped}",
+        )
+        told.append(("verdict", f"NOT TO BE TRUSTED: {'; '.join(filter(None, words))}"))
+    elif summary.is_file():
+        verdict = read_json(summary, ExportError).get("verdict", {})
+        rows = (("verdict", "headline"), ("rests on", "rests_on"), ("for use", "use"))
+        told += [(name, str(verdict[key])) for name, key in rows if verdict.get(key)]
+    return tuple(told)
 
 
 def rerun_command(
@@ -92,7 +143,6 @@ def rerun_command(
     overwrite: common.Overwrite = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Write a recording and the learned beam as a Rerun file: video, tags, beam, forces, residuals."""
     with common.clean_errors():
         stored = read_trusted(model)
         path = output or Path(f"{folder_of(recording).resolve().name}.rrd")

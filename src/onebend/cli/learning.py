@@ -1,4 +1,4 @@
-"""Commands that learn: from recordings, against other recordings, and which push to make next."""
+"""Commands that learn, validate and plan."""
 
 from __future__ import annotations
 
@@ -36,11 +36,9 @@ from onebend.results.model import model_file
 from onebend.results.observations_file import observations_beside
 from onebend.results.provenance import inputs_of, recording_files
 
-# The screen of `onebend plan`.
-
 
 def plan_table(plan: Plan) -> Table:
-    title = "What to do next: what costs nothing first, then by how well k(s) would be known on average"
+    title = "Next pushes, those that need nothing new first, then by the mean half-width that k(s) would have"
     table = common.listing(title, "", "push at s", "<force", "to [N]", "tip [mm]", "<needs", "k(s) then")
     for i, proposal in enumerate(plan.proposals):
         needs = "the same once more" if proposal.repeats else "nothing new"
@@ -61,7 +59,7 @@ def show_plan(console: Console, plan: Plan) -> None:
     console.print(plan_table(plan))
     console.print("\n[bold]best:[/]", Text(words(plan.proposals[0].notice)))
     pair = "; then ".join(words(proposal.notice) for proposal in plan.pair)
-    console.print("[bold]best two with what there is:[/]", Text(pair))
+    console.print("[bold]best pair with the present bench:[/]", Text(pair))
     for reason in plan.left_out:
         console.print(f"[yellow]![/] {escape(reason)}")
 
@@ -76,15 +74,15 @@ ValidateOn = Annotated[
 Method = Annotated[
     Literal["fit", "regression", "paper"],
     typer.Option(
-        help="fit: k(s) with a band, from the markers; it begins at the regression. regression: the paper's way alone, "
-        "with the tags' angles. paper: its rows (17) to the letter, tags' positions only."
+        help="fit: k(s) with a band. regression: the paper's regression, with the tags' angles as well. paper: the "
+        "regression as printed (17), with positions only."
     ),
 ]
 Observing = Annotated[ObserveSettings, Only(("threads",))]
 NoReport = Annotated[
-    bool, typer.Option("--no-report", help="Write neither the report nor pictures, which take a fifth of the time.")
+    bool, typer.Option("--no-report", help="Write no report and no pictures; this saves a fifth of the time.")
 ]
-OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser when it is there.")]
+OpenReport = Annotated[bool, typer.Option("--open", help="Open the report in the browser.")]
 Epsilon = Annotated[
     float | None,
     typer.Option(
@@ -92,12 +90,10 @@ Epsilon = Annotated[
         min=0.0,
         max=common.MOST,
         metavar="SECONDS",
-        help="Take the log's nearest row, at most this far from a frame (the paper's way); default: interpolate.",
+        help="Take the log's nearest row, at most this far from a frame (as in the paper); default: interpolate.",
     ),
 ]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Also print what the report holds: tables, nuisances, notes, times.")
-]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print tables, nuisances, notes and times.")]
 
 
 def learn(
@@ -118,10 +114,6 @@ def learn(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).
-
-    The tags of a film are looked for once and kept for the next run (`onebend cache`).
-    """
     out = output or Path(f"{folder_of(recordings[0]).resolve().name}-results")
     settings = replace(settings, method="paper" if method == "paper" else "regression")
     observing = _paired(observing, epsilon)
@@ -154,7 +146,7 @@ def learn(
             )
             common.put_in_place(place, write, pictures.failed if pictures else {}, made_from=made_from)
 
-        put(None if no_report else Pictures())  # the fit is safe before a picture is drawn
+        put(None if no_report else Pictures())  # the fit is safe before pictures are drawn
         if not as_json:
             show_run(common.screen(), run, out, verbose=verbose, log=log, report=not no_report)
         if not no_report:
@@ -172,7 +164,7 @@ def learn(
 
 def draw_all(run: Run, *, frames: KeptFrames, progress: Progress) -> Pictures:
     """Every figure of a report."""
-    from onebend.report import figures as drawing  # here: Matplotlib takes a third of a second to load
+    from onebend.report import figures as drawing  # here: Matplotlib loads slowly
 
     return drawing.draw_all(run, frames=frames, progress=progress)
 
@@ -188,7 +180,6 @@ def validate(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI)."""
     with common.clean_errors():
         stored = read_trusted(model)
         known = observations_beside(model)
@@ -219,9 +210,8 @@ def validate(
 def plan(
     model: common.Model, *, settings: PlanSettings, as_json: common.Json = False, quiet: common.Quiet = False
 ) -> None:
-    """Say which push to make next: what each would leave of the band on k(s)."""
     with common.clean_errors(), common.progress_of(quiet) as progress:
-        read_trusted(model)  # warns where k(s) is in doubt
+        read_trusted(model)  # warns of doubts
         found = plan_next(model, settings=settings, progress=progress)
     summary = learned_files.plan_summary(str(model), found, written_by=BY)
     common.answer(as_json, summary, lambda console: show_plan(console, found))

@@ -1,4 +1,4 @@
-"""The command that shows a learned beam, and what the commands that take one share."""
+"""The command that shows a learned beam, and helpers for commands that take one."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from onebend.cli import common
 from onebend.errors import ControlError
 from onebend.results.model import StoredModel, model_file, model_summary, read_model
 
-HEAVY = 100.0  # m/s^2: what is more is another unit
+HEAVY = 100.0  # m/s^2: more is another unit
 
 
 def show(model: common.Model, *, log: common.LogAxis = False, as_json: common.Json = False) -> None:
-    """Draw the learned k(s) in the terminal."""
-    # here: the other commands that take a model, which share what is below, do without
+    # here: other commands do without
     from onebend.cli.screens import show_model
 
     with common.clean_errors():
@@ -26,7 +25,7 @@ def show(model: common.Model, *, log: common.LogAxis = False, as_json: common.Js
 
 
 def read_trusted(model: Path) -> StoredModel:
-    """The model; a warning on standard error where its k(s) is in doubt."""
+    """Warns if its k(s) is in doubt."""
     stored = read_model(model)
     say_changed(model, stored)
     doubts = () if stored.uncertain is None else stored.uncertain.doubts
@@ -36,13 +35,13 @@ def read_trusted(model: Path) -> StoredModel:
 
 
 def say_changed(model: Path, stored: StoredModel) -> None:
-    """A warning on standard error where the file is not as it was written, or another than its folder's."""
+    """Warns of a changed or exchanged file."""
     for words in filter(None, (stored.changed, stored.swapped)):
         common.say_warning(f"{model_file(model)} {words}.", about="changed file")
 
 
 def gravity_on(beam: Beam, gravity: tuple[float, float]) -> tuple[float, float]:
-    """The gravity [m/s^2] that was asked for. Raises `ControlError` where the model has no mass for it to act on."""
+    """Gravity [m/s^2] as given. Raises `ControlError` for a model without mass."""
     if not all(math.isfinite(one) for one in gravity):
         raise ControlError(f"gravity is two finite numbers [m/s^2], got {gravity[0]:g} and {gravity[1]:g}")
     if math.hypot(*gravity) > HEAVY:

@@ -1,4 +1,4 @@
-"""Commands on films of a beam: how it swings, and what force is on it."""
+"""Commands for films of a swing, and for the force on a beam."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Swinging = Annotated[
     ),
 ]
 Observing = Annotated[ObserveSettings, Only(("threads",))]
-FASTEST = 1e5  # frames a second over frames a second: no camera slows a swing down by more
+FASTEST = 1e5  # largest factor of slow motion
 Slowed = Annotated[
     float,
     typer.Option(
@@ -54,10 +54,10 @@ Slowed = Annotated[
         min=common.LEAST,
         max=FASTEST,
         metavar="TIMES",
-        help="It plays so many times slower than it was, as slow motion does.",
+        help="Slow motion: the film plays this many times slower than the swing was.",
     ),
 ]
-MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="How many modes, at most.")]
+MostModes = Annotated[int, typer.Option("--modes", min=1, max=8, metavar="N", help="The largest number of modes.")]
 
 
 def frequencies(
@@ -70,7 +70,6 @@ def frequencies(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Find the natural frequencies in a free swing, to be written in recording.toml."""
     with common.clean_errors(), common.progress_of(quiet) as progress:
         detect = detection_cache(onebend.__version__).detect
         signals = swing_signals(source, threads=observing.threads, detect=detect, progress=progress)
@@ -95,7 +94,6 @@ def damp(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Learn a learned beam's damping from a recording in which it swings freely, and check k over mass."""
     with common.clean_errors():
         stored = read_trusted(model)
         if output is not None:
@@ -108,7 +106,7 @@ def damp(
         if output is not None:
             whole = replace(stored, beam=fit.beam, damping=fit.damping)
             text = model_text(whole, written_by=BY)
-            if not (overwrite and amend(output, text.encode())):  # a file of a results folder: the folder stays whole
+            if not (overwrite and amend(output, text.encode())):  # a file of a results folder: its summary is renewed
                 write_file(output, text, overwrite=overwrite)
     said = {**damp_summary(str(model), fit, written_by=BY), "output": None if output is None else str(output)}
     common.answer(as_json, said, lambda console: show_damping(console, fit, output))
@@ -126,7 +124,6 @@ def sense(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Tell the force on a learned beam from its shape, frame by frame, with a 95 % region."""
     with common.clean_errors():
         if bag and output is None:
             raise ResultsError("--bag writes force.mcap beside the other results. Name their folder: -o OUT")
@@ -139,7 +136,7 @@ def sense(
             )
             summary = sense_summary(str(model), found, written_by=BY)
             if work is not None:
-                from onebend.report.control_figures import sensed_regions, sensing  # here: Matplotlib is for pictures
+                from onebend.report.control_figures import sensed_regions, sensing  # here: loads Matplotlib
 
                 pictures = draw({"force": lambda: sensing(found), "regions": lambda: sensed_regions(found)})
                 inputs = inputs_of([model_file(model), *recording_files([recording])])

@@ -1,4 +1,4 @@
-"""Commands that begin a recording and look at what is there."""
+"""Commands that prepare recordings."""
 
 from __future__ import annotations
 
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     from onebend.report.overview import Overview
 
 
-# The screens of `onebend check` and `onebend topics`.
-
-
 def show_bag(console: Console, bag: BagContents) -> None:
     first = min((row.start for row in bag.rows if not math.isnan(row.start)), default=math.nan)
     console.print(f"[bold]{escape(str(bag.path))}[/]{begins(first)}", soft_wrap=True)
@@ -52,14 +49,14 @@ def show_bag(console: Console, bag: BagContents) -> None:
 
 
 def begins(first: float) -> str:
-    """When the first message was, in words."""
+    """Time of the first message."""
     if math.isnan(first):
         return ""
     return f", from {datetime.fromtimestamp(first, UTC).strftime('%Y-%m-%d %H:%M:%S')} UTC ({first:.6f} s)"
 
 
 def cells(row: TopicRow, first: float) -> tuple[str, ...]:
-    """One row of the table, in words; times count from `first`."""
+    """A row; times count from `first`."""
     kind = row.type.replace("/msg/", "/")
     if not row.count:
         return escape(row.topic), escape(kind), "0", "", "", "", ""
@@ -83,15 +80,15 @@ Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.
 BagPath = Annotated[Path, typer.Argument(metavar="BAG", help="A .mcap, .db3 or .bag file, or a bag's folder.")]
 Picture = Annotated[
     Path,
-    typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; one of an earlier check is replaced."),
+    typer.Option("--output", "-o", metavar="PNG", help="The picture to draw; it replaces that of an earlier check."),
 ]
 Definitions = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag that does not say what it holds.")
+    Path | None, typer.Option(metavar="DIR", help="Folder with .msg files, for a bag without message definitions.")
 ]
 
 PICTURE = "check.png"
 
-Clear = Annotated[bool, typer.Option("--clear", help="Drop all that is kept.")]
+Clear = Annotated[bool, typer.Option("--clear", help="Empty the cache.")]
 VideoKind = Annotated[bool, typer.Option("--video", help="A film of the tags and a force log (the default).")]
 RosKind = Annotated[
     Path | None, typer.Option("--ros", metavar="BAG", help="A ROS bag with film and force; topics are filled in.")
@@ -106,7 +103,7 @@ BESIDE: dict[Kind, str] = {
     "weights": "put poses.csv and loads.csv beside it",
     "mocap": "put the tracks and the force log beside it",
 }
-# Keys that no bag holds.
+# Keys that no bag contains.
 TO_ADD = (
     'axes = ["x", "y"]  # the two in the plane of bending, in the order of x and y',
     "rotation_deg = 0.0  # the first of them against the beam, counter-clockwise as the camera sees it",
@@ -123,7 +120,6 @@ def new(
     weights: WeightsKind = False,
     mocap: MocapKind = False,
 ) -> None:
-    """Write a recording.toml to fill in."""
     asked: dict[Kind, bool] = {
         "video": video, "ros": ros is not None, "photos": photos, "weights": weights, "mocap": mocap
     }  # fmt: skip
@@ -139,7 +135,7 @@ def new(
 
 
 def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:
-    """Values from a bag for [video] and [force]: its place from `folder` on, and the likeliest topics."""
+    """Values for [video] and [force]: the bag's path from `folder`, and the likeliest topics."""
     found = bag_contents(bag, None)
     file = quoted(os.path.relpath(found.path.resolve(), folder.resolve()))
     video = {"file": file, "topic": quoted(found.image)}
@@ -147,7 +143,7 @@ def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:
 
 
 def quoted(text: str) -> str:
-    """Text as TOML; nothing, to be filled in, where there is none or no file can hold it."""
+    """As TOML; empty if there is none or it cannot be written."""
     written = to_json(text) if text else ""
     return written if written.isprintable() and written.encode("utf-8", "replace").decode() == written else ""
 
@@ -159,13 +155,12 @@ def check(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Read a recording's files, look for the tags in some frames, say and draw what was understood."""
     from onebend.report.overview import SOFTWARE, overview  # here: `new` and `topics` read no films
 
     with common.clean_errors():
         check_replaceable(output, SOFTWARE, overwrite=overwrite)
         found = overview(recording)
-        from onebend.report.figures import check_png  # here: matplotlib takes a third of a second to load
+        from onebend.report.figures import check_png  # here: Matplotlib loads slowly
 
         drawn = check_png(found)
         if drawn is not None:
@@ -184,7 +179,6 @@ def check(
 
 
 def topics(bag: BagPath, *, definitions: Definitions = None, as_json: common.Json = False) -> None:
-    """List the topics of a ROS bag, with types, counts, rates and times, and what to write of them."""
     with common.clean_errors():
         found = bag_contents(bag, definitions)
     if as_json:
@@ -195,14 +189,13 @@ def topics(bag: BagPath, *, definitions: Definitions = None, as_json: common.Jso
 
 
 def as_data(found: BagContents) -> dict[str, object]:
-    """Plain data for `--json`."""
     rows = [dataclasses.asdict(row) for row in found.rows]
     others = {name: getattr(found, name) or None for name in ("force", "image", "fault")}
     return {"bag": str(found.path), "topics": rows, **others}
 
 
 def lines_to_write(found: BagContents) -> str:
-    """The tables of recording.toml for the likeliest topics."""
+    """Tables of recording.toml for the likeliest topics."""
     keep = ['damaged = "keep"'] if found.fault else []
     tables = []
     if found.image:
@@ -217,7 +210,6 @@ def lines_to_write(found: BagContents) -> str:
 
 
 def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
-    """Say which films' tags are kept, so that a film is searched for tags only once; --clear drops them."""
     folder = users_folder()
     with common.clean_errors():
         kept = [] if folder is None else folder.clear() if clear else folder.entries()
@@ -234,9 +226,6 @@ def show_cache(*, clear: Clear = False, as_json: common.Json = False) -> None:
             common.say(
                 f"At most {folder.most / 1e6:.0f} MB are kept; {VARIABLE} names another folder, or turns it off (off)."
             )
-
-
-# The screen of `onebend calibrate`.
 
 
 def show_calibration(console: Console, calibration: Calibration, out: Path) -> None:
@@ -256,8 +245,6 @@ def show_calibration(console: Console, calibration: Calibration, out: Path) -> N
     typer.echo(calibration.camera_table())
 
 
-# The command that calibrates a camera.
-
 Film = Annotated[Path, typer.Argument(metavar="VIDEO", help="A film of the board, or a bag, taken as the beam is.")]
 BoardOption = Annotated[
     tuple[str, str],
@@ -270,10 +257,10 @@ MarkerMm = Annotated[
     float | None,
     typer.Option("--marker-mm", metavar="MM", help="Side of a ChArUco board's tags; default: 3/4 of a square."),
 ]
-Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Of a ChArUco board's tags, such as 5x5_100.")]
-ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="Of the images, where VIDEO is a bag.")]
-MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="At most so many views are used.")]
-CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the table of the camera goes.")]
+Dictionary = Annotated[str, typer.Option(metavar="NAME", help="Tag dictionary of a ChArUco board.")]
+ImageTopic = Annotated[str, typer.Option("--topic", metavar="NAME", help="The image topic, if VIDEO is a bag.")]
+MostViews = Annotated[int, typer.Option("--views", min=4, metavar="N", help="The largest number of views to use.")]
+CameraFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file for the camera table.")]
 
 CALIBRATE_FORMAT = "onebend-calibrate-1"
 
@@ -292,7 +279,6 @@ def calibrate(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Calibrate the camera from a film of a board, and write the table of the camera for recording.toml."""
     with common.clean_errors():
         wanted = _board(board, square, marker, dictionary)
         check_name_free(output, overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""The screens of the commands."""
+"""Screens of the commands."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     from onebend.learning.sensing.sensor import SensorCheck
 
 
-FEW = 4  # tags whose columns fit side by side in 80
-WIDE = 91  # columns of a plot: eleven numbers fit below it
+FEW = 4  # tags with columns side by side in 80
+WIDE = 91  # columns of a plot with eleven numbers below
 
 
 def selection_table(learned: Learned) -> Table:
-    """The (n, m) table of the paper; the chosen row marked, rows out of the running dimmed with the reason."""
+    """The (n, m) table; the chosen pair marked, excluded ones dimmed with the reason."""
     names, errors = _trial_errors(learned)
     title = f"{escape(learned.training.name)}: the paper's regression, RMS of the tags and BIC"
     table = listing(title, "<", "n", "m", *names, "BIC")
@@ -62,7 +62,7 @@ def _trial_errors(learned: Learned) -> tuple[list[str], list[list[str]]]:
 
 
 def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
-    """Tables IV to VI, one tag a row: RMS, the force noise, and what is likely."""
+    """Tables IV to VI, one row per tag: RMS, force noise, likely error."""
     meaning = "force noise: from the log's noise alone; likely: with the band of k(s) and the push's place"
     table = listing(f"{what}: RMS distance ({meaning})", "<recording", "frames")
     table.columns[0].ratio = 1
@@ -78,12 +78,12 @@ def comparison_table(comparisons: Sequence[Comparison], what: str) -> Table:
 
 
 def band_places(columns: int) -> Array:
-    """Six or eleven places, as many as fit below a plot of so many columns."""
+    """Six or eleven places that fit below a plot."""
     return np.linspace(0.0, 1.0, 11 if columns >= WIDE else 6)
 
 
 def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: confidence.ModulusRows | None = None) -> Table:
-    """k and its band at `band_places`, as they lie below a plot of so many columns; Young's modulus there below it."""
+    """k, its band and Young's modulus at `band_places`, aligned with a plot."""
     s = band_places(columns)
     count, band = len(s), uncertain.band(s)
     table = Table(box=None, show_header=False, pad_edge=False, padding=0)
@@ -109,7 +109,7 @@ def band_table(uncertain: UncertainStiffness, *, columns: int, modulus: confiden
 
 
 def half_widths(band: Band) -> list[str]:
-    """Half the band at each place: "7.4 %", "x 2.4"."""
+    """ "7.4 %", "x 2.4"."""
     halves = 0.5 * np.log(band.high / band.low)
     return [half_width_words(float(half)).removeprefix("± ").replace("a factor of ", "x ") for half in halves]
 
@@ -135,7 +135,7 @@ def estimate_table(
 
 
 def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
-    """Further parameters of the fit, before and after the data; those more than 2 sd off in colour."""
+    """Nuisances before and after the data; beyond 2 sd in colour."""
     table = listing("Fitted with k(s)", "<", "value", "sd before", "sd after", gap=2)
     table.add_column("", no_wrap=True)
     for row in confidence.nuisance_rows(nuisances):
@@ -145,10 +145,10 @@ def nuisance_table(nuisances: Sequence[Nuisance]) -> Table:
 
 
 def allowance_table(posterior: Posterior) -> Table:
-    """What the fit allows for, and the effect of each on k(s); what matters is bold."""
+    """Allowances and their effect on k(s); those that matter in bold."""
     table = Table(title="Allowed for", title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("", overflow="fold")
-    for name in ("widens the band by", "k(s) without it", "sd from nothing"):
+    for name in ("widens the band by", "ignoring it shifts k(s) by", "sds from zero"):
         table.add_column(name, justify="right")
     for row in confidence.allowance_rows(posterior):
         table.add_row(row.name, row.widening, row.change, row.sds, style="bold" if row.matters else "")
@@ -165,12 +165,12 @@ def stages_table(seconds: Mapping[str, float], video_seconds: float) -> Table:
 
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
-MOST = 4.0  # times k: a band that says nothing may leave the picture
-CURVE, BAND = ("-", "━"), ("·", "░")  # where k is not identified, and where it is
+MOST = 4.0  # times k: a wider band may leave the plot
+CURVE, BAND = ("-", "━"), ("·", "░")  # not identified, identified
 
 
 def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 12, log: bool = False) -> RenderableType:
-    """k(s) as a line in its 95 % band, thinner and grey where it is not identified. `log`: a logarithmic axis."""
+    """k(s) in its 95 % band, thin and grey where not identified."""
     s = np.linspace(0.0, 1.0, columns)
     band = uncertain.band(s)
     edges = _edges(band, uncertain.best_known(s), rows, log=log)
@@ -190,7 +190,7 @@ def band_plot(uncertain: UncertainStiffness, *, columns: int = 61, rows: int = 1
 
 
 def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
-    """(rows + 1,) N m, where the rows of a plot begin and end, the lowest first."""
+    """(rows + 1,) N m: edges of the plot's rows, lowest first."""
     top = min(1.05 * float(np.max(band.high[shown])), MOST * float(np.max(band.k[shown])))
     if log:
         low = max(float(np.min(band.low[shown])) / 1.05, float(np.min(band.k[shown])) / MOST)
@@ -199,7 +199,7 @@ def _edges(band: Band, shown: BoolArray, rows: int, *, log: bool) -> Array:
 
 
 def stiffness_plot(beam: Beam, *, columns: int = 61, rows: int = 8) -> RenderableType:
-    """k(s) as an area of block characters, with numbers at eleven places below."""
+    """k(s) in block characters, with numbers below."""
     k = beam.stiffness(np.linspace(0.0, 1.0, columns))
     top = max(float(k.max()), 0.0)
     edges = np.linspace(0.0, top, rows + 1)
@@ -231,11 +231,11 @@ def _numbers(beam: Beam) -> Table:
     return table
 
 
-_AS_SAID = 5e-4  # of s: a place that comes out nearer is the one that was said
+_AS_SAID = 5e-4  # of s: nearer is the stated place
 
 
 def damping_words(damping: Damping) -> str:
-    first = {"hz": damping.frequency[0], "first_ratio": damping.ratio[0]}  # of the slowest mode
+    first = {"hz": damping.frequency[0], "first_ratio": damping.ratio[0]}  # slowest mode
     return say("damping", **vars(damping), **first)
 
 
@@ -256,7 +256,7 @@ def swing_table(fit: SwingFit) -> Table:
 
 
 def frequency_table(found: FoundFrequencies) -> Table:
-    """One mode a row."""
+    """One row per mode."""
     table = listing("Frequencies of the free swing", "Hz", "sd", "damping ratio", "sd", "size")
     table.add_column("")
     for one in found.modes:
@@ -267,7 +267,7 @@ def frequency_table(found: FoundFrequencies) -> Table:
 
 
 def frequency_entries(found: FoundFrequencies) -> str:
-    """What to write in recording.toml: the slowest is taken to be mode 1, and learning numbers the others."""
+    """Lines for recording.toml; the slowest is assumed to be mode 1."""
     rows = []
     for i, one in enumerate(one for one in found.modes if not one.multiple_of):
         mode = "mode = 1\n" if i == 0 else ""
@@ -313,19 +313,20 @@ def show_sensed(console: Console, found: Sensed, output: Path | None, *, bag: bo
             "", f"± {wording.significant(1.96 * float(found.weak_sd[peak]))} N at {weak:.0f} deg, where least (95 %)"
         )
         share = 100.0 * found.prior_share[peak]
-        table.add_row("from the prior", f"{share[0]:.2g} % of x, {share[1]:.2g} % of y (sd {found.prior_sd:.3g} N)")
+        weights = f"x {share[0]:.2g} %, y {share[1]:.2g} % (prior sd {found.prior_sd:.3g} N)"
+        table.add_row("weight of the prior", weights)
         table.add_row("place", _place(found, peak))
         if found.moment is not None:
             moment, share = found.moment, 100.0 * found.moment.prior_share[peak]
             value = f"{moment.moment[peak]:.3g} ± {1.96 * moment.sd[peak]:.2g} N m (95 %)"
-            prior = f"{share:.2g} % from the prior (sd {moment.prior_sd:.3g} N m)"
+            prior = f"weight of the prior {share:.2g} % (sd {moment.prior_sd:.3g} N m)"
             table.add_row("its moment", f"{value}, {prior}")
         if found.smoothed is not None:
             smooth, sd = found.smoothed.force[peak], np.sqrt(np.diag(found.smoothed.covariance[peak]))
             said = f"{force_words(smooth)}, x ± {1.96 * sd[0]:.2g} N, y ± {1.96 * sd[1]:.2g} N (95 %)"
             table.add_row("smoothed there", said)
     if found.misfit is not None:
-        table.add_row("misfit", f"{found.misfit.ratio:.3g} times what band, mounting and noise let expect (squared)")
+        table.add_row("misfit", f"{found.misfit.ratio:.3g} times the expected sum of squares")
     difference = found.against_log
     if difference is not None:
         table.add_row("against the log", f"{wording.significant(difference[0])} N RMS where the force is known best")
@@ -372,13 +373,13 @@ def _place(found: Sensed, t: int) -> str:
 
 
 _COLOURS = {"holds": "green", "holds with allowances": "green", "not to be trusted": "red", "no band": "yellow"}
-_FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot of k(s)
+_FEWEST_ROWS, _MOST_ROWS = 6, 16  # of the plot
 
 
 def show_run(
     console: Console, run: Run, out: Path, *, verbose: bool = False, log: bool = False, report: bool = True
 ) -> None:
-    """The answer of `onebend learn`: verdict, k(s), warnings and the place of the report; `verbose`: everything."""
+    """The answer of `onebend learn`; `verbose`: everything."""
     if verbose:
         for part in _everything(run):
             console.print(part)
@@ -400,7 +401,6 @@ def show_run(
 
 
 def verdict_rows(run: Run) -> Table:
-    """The verdict, a row each."""
     verdict = verdict_of(run)
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True, style="dim")
@@ -475,7 +475,6 @@ def _fit(run: Run, posterior: Posterior) -> list[RenderableType]:
 
 
 def show_times(console: Console, run: Run, seconds: Mapping[str, float]) -> None:
-    """The time that each stage took."""
     console.print()
     console.print(stages_table(seconds, run.video_seconds))
 
@@ -485,7 +484,7 @@ def _sentences(words: Sequence[str]) -> Text:
 
 
 def say_path(console: Console, what: str, path: Path) -> None:
-    """Where something is, on one line whatever the width, so that it can be copied."""
+    """On one line whatever the width, to be copied."""
     console.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True)
 
 

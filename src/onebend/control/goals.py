@@ -1,4 +1,4 @@
-"""What a beam is wanted to do: target shapes, goals that move, and the files they come from."""
+"""Target shapes, goals that move, and their files."""
 
 from __future__ import annotations
 
@@ -17,23 +17,21 @@ from onebend.errors import ControlError
 from onebend.records import Array, BoolArray
 from onebend.text_files import csv_rows, listed_columns, quoted
 
-# Targets of a shape: points, angles or a whole curve, each with a weight.
-
-BEYOND = 2.0  # times the length, from the clamp: a target there must be a mistake
+BEYOND = 2.0  # lengths from the clamp: a farther target is a mistake
 METRES = "Positions are in metres: is this in millimetres?"
 
 
 @dataclass(frozen=True)
 class Targets:
-    """Wanted positions and angles at N places; NaN where a position or an angle is of no concern.
+    """Wanted positions and angles at N places; NaN where free.
 
-    What is minimised is `sum_i weight_i (|r(s_i) - xy_i|^2 + arm^2 (alpha(s_i) - angle_i)^2)`, the arm of an angle
-    being the beam's length unless `shape.ShapeSettings` says otherwise.
+    Minimised is `sum_i weight_i (|r(s_i) - xy_i|^2 + arm^2 (alpha(s_i) - angle_i)^2)`; the default arm is the beam's
+    length.
     """
 
     s: Array  # (N,)
     xy: Array  # (N, 2) m, in the beam's frame
-    angle: Array  # (N,) rad, full turns count
+    angle: Array  # (N,) rad, counting full turns
     weight: Array  # (N,) 1
 
     def __post_init__(self) -> None:
@@ -62,7 +60,6 @@ class Targets:
         return np.asarray(np.isfinite(self.angle))
 
     def __add__(self, other: Targets) -> Targets:
-        """Both together."""
         return Targets(
             np.concatenate([self.s, other.s]),
             np.concatenate([self.xy, other.xy]),
@@ -72,12 +69,12 @@ class Targets:
 
 
 def numbers(values: ArrayLike) -> str:
-    """Plain numbers in brackets, as a message shows them."""
+    """For a message."""
     return f"({', '.join(f'{one:g}' for one in np.ravel(np.asarray(values, dtype=float)))})"
 
 
 def check_metres(xy: Array, length: float) -> None:
-    """Raises `ControlError` where positions (N, 2) lie so far from the clamp that they cannot be meant in metres."""
+    """Raises `ControlError` for positions (N, 2) that cannot be in metres."""
     away = np.nan_to_num(np.linalg.norm(xy, axis=-1)).ravel()
     if away.size and np.max(away) > BEYOND * length:
         worst = np.reshape(xy, (-1, 2))[int(np.argmax(away))]
@@ -86,7 +83,7 @@ def check_metres(xy: Array, length: float) -> None:
 
 
 def points(s: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
-    """Wanted positions xy (N, 2) or (2,) m at places s (N,) or a number."""
+    """Positions xy (N, 2) or (2,) m at places s (N,) or a number."""
     places = np.atleast_1d(np.asarray(s, dtype=float))
     wanted = np.atleast_2d(np.asarray(xy, dtype=float))
     if wanted.shape != (len(places), 2):
@@ -95,7 +92,7 @@ def points(s: ArrayLike, xy: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
 
 
 def angles(s: ArrayLike, angle: ArrayLike, *, weight: ArrayLike = 1.0) -> Targets:
-    """Wanted angles of the tangent (N,) or a number [rad] at places s (N,) or a number."""
+    """Tangent angles (N,) or a number [rad] at places s (N,) or a number."""
     places = np.atleast_1d(np.asarray(s, dtype=float))
     wanted = np.atleast_1d(np.asarray(angle, dtype=float))
     if wanted.shape != places.shape:
@@ -104,10 +101,7 @@ def angles(s: ArrayLike, angle: ArrayLike, *, weight: ArrayLike = 1.0) -> Target
 
 
 def curve(s: ArrayLike, xy: ArrayLike) -> Targets:
-    """A whole curve as points xy (N, 2) m at rising places s (N,), weighted by the stretch of s that each stands for.
-
-    The sum of squares is then the integral over the curve, however unevenly its points are spread.
-    """
+    """A curve xy (N, 2) m at rising s (N,), weighted by spacing: the sum of squares is the integral along the curve."""
     places = np.asarray(s, dtype=float)
     if places.ndim != 1 or len(places) < 2 or not np.all(np.diff(places) > 0.0):
         raise ControlError("a curve needs two or more points at rising s")
@@ -116,9 +110,9 @@ def curve(s: ArrayLike, xy: ArrayLike) -> Targets:
 
 
 def curve_of_length(xy: ArrayLike, length: float) -> Targets:
-    """A curve drawn from the clamp on as points (N, 2) m, without their s: it is their distance along the curve over L.
+    """A curve from the clamp as points (N, 2) m; s is their arc length over L.
 
-    Raises `ControlError` where the curve is longer than the beam (`length`, m), by more than 1e-6 of it.
+    Raises `ControlError` for a curve longer than the beam (`length`, m) by more than 1e-6 of it.
     """
     drawn = np.asarray(xy, dtype=float)
     if drawn.ndim != 2 or drawn.shape[1] != 2 or len(drawn) < 2 or not np.all(np.isfinite(drawn)):
@@ -135,27 +129,27 @@ def _spread(weight: ArrayLike, count: int) -> Array:
 
 @dataclass(frozen=True)
 class TargetResiduals:
-    """Weighted residuals of T shapes against their targets, and derivatives by the curvature at the nodes; over L."""
+    """Weighted residuals of T shapes, and derivatives by the curvature at the nodes; over L."""
 
-    value: Array  # (T, R) weighted
-    jacobian: Array  # (T, R, Q) derivative of `value`
+    value: Array  # (T, R)
+    jacobian: Array  # (T, R, Q)
     curvature_term: Array  # (T, Q): `sum_i value_i d2 value_i / dq2 = B^T diag(curvature_term) B`
 
     @property
     def cost(self) -> Array:
-        """(T,) sum of the weighted squares."""
+        """(T,) sum of squares."""
         return np.asarray(np.sum(self.value**2, axis=-1))
 
 
 def target_residuals(solved: Equilibrium, targets: Targets, arm: float) -> TargetResiduals:
-    """Weighted residuals of one shape; `arm` [m] turns angle errors into lengths."""
+    """Of one shape; `arm` [m] per rad."""
     return target_residuals_along(solved, targets, targets.xy[None], targets.angle[None], arm)
 
 
 def target_residuals_along(
     solved: Equilibrium, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> TargetResiduals:
-    """The same for T shapes with targets xy (T, N, 2) and angle (T, N); places and weights are those of `targets`."""
+    """Of T shapes with targets xy (T, N, 2) and angle (T, N), at the places and weights of `targets`."""
     problem, length = solved.problem, float(solved.problem.length)
     to, alpha = problem.grid.integral_to(targets.s), solved.alpha
     cos, sin = np.cos(alpha), np.sin(alpha)
@@ -175,23 +169,20 @@ def target_residuals_along(
     )
 
 
-# Goals that move: the same targets at one time after another, and smoothly in between.
-
 Between = Literal["smooth", "monotone", "linear"]
 
 
 @dataclass(frozen=True)
 class Goals:
-    """Targets at N places whose values change over K times.
+    """Targets at N places over K times.
 
-    `between`: "smooth" is a cubic spline (velocity and acceleration without jumps, the path may swing a little beyond
-    its goals); "monotone" does not swing beyond (acceleration jumps at the goals); "linear" goes straight from goal to
-    goal (velocity jumps). Only goals that slow down at the ends begin and end at rest.
+    `between`: "smooth" is a cubic spline, which may overshoot; "monotone" does not, but acceleration jumps at goals;
+    "linear" is straight, with jumps of velocity. Motion starts and ends at rest only if the goals do.
     """
 
     time: Array  # (K,) s, rising
-    targets: Targets  # places, weights, and what is wanted at the first time
-    xy: Array  # (K, N, 2) m; NaN where of no concern, at all times alike
+    targets: Targets  # places, weights, and the first targets
+    xy: Array  # (K, N, 2) m; NaN where free, at all times
     angle: Array  # (K, N) rad
     between: Between = "smooth"
 
@@ -213,7 +204,7 @@ class Goals:
             )
 
     def along(self, time: Array) -> tuple[Array, Array]:
-        """xy (T, N, 2) m and angle (T, N) rad at times (T,) s within the path's."""
+        """xy (T, N, 2) m and angle (T, N) rad at times (T,) s."""
         flat = np.concatenate([self.xy.reshape(len(self.time), -1), self.angle], axis=1)
         known = np.isfinite(flat[0])
         out = np.full((len(time), flat.shape[1]), np.nan)
@@ -222,19 +213,16 @@ class Goals:
         return out[:, :split].reshape(len(time), -1, 2), out[:, split:]
 
     def at(self, time: float) -> Targets:
-        """What is wanted at one time."""
         xy, angle = self.along(np.array([time]))
         return replace(self.targets, xy=xy[0], angle=angle[0])
 
 
 def _curve(time: Array, values: Array, between: Between) -> Callable[[Array], Array]:
-    """The values (K, c) as functions of time; a spline through fewer than four goals is of a lower degree."""
+    """Values (K, c) as functions of time; the degree is lower with fewer than four goals."""
     if between == "monotone":
         return PchipInterpolator(time, values)  # type: ignore[no-any-return]
     return make_interp_spline(time, values, k=min(3, len(time) - 1) if between == "smooth" else 1)  # type: ignore[no-any-return]
 
-
-# Targets and goals from CSV files; every fault is named with its file and line.
 
 TARGET_COLUMNS = ("s", "x_m", "y_m", "angle_rad", "weight")
 GOAL_COLUMNS = ("time_s", *TARGET_COLUMNS)
@@ -244,12 +232,12 @@ _MAY_BE_BLANK = ("x_m", "y_m", "angle_rad")
 
 
 def read_targets(path: Path, length: float) -> Targets:
-    """Targets from a CSV with columns of `TARGET_COLUMNS`: one row a place.
+    """Targets from a CSV with columns of `TARGET_COLUMNS`, one row per place.
 
-    A blank cell, or a column that is not there, is of no concern; without `weight` all count alike. Without `s` the
-    rows are a curve drawn from the clamp on, and `length` [m] gives their places.
+    Blank cells and absent columns are free; the default weight is 1. Without `s` the rows are a curve from the clamp,
+    on a beam of `length` m.
 
-    Raises `ControlError`: no such file, unknown or missing columns, a cell that is no number, a value out of range.
+    Raises `ControlError` with file and line: missing file, unknown or missing columns, a bad cell or value.
     """
     table = _table(path, TARGET_COLUMNS)
     if "s" not in table:
@@ -261,11 +249,11 @@ def read_targets(path: Path, length: float) -> Targets:
 
 
 def read_goals(path: Path, *, point_s: float = 1.0, between: Between = "smooth") -> Goals:
-    """Goals from a CSV with columns of `GOAL_COLUMNS`: one row a place and time, the same places at every time.
+    """Goals from a CSV with columns of `GOAL_COLUMNS`, one row per place and time, with the same places at every time.
 
-    Without `s` each row is where the point at `point_s` is wanted.
+    Without `s` the rows are positions of the point at `point_s`.
 
-    Raises `ControlError` as `read_targets`, and where a time lacks a place or times do not rise.
+    Raises `ControlError` as `read_targets`, and for missing places or times that do not rise.
     """
     table = _table(path, GOAL_COLUMNS)
     _need(path, table, ("time_s",), "a path needs times")
@@ -298,7 +286,7 @@ def _targets(table: dict[str, Array], rows: slice) -> Targets:
 
 @contextmanager
 def _in(path: Path) -> Iterator[None]:
-    """Errors name the file."""
+    """Adds the file to errors."""
     try:
         yield
     except ControlError as error:
@@ -312,7 +300,6 @@ def _need(path: Path, table: dict[str, Array], names: tuple[str, ...], why: str)
 
 
 def _table(path: Path, known: tuple[str, ...]) -> dict[str, Array]:
-    """Columns by name, and `line`."""
     reader = csv_rows(path, ControlError)
     header = [cell.strip() for cell in next(reader, (1, []))[1]]
     for name in header:

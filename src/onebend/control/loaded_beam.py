@@ -1,7 +1,7 @@
-"""A beam loaded at one place, and one point of it: balance, tangent and positions as arrays for Newton's method.
+"""A beam loaded at one place, and one point of it: arrays for Newton's method.
 
-The balance is that of `beam/statics.py`, for one frame and without its batch. Beyond the load a beam
-without weight keeps its rest curvature: those nodes are no unknowns.
+The balance is that of `beam/statics.py` for one frame. Without weight the beam beyond the load keeps its rest
+curvature: those nodes are not unknown.
 """
 
 from __future__ import annotations
@@ -29,15 +29,13 @@ from onebend.records import Array
 
 @dataclass(frozen=True)
 class LoadedState:
-    """A shape and a load; an equilibrium only if a solver found it."""
+    """Shape and load, not necessarily in equilibrium."""
 
-    q: Array  # (n,) rad, curvature at the loaded nodes
+    q: Array  # (n,) rad, at the loaded nodes
     load: Array  # (3,) N, N, N m at the push
 
 
 class PushedBeam:
-    """A beam loaded at one place, and one point of it, with the arrays for Newton's method."""
-
     def __init__(
         self,
         beam: Beam,
@@ -47,8 +45,8 @@ class PushedBeam:
         gravity: ArrayLike = (0.0, 0.0),
         resolution: Resolution = Resolution(),
     ) -> None:
-        """Raises `ControlError` for a place outside (0, 1], `MechanicsError` where no shape carries the weight or the
-        beam has a thickness."""
+        """Raises `ControlError` for a place outside (0, 1], `MechanicsError` if no shape carries the weight, or for a
+        beam with a thickness."""
         refuse_section(beam, "reaching for a point")
         for name, place in (("push_s", push_s), ("point_s", point_s)):
             if not 0.0 < place <= 1.0:
@@ -85,22 +83,22 @@ class PushedBeam:
         self.start = LoadedState(self.rest if hangs is None else hangs.q[0], np.zeros(3))
 
     def loaded(self, load: Array) -> Problem:
-        """The problem of `beam.statics` under the load (3,)."""
+        """Under the load (3,)."""
         beyond = np.asarray(self.problem.grid.nodes < self.push_s, dtype=float)
         force = self.problem.dead_force + beyond[None, :, None] * load[:2]
         return replace(self.problem, dead_force=force, moment=load[2] * beyond[None])
 
     def angles(self, q: Array) -> Array:
-        """(Q,) rad at all nodes."""
+        """(Q,) rad."""
         return np.asarray(self.b @ q + self._beyond)
 
     def pose(self, q: Array) -> Array:
-        """(3,) m, m, rad: the point's place and the tangent's angle there."""
+        """(3,) m, m, rad: the point's pose."""
         alpha = self.angles(q)
         return self.place(np.cos(alpha), np.sin(alpha), q, 3)
 
     def whole(self, q: Array) -> Array:
-        """(Q,) the curvature at all nodes."""
+        """(Q,) at all nodes."""
         return np.concatenate([q, self.problem.q0[self.count :]])
 
     def balance(self, q: Array, load: Array) -> tuple[Array, Array, Array, Array]:
@@ -112,7 +110,7 @@ class PushedBeam:
         return self.stiff * (q - self.rest) - load[2] * self._twist - across @ self.square, matrix, cos, sin
 
     def linear(self, q: Array, load: Array, cos: Array, sin: Array, loads: int) -> tuple[Array, bool]:
-        """(n, 1 + P) X = T^-1 g and Y = T^-1 R beside it, NaN for a singular T; whether T is positive definite."""
+        """(n, 1 + P) X = T^-1 g and Y = T^-1 R (NaN if singular), and whether T is positive definite."""
         n = self.count
         across, tangent = self._pulled(load, cos[:n], sin[:n])
         rows = np.empty((3, n))
@@ -132,7 +130,7 @@ class PushedBeam:
         return np.asarray(solved) if info == 0 else np.full_like(right, np.nan), False
 
     def _pulled(self, load: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
-        """The pull across (n,), and the tangent (n, n) by the pull along."""
+        """The pull across (n,), and the tangent (n, n) from the pull along."""
         x, y = load[0] * self.pull, load[1] * self.pull
         if self._heavy:
             x, y = x + self._weight[:, 0], y + self._weight[:, 1]
@@ -142,7 +140,7 @@ class PushedBeam:
         return y * cos - x * sin, tangent
 
     def place(self, cos: Array, sin: Array, q: Array, size: int) -> Array:
-        """(2,) m or (3,) m, m, rad: as `pose`, where cos and sin are known."""
+        """(2,) m or (3,) m, m, rad: `pose` from cos and sin."""
         x, y = float(self.row @ cos), float(self.row @ sin)
         if size == 2:
             return np.array([x, y])
@@ -151,7 +149,7 @@ class PushedBeam:
         return np.array([x, y, float(turn)])
 
     def point_motion(self, cos: Array, sin: Array, turned: Array, curved: Array, size: int) -> Array:
-        """(2 or 3, P): the point's motion when curvatures (n, P) turn the nodes by (Q, P)."""
+        """(2 or 3, P): the point's motion for curvatures (n, P) that turn the nodes by (Q, P)."""
         rows = np.empty((2, len(cos)))
         np.multiply(self.row, -sin, out=rows[0])
         np.multiply(self.row, cos, out=rows[1])
@@ -159,34 +157,33 @@ class PushedBeam:
         return moved if size == 2 else np.vstack([moved, self._angle_row[: self.count] @ curved])
 
     def of_load(self, cos: Array, sin: Array) -> Array:
-        """(n, 3) R: minus the derivative of the gradient with the load."""
+        """(n, 3) R: minus the gradient's derivative by the load."""
         n = self.count
         return np.stack(
             [-(self.pull * sin[:n]) @ self.square, (self.pull * cos[:n]) @ self.square, self._twist], axis=1
         )
 
     def of_shape(self, cos: Array, sin: Array) -> Array:
-        """(3, n) J: derivative of the point's pose with the curvature."""
+        """(3, n) J: the pose by the curvature."""
         x, y = -(self.row * sin) @ self.b, (self.row * cos) @ self.b
         return np.stack([x, y, self._angle_row[: self.count]])
 
     def bend(self, q: Array) -> float:
-        """1/m: the largest curvature beyond that at rest, at the nodes and at the clamp."""
+        """1/m: largest curvature beyond that at rest."""
         away = q - self.rest
         return float(max(np.max(np.abs(away)), abs(self._base_row @ away)) / self.problem.length)
 
     def response(self, state: LoadedState) -> Array:
-        """(3, 3) S: how the point's pose goes with the load, in equilibrium; NaN at a limit point."""
+        """(3, 3) S: the pose by the load, in equilibrium; NaN at a limit point."""
         _, tangent, cos, sin = self.balance(state.q, state.load)
         _, _, solved, info = dgesv(tangent, self.of_load(cos, sin))
         return self.of_shape(cos, sin) @ solved if info == 0 else np.full((3, 3), np.nan)
 
     def same(self, first: LoadedState, other: LoadedState) -> bool:
-        """Whether two shapes differ by no more than rounding."""
+        """Equal to rounding."""
         return float(np.max(np.abs(self.b @ (first.q - other.q)))) < _SAME_SHAPE
 
     def stable(self, state: LoadedState) -> bool:
-        """Whether the tangent is positive definite."""
         _, tangent, _, _ = self.balance(state.q, state.load)
         return bool(dpotrf(tangent, lower=1)[1] == 0)
 
@@ -194,35 +191,34 @@ class PushedBeam:
 def prepared(
     beam: Beam, push_s: float, point_s: float, gravity: tuple[float, float], resolution: Resolution
 ) -> PushedBeam:
-    """The `PushedBeam`, which the beam remembers: its arrays take some milliseconds to make."""
+    """`PushedBeam`, cached with the beam."""
     key = (PushedBeam, push_s, point_s, gravity, resolution)
     return beam.memory.once(key, lambda: PushedBeam(beam, push_s, point_s, gravity=gravity, resolution=resolution))
 
 
-# Newton's method on shape and load together: the load at s_a that puts a point on a goal, (23) made exact. Unknown are
-# the curvature q at the nodes and the load p: the balance `g(q, p) = 0` and the goal `r(s_p; q) = goal`. With
-# `X = T^-1 g` and `Y = T^-1 R` (T the tangent, R = -dg/dp, J = dr(s_p)/dq) one step is
+# Newton's method on shape and load together: the exact (23). With balance `g(q, p) = 0`, goal `r(s_p; q) = goal`,
+# `X = T^-1 g` and `Y = T^-1 R` (T the tangent, R = -dg/dp, J = dr(s_p)/dq), a step is
 #
 #     dq = Y dp - X,      S dp = goal - r(s_p) + J X,      S = J Y.
 #
-# S is the Jacobian J_F of (25) with the exact tangent in place of K.
+# S is J_F of (25) with the exact tangent instead of K.
 
-TOLERANCE = 3e-7  # rad, of the last update: convergence is quadratic, the error its square
-_REMAINING = 1e-8  # rad, of the error that may remain
-_FINAL_UPDATE = 1e-2  # rad: the remaining error is predicted from last updates up to this one
+TOLERANCE = 3e-7  # rad, of the last update; the error is its square
+_REMAINING = 1e-8  # rad, remaining error
+_FINAL_UPDATE = 1e-2  # rad: largest update from which the error is predicted
 _MINUS_ONE = np.array([-1.0])
-_LARGEST_TURN = 0.7  # rad, the largest turn of a step
+_LARGEST_TURN = 0.7  # rad, per step
 
 
 @dataclass(frozen=True, slots=True)
 class NewtonResult:
-    """Where Newton's method ended, with the derivatives before its last step."""
+    """The end of Newton's method, with derivatives before its last step."""
 
     state: LoadedState
     iterations: int
     converged: bool
-    positive: bool = False  # the tangent was positive definite
-    curvature_per_load: Array | None = None  # (n, P) rad a unit load: Y
+    positive: bool = False  # of the tangent
+    curvature_per_load: Array | None = None  # (n, P) rad per unit load: Y
     compliance: Array | None = None  # (2 or 3, P): S
 
 
@@ -231,9 +227,8 @@ def solve_goal(
 ) -> NewtonResult:
     """Newton from `start` to the goal (2,) or (3,) with the first 2 or all 3 `loads`.
 
-    It stops unconverged where the beam turns by more than `trust` rad. After successive updates u and v the remaining
-    error is `v (v / u)^2`. With more loads than the goal has numbers, the smallest load (in units of
-    `PushedBeam.scale`) is found.
+    Stops unconverged if the beam turns by more than `trust` rad. After updates u and v the error is `v (v / u)^2`. With
+    more loads than goals the smallest load (in units of `PushedBeam.scale`) is found.
     """
     q, load, size = start.q, start.load.copy(), len(goal)
     alpha = pushed.angles(q)
@@ -242,7 +237,7 @@ def solve_goal(
         cos, sin = np.cos(alpha), np.sin(alpha)
         solved, positive = pushed.linear(q, load, cos, sin, loads)
         turned = pushed.b @ solved
-        moved = pushed.point_motion(cos, sin, turned, solved, size)  # (m, 1 + P): J X, J Y
+        moved = pushed.point_motion(cos, sin, turned, solved, size)  # J X, J Y (m, 1 + P)
         away = goal - pushed.place(cos, sin, q, size)
         change = _change(moved[:, 1:], away + moved[:, 0], load, pushed.scale)
         by = np.concatenate([_MINUS_ONE, change])
@@ -264,7 +259,7 @@ def solve_goal(
 
 
 def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:
-    """(P,) the change of the loads: S dp = wanted, and of many the one that makes the load smallest; NaN for none."""
+    """(P,) dp of S dp = wanted, with the smallest load if underdetermined; NaN if none."""
     if s.shape == (2, 2):
         (a, b), (c, d) = s.tolist()
         x, y = wanted.tolist()
@@ -280,17 +275,18 @@ def _change(s: Array, wanted: Array, load: Array, scale: Array) -> Array:
 
 
 LARGEST_STEP_TURN = 0.7  # rad, of a prediction
-_GOAL_TRUST, _SHORTEST_GOAL_STEP = 0.4, 1e-4  # rad of turn, share of the way of a step in which the goal moves
-_SHORTEST_LOAD_STEP = 1e-6  # share of the load: a shorter step has met the end of the branch
-_SAME_SHAPE = 1e-6  # rad: shapes nearer than this are one
+# rad, share of the way: largest turn and shortest step while the goal moves
+_GOAL_TRUST, _SHORTEST_GOAL_STEP = 0.4, 1e-4
+_SHORTEST_LOAD_STEP = 1e-6  # share of the load: a shorter step has met the branch's end
+_SAME_SHAPE = 1e-6  # rad, between different shapes
 
 
 @dataclass(frozen=True)
 class EquilibriumPath:
-    """Equilibria under a load that grows in proportion, each reached from the one before."""
+    """Equilibria under a load that grows in proportion."""
 
     states: tuple[LoadedState, ...]  # the first at rest
-    arrived: bool  # at the full load, stable all the way
+    arrived: bool  # at the full load, always stable
 
 
 def trace(
@@ -301,11 +297,9 @@ def trace(
     widest: float = 1.0,
     shortest: float = _SHORTEST_LOAD_STEP,
 ) -> EquilibriumPath:
-    """Shapes while the load grows from that of `start` (default: rest) straight to `load` (3,), stable all the way.
+    """Stable shapes while the load grows from that of `start` (default: rest) straight to `load` (3,).
 
-    `widest`, `shortest`: the largest step, and the step that counts as none, as shares of the way.
-
-    As in `beam/continuation.py`, a step counts only where the corrector moved the shape little and it is
+    `widest`, `shortest`: steps as shares of the way. A step is accepted if the correction is small and the shape
     stable.
     """
     states = [start or pushed.start]
@@ -332,15 +326,13 @@ def trace(
 
 
 def trusted(turn: float) -> float:
-    """rad by which Newton's method may move a shape that was predicted to turn by so much, to stay on its branch."""
+    """rad, allowed correction of a shape predicted to turn by `turn`."""
     return min(0.25, 1e-3 + 0.5 * turn)
 
 
 def lead(pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) -> EquilibriumPath:
-    """Equilibria while the goal moves straight from where `start` has the point to `goal`, stable all the way.
-
-    The loads follow the goal. It ends early where no force leads on (the edge of what can be reached, or of stability).
-    """
+    """Stable equilibria while the goal moves straight from the point of `start` to `goal`. Ends early at the edge of
+    reach or stability."""
     begin = pushed.pose(start.q)[: len(goal)]
     states, share, step = [start], 0.0, 1.0
     while share < 1.0 and step > _SHORTEST_GOAL_STEP:
@@ -355,7 +347,7 @@ def lead(pushed: PushedBeam, start: LoadedState, goal: Array, loads: int = 2) ->
 
 
 def _correct(pushed: PushedBeam, q: Array, load: Array, trust: float) -> tuple[Array, Array, Array, Array] | None:
-    """Newton at a fixed load, proved stable by Cholesky's factor at every iteration."""
+    """Newton at fixed load, with Cholesky's factor at every iteration."""
     moved: Array | float = 0.0
     for _ in range(8):
         unbalanced, tangent, cos, sin = pushed.balance(q, load)
@@ -373,7 +365,7 @@ def _correct(pushed: PushedBeam, q: Array, load: Array, trust: float) -> tuple[A
 
 
 def densified(pushed: PushedBeam, states: tuple[LoadedState, ...], steps: int) -> tuple[LoadedState, ...]:
-    """The same path with at least `steps` steps: intermediate equilibria are added where the loads allow."""
+    """The path with at least `steps` steps, by adding equilibria where possible."""
     between = -(-steps // max(len(states) - 1, 1))
     out = [states[0]]
     for begin, end in pairwise(states):
@@ -383,27 +375,26 @@ def densified(pushed: PushedBeam, states: tuple[LoadedState, ...], steps: int) -
     return tuple(out)
 
 
-# Starts of Newton's method. A push at s_a bends the beam by a moment that falls to nothing at s_a: a straight line and
-# a moment that changes sign make a family of shapes. The start is the one that brings the point nearest to the goal, of
-# near ones the least bent, with the load that fits its moments best.
+# Starts of Newton's method: shapes bent by two moments that vanish at s_a, one linear and one with a change of sign.
+# Chosen is the one with the point nearest to the goal, preferring less bent ones, with the best-fitting load.
 
-_TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, largest turn by the first moment
+_TURNS = 2.6 * np.sign(x := np.linspace(-1.0, 1.0, 41)) * np.abs(x) ** 1.7  # rad, by the first moment
 _CURLS = np.array([-1.6, -1.1, -0.7, -0.4, -0.2, 0.0, 0.2, 0.4, 0.7, 1.1, 1.6])  # rad, by the second
-_TURN_WEIGHT, _CURL_WEIGHT = 0.03, 0.3  # of L: the distance that a radian of each weighs
-_SAME_START = 0.5  # rad: starts that differ by less are one
+_TURN_WEIGHT, _CURL_WEIGHT = 0.03, 0.3  # of L per radian of each
+_SAME_START = 0.5  # rad, between different starts
 
 
 @dataclass(frozen=True)
 class StartTable:
-    """A table of shapes of a `PushedBeam` and where they bring its point."""
+    """Shapes of a `PushedBeam` and where they bring its point."""
 
     pushed: PushedBeam
-    shapes: Array  # (2, n) rad a unit turn: the two curvatures
+    shapes: Array  # (2, n) rad per unit turn
     amounts: Array  # (C, 2) rad
     places: Array  # (C, 2) m
 
     def near(self, goal: Array, count: int) -> list[LoadedState]:
-        """Up to `count` starts for a goal (2,), the best first."""
+        """Up to `count` starts for a goal (2,), best first."""
         length = float(self.pushed.problem.length)
         away = np.sum((self.places - goal) ** 2, axis=1) / length**2
         score = away + self.amounts**2 @ np.array([_TURN_WEIGHT**2, _CURL_WEIGHT**2])
@@ -418,20 +409,21 @@ class StartTable:
         return [self._state(i) for i in chosen]
 
     def _state(self, i: int) -> LoadedState:
-        """The shape and the force that balances it best, in the measure of bending energy."""
+        """The shape and the force that balances it best."""
         pushed = self.pushed
         q = pushed.start.q + self.amounts[i] @ self.shapes
         unbalanced, _, cos, sin = pushed.balance(q, np.zeros(3))
         r = pushed.of_load(cos, sin)[:, :2]
         weighed = r / pushed.stiff[:, None]
         normal = weighed.T @ r
-        normal = normal + 1e-6 * np.trace(normal) * np.eye(2)  # a straight beam does not feel a force along itself
+        # regularised: a straight beam does not feel a force along itself
+        normal = normal + 1e-6 * np.trace(normal) * np.eye(2)
         return LoadedState(q, np.append(np.linalg.solve(normal, weighed.T @ unbalanced), 0.0))
 
 
 @lru_cache(maxsize=32)
 def starts_of(pushed: PushedBeam) -> StartTable:
-    """The table for a beam; bent from its rest shape, or from how it hangs."""
+    """Bent from rest, or from the shape under weight."""
     t = np.clip(pushed.problem.grid.nodes[: pushed.count] / pushed.push_s, 0.0, 1.0)
     shapes = np.stack([1.0 - t, (1.0 - t) * (1.0 - 3.0 * t)]) / pushed.problem.k[: pushed.count]
     shapes = shapes / np.max(np.abs(shapes @ pushed.b.T), axis=1, keepdims=True)
@@ -441,38 +433,35 @@ def starts_of(pushed: PushedBeam) -> StartTable:
     return StartTable(pushed, shapes, amounts, places)
 
 
-# Algorithm 1 of the paper: gradient iteration on the force of a modal beam, (23)-(25). Per turn:
-# `theta <- theta0 + K^-1 J(s_a)^T F` with J at the theta before (line 2), the point by the forward kinematics (line 3),
-# `F <- F + gamma J_F^+ (goal - point)` with `J_F = J(s_p) K^-1 J(s_a)^T` (lines 4, 5, (25)). K is that of (6), not the
-# tangent. The paper leaves gamma, the tolerance and the cutoff of the pseudo-inverse open; here they are settings.
-# Without a cutoff the iteration runs away from rest: a straight beam does not feel a force along itself.
+# Algorithm 1 of the paper, (23)-(25): `theta <- theta0 + K^-1 J(s_a)^T F` (line 2), the point by forward kinematics
+# (line 3), `F <- F + gamma J_F^+ (goal - point)` with `J_F = J(s_p) K^-1 J(s_a)^T` (lines 4, 5, (25)); K is that of
+# (6). The paper leaves gamma, tolerance and pseudo-inverse cutoff open. Without a cutoff the iteration diverges from
+# rest.
 
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """What the paper leaves open in Algorithm 1."""
+    """Choices that the paper leaves open."""
 
-    n: int = 5  # curvature modes
-    gamma: float = 0.3  # step
-    cutoff: float = 0.01  # singular values of J_F below this share of the largest count as none in its pseudo-inverse
-    tolerance: float = 1e-3  # m, epsilon; the paper reports errors of a millimetre or less
-    most: int = 500  # turns
+    n: int = 5
+    gamma: float = 0.3
+    cutoff: float = 0.01  # singular values of J_F below this share of the largest are dropped
+    tolerance: float = 1e-3  # m; the paper reports errors of a millimetre or less
+    most: int = 500  # iterations
 
 
 @dataclass(frozen=True)
 class PaperForce:
-    """Where Algorithm 1 ended."""
-
     force: Array  # (2,) N
-    point: Array  # (2,) m, where the modal beam has the point
+    point: Array  # (2,) m, of the modal beam
     iterations: int
-    converged: bool  # the modal point is within the tolerance of the goal
+    converged: bool  # the modal point is within the tolerance
 
 
 def paper_force(
     beam: Beam, goal: Array, push_s: float, point_s: float, settings: PaperSettings = PaperSettings()
 ) -> PaperForce:
-    """Algorithm 1 from no force, for a goal (2,) m. It ends unconverged where it has not settled or runs away."""
+    """Algorithm 1 from zero force, for a goal (2,) m."""
     modes = Modes(settings.n)
     grid = make_grid(beam.stiffness.jumps, order=30)
     phi, weights = modes.curvature(grid.nodes), grid.weights
@@ -501,28 +490,28 @@ FARTHEST_GOAL = 1e9  # m or rad
 
 @dataclass(frozen=True)
 class ReachSettings:
-    """How a force is sought, and within which bounds."""
+    """Bounds and method of the search for a force."""
 
     method: Literal["newton", "paper"] = option(
-        "--method", "newton", "newton: exact. paper: Algorithm 1 to the letter, its force put on the exact beam."
+        "--method", "newton", "newton: exact. paper: Algorithm 1 as printed; its force is applied to the exact beam."
     )
-    max_force: float | None = option(  # infinite is none, as it is below
-        "--max-force-N", None, "No larger force; default: no bound.", metavar="N", within=POSITIVE
+    max_force: float | None = option(  # infinity means none
+        "--max-force-N", None, "Largest force; default: no bound.", metavar="N", within=POSITIVE
     )
     max_curvature: float | None = option(
         "--max-curvature-per-m",
         None,
-        "The beam bends no more than this from rest.",
+        "Largest curvature, beyond that at rest.",
         metavar="1/M",
         within=POSITIVE,
     )
     direction: float | None = option(
-        "--direction-deg", None, "The force can only push this way (0: along x).", metavar="DEG"
+        "--direction-deg", None, "The only direction of the force (0: along x).", metavar="DEG"
     )
-    moment: bool = option("--moment", False, "The gripper gives a moment too.")
-    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, beam's frame
-    tolerance: float = 1e-6  # m: a point this near to its goal is there
-    steps: int = 20  # of the path of forces; fewer only where a growing load does not connect the shapes
+    moment: bool = option("--moment", False, "The gripper also applies a moment.")
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
+    tolerance: float = 1e-6  # m, of the point
+    steps: int = 20  # least steps of the path of forces
     paper: PaperSettings = field(default_factory=PaperSettings)
 
     def __post_init__(self) -> None:
@@ -542,12 +531,12 @@ class ReachSettings:
 
     @property
     def loads(self) -> int:
-        """How many of the two components of the force and the moment may be given."""
+        """Number of free load components."""
         return 3 if self.moment else 2
 
 
 def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
-    """The goal as an array (2,) or (3,). Raises `ControlError` where it has no meaning."""
+    """(2,) or (3,). Raises `ControlError`."""
     wanted = np.asarray(goal, dtype=float)
     if wanted.shape not in ((2,), (3,)) or not np.all(np.abs(wanted) < FARTHEST_GOAL):
         raise ControlError(f"a goal is a place (x, y) [m], or with an angle (x, y, angle [rad]); got {numbers(wanted)}")
@@ -557,7 +546,7 @@ def checked_goal(goal: ArrayLike, settings: ReachSettings) -> Array:
 
 
 def broken_bound(pushed: PushedBeam, state: LoadedState, settings: ReachSettings) -> str:
-    """The bound that the state breaks, in words; empty where it breaks none."""
+    """The violated bound in words, or ""."""
     size = math.hypot(state.load[0], state.load[1])
     if settings.max_force is not None and size > settings.max_force * (1.0 + 1e-9):
         return f"it needs {size:.3g} N, and {settings.max_force:.3g} N are allowed"

@@ -1,4 +1,4 @@
-"""The closed loop: design with margins, correction by what the camera sees, simulation in full motion."""
+"""The closed loop: design with margins, and correction by a camera."""
 
 from __future__ import annotations
 
@@ -23,36 +23,31 @@ from onebend.errors import ControlError, MechanicsError
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-# The beam about a working point, as a loop sees it: from the force at `push_s` to the position of `point_s`.
-#
-# Near an equilibrium the beam moves as its small vibrations do, `eta_i'' + 2 zeta_i omega_i eta_i' + omega_i^2 eta_i
-# = phi_i(push)^T F`, and the point by `sum_i phi_i(point) eta_i`. What the modes left out would add is taken as
-# moving at once, so that at rest the compliance is the exact `J(s_p) T^-1 J(s_a)^T` of (24).
+# The beam about a working point, from the force at `push_s` to the position of `point_s`: small vibrations
+# `eta_i'' + 2 zeta_i omega_i eta_i' + omega_i^2 eta_i = phi_i(push)^T F`, the point by `sum_i phi_i(point) eta_i`.
+# Omitted modes respond at once, so that the static compliance is the exact `J(s_p) T^-1 J(s_a)^T` of (24).
 
 MODES = 6
-_SHORTEST_LAG = 1e-4  # s, the shortest lag of an actuator: far below a frame, and still well-conditioned
+_SHORTEST_LAG = 1e-4  # s, for good conditioning
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A beam linearised about an equilibrium; m modes, none where its mass is not known (it then moves at once)."""
+    """A beam linearised about an equilibrium; m modes, none without a mass."""
 
     omega: Array  # (m,) rad/s
     damping: Array  # (m,) damping ratios
-    pushed: Array  # (m, 2) kg^-1/2: modes at the place of the force
+    pushed: Array  # (m, 2) kg^-1/2: modes at the force
     seen: Array  # (m, 2) kg^-1/2: modes at the point
     compliance: Array  # (2, 2) m/N, exact
 
     @property
     def at_once(self) -> Array:
-        """(2, 2) m/N: compliance of the modes that are left out."""
+        """(2, 2) m/N, of omitted modes."""
         return np.asarray(self.compliance - self.seen.T @ (self.pushed / self.omega[:, None] ** 2))
 
     def stiffer(self, factor: float) -> Plant:
-        """The same shape of the beam with all of k(s) times `factor`, damping ratios kept.
-
-        Without weight that is exact: the force that holds the shape grows by `factor`, and so does the tangent.
-        """
+        """With all of k(s) times `factor`; exact without weight."""
         return replace(self, omega=sqrt(factor) * self.omega, compliance=self.compliance / factor)
 
 
@@ -67,9 +62,9 @@ def plant_at(
 ) -> Plant:
     """The beam about its equilibrium under `force` (2,) N.
 
-    `damping_ratio`: of the slowest vibration; those above have more in proportion to their frequency (Kelvin-Voigt).
+    `damping_ratio`: of the slowest vibration, proportional to frequency for others (Kelvin-Voigt).
 
-    Raises `MechanicsError`: no stable equilibrium under this force.
+    Raises `MechanicsError`: no stable equilibrium.
     """
     loads = push(np.asarray(force, dtype=float)[None], push_s)
     if gravity is not None:
@@ -89,21 +84,21 @@ def plant_at(
 
 @dataclass(frozen=True)
 class StateSpace:
-    """`x' = a x + b u`, `y = c x`: the plant behind its actuator. N = 2 m + 2 states."""
+    """`x' = a x + b u`, `y = c x`: plant behind its actuator. N = 2 m + 2 states."""
 
     a: Array  # (N, N) 1/s
     b: Array  # (N, 2)
     c: Array  # (2, N)
 
     def over(self, time: float) -> tuple[Array, Array]:
-        """(N, N), (N, 2): the state after `time` s at constant input, from the state and the input."""
+        """The state after `time` s at constant input: (N, N), (N, 2)."""
         n = len(self.a)
         moved = expm(time * np.block([[self.a, self.b], [np.zeros((2, n + 2))]]))
         return moved[:n, :n], moved[:n, n:]
 
 
 def behind_actuator(plant: Plant, lag: float) -> StateSpace:
-    """The plant driven by an actuator of first order with time constant `lag` s."""
+    """With a first-order actuator of time constant `lag` s."""
     m, slow = len(plant.omega), max(lag, _SHORTEST_LAG)
     a = np.zeros((2 * m + 2, 2 * m + 2))
     a[:m, m : 2 * m] = np.eye(m)
@@ -116,31 +111,27 @@ def behind_actuator(plant: Plant, lag: float) -> StateSpace:
     return StateSpace(a, b, c)
 
 
-# Stability margins of the sampled loop: gain, phase, delay, and the error of k that it tolerates.
+# Stability margins of the sampled loop. Every frame at `t_k = k / fps` the controller takes the error seen `delay`
+# earlier, filters and integrates it, and holds the force to the next frame:
 #
-# Every frame at `t_k = k / fps` the controller takes what the camera saw `delay` earlier, filters the error and adds
-# it to the integral, and the force is held to the next frame:
+#     f_k = a f_(k-1) + (1 - a) e_k,    g_k = a g_(k-1) + (1 - a) f_k,    a = exp(-corner / fps)
+#     u_k = u_(k-1) + (rate / fps) C^+ g_k
 #
-# f_k = a f_(k-1) + (1 - a) e_k,    g_k = a g_(k-1) + (1 - a) f_k,    a = exp(-corner / fps)
-# u_k = u_(k-1) + (rate / fps) C^+ g_k
-#
-# With the plant of `plant.py` this is one linear recursion, whose largest eigenvalue decides (`SampledLoop.radius`),
-# and whose characteristic loci (the eigenvalues of the 2 x 2 loop transfer on the unit circle) give the phase margin.
+# The largest eigenvalue of this recursion with the plant decides stability (`SampledLoop.radius`); the eigenvalues of
+# the 2 x 2 loop transfer on the unit circle give the phase margin.
 
 ComplexArray = NDArray[np.complex128]
 
 _FREQUENCIES = 600
-_SCAN_RATIO = 1.04  # of a scan for the onset of instability
-_MOST_SCAN_STEPS = 200  # steps of it
+_SCAN_RATIO = 1.04
+_MOST_SCAN_STEPS = 200
 
 
 @dataclass(frozen=True)
 class Timing:
-    """The loop's clock: what lies between a position and the force that answers it."""
-
     fps: float = 30.0  # 1/s
-    delay: float = 0.05  # s, from exposure to the force that answers it
-    lag: float = 0.02  # s, time constant of the actuator
+    delay: float = 0.05  # s, from exposure to the force
+    lag: float = 0.02  # s, of the actuator
 
     def __post_init__(self) -> None:
         known = np.isfinite([self.fps, self.delay, self.lag])
@@ -153,9 +144,9 @@ class Timing:
 
 @dataclass(frozen=True)
 class Gains:
-    """The integral's rate, and the corner of the two equal filters before it."""
+    """Rate of the integral, and corner of its two equal prefilters."""
 
-    rate: float  # 1/s: the error falls as exp(-rate t) where all is as modelled and slow
+    rate: float  # 1/s: the error falls as exp(-rate t) in the ideal case
     corner: float  # rad/s
 
     def __post_init__(self) -> None:
@@ -165,7 +156,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """One sampled loop: a plant, and a controller whose map from error to force is `inverse`."""
+    """A plant, and a controller with the map `inverse` from error to force."""
 
     plant: Plant
     inverse: Array  # (2, 2) N/m: C^+
@@ -173,8 +164,8 @@ class SampledLoop:
     timing: Timing
 
     def _frame(self) -> tuple[Array, Array, Array, Array, int, float]:
-        """Over one frame: the state from state (N, N) and force (N, 2), the same of what the camera sees (2, N) and
-        (2, 2); the whole frames of the delay, and the share of the filter's state that stays."""
+        """Over one frame: the state from state (N, N) and force (N, 2), the camera's view (2, N) and (2, 2), whole
+        frames of the delay, and the filter's factor."""
         linear, frames = behind_actuator(self.plant, self.timing.lag), self.timing.delay * self.timing.fps
         whole = int(np.floor(frames + 1e-9))
         a, b = linear.over(1.0 / self.timing.fps)
@@ -182,11 +173,11 @@ class SampledLoop:
         return a, b, linear.c @ seen, linear.c @ pushed, whole, float(np.exp(-self.gains.corner / self.timing.fps))
 
     def matrix(self) -> Array:
-        """(M, M): the closed loop from one frame to the next."""
+        """(M, M): the loop from frame to frame."""
         a, b, seen, seen_by_force, whole, keep = self._frame()
         n = len(a)
         eye = np.eye(n + 2 * (whole + 4))
-        state, late = eye[:n], eye[n : n + 2 * whole]  # what the camera saw and has not delivered yet, then the oldest
+        state, late = eye[:n], eye[n : n + 2 * whole]  # views not delivered yet, then the oldest
         arrived, f, g, u = np.split(eye[n + 2 * whole :], 4)
         f = keep * f - (1.0 - keep) * arrived
         g = keep * g + (1.0 - keep) * f
@@ -195,11 +186,11 @@ class SampledLoop:
 
     @property
     def radius(self) -> float:
-        """Largest size of an eigenvalue: the loop is stable where it is below 1."""
+        """Spectral radius; stable below 1."""
         return float(np.max(np.abs(np.linalg.eigvals(self.matrix()))))
 
     def loci(self, frequency: Array) -> ComplexArray:
-        """(R, 2): characteristic loci at frequencies (R,) [rad/s], each a continuous curve."""
+        """(R, 2): continuous characteristic loci at (R,) [rad/s]."""
         a, b, seen, seen_by_force, whole, keep = self._frame()
         z = np.exp(1j * frequency / self.timing.fps)
         inside = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - a, np.broadcast_to(b, (len(z), *b.shape)))
@@ -214,13 +205,13 @@ class SampledLoop:
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from instability. Infinite: no onset found within a factor of 2500."""
+    """Infinite: no instability within a factor of 2500."""
 
-    gain: float  # factor on the loop's gain
-    phase: float  # rad, lag in all directions alike; infinite where the gain never reaches 1
-    delay: float  # s, in addition to the loop's own
-    softest: float  # k may be this share of the model's everywhere, the shape of k(s) being right; below it rings
-    radius: float  # of the loop itself; the rest is 0 or NaN where it is not below 1
+    gain: float  # factor
+    phase: float  # rad, lag in all directions; infinite if the gain never reaches 1
+    delay: float  # s, beyond the loop's own
+    softest: float  # smallest true k over model k with a stable loop
+    radius: float  # of the loop; unless below 1 the rest is 0 or NaN
 
     @property
     def stable(self) -> bool:
@@ -228,7 +219,6 @@ class Margins:
 
 
 def margins(loop: SampledLoop) -> Margins:
-    """The margins of a sampled loop."""
     radius = loop.radius
     if not radius < 1.0:
         return Margins(0.0, 0.0, 0.0, np.nan, radius)
@@ -248,11 +238,11 @@ def margins(loop: SampledLoop) -> Margins:
     )
 
 
-_SHORTEST_DELAY = 0.01  # s: delays are scanned from here in equal ratios
+_SHORTEST_DELAY = 0.01  # s
 
 
 def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
-    """The smallest number above `first` at which the loop `of` it is unstable; to 1e-4 of it."""
+    """The smallest number above `first` at which `of` is unstable, to 1e-4."""
     low = first
     for _ in range(_MOST_SCAN_STEPS):
         high = low * _SCAN_RATIO
@@ -266,13 +256,13 @@ def onset(of: Callable[[float], SampledLoop], *, first: float = 1.0) -> float:
 
 
 def phase_margin(loop: SampledLoop) -> float:
-    """rad: the least further lag, in all directions alike, at which a locus meets -1."""
+    """rad: least further lag at which a locus meets -1."""
     loci = loop.loci(frequencies(loop.timing))
     return min((_least_lag(curve) for curve in loci.T), default=np.inf)
 
 
 def frequencies(timing: Timing) -> Array:
-    """rad/s: from far below the loop's rate to half the frame rate."""
+    """rad/s, up to half the frame rate."""
     return np.geomspace(1e-4, 1.0, _FREQUENCIES) * np.pi * timing.fps
 
 
@@ -284,27 +274,24 @@ def _least_lag(curve: ComplexArray) -> float:
     return float(np.min(lags, initial=np.inf))
 
 
-# The force on the beam, felt while the loop runs. A robot that is asked for a force gives another one. The force felt
-# in a frame is compared with the force that was wanted at the moment it shows, behind two filters as the position is,
-# at half its rate. Where the camera sees the point, its position alone corrects the force, and the excess that is felt
-# is remembered. Where it does not, an offset is added to the request, so that as much is felt as then or, where the
-# point never was seen, as is wanted. With C the covariance of the felt force and `sd^2 I` that of the robot's error,
-# `K = sd^2 (sd^2 I + C)^-1` of the difference is believed.
+# A felt force. A robot does not apply exactly the force asked for. The felt force is compared with the one wanted at
+# that moment, behind two filters at half the position's rate. While the camera sees the point, only its position
+# corrects the force, and the felt excess is stored. While it does not, an offset restores that excess (or, if the point
+# was never seen, the wanted force). With covariance C of the felt force and `sd^2 I` of the robot's error, the weight
+# is `K = sd^2 (sd^2 I + C)^-1`.
 #
-# A force estimated from the beam's shape is wrong by the factor by which k(s) is wrong, and so is the force that the
-# model wants for a goal: the beam still comes to the goal.
+# A force estimated from the shape is wrong by the factor by which k(s) is, as is the force for the goal: the beam still
+# reaches the goal.
 
-# Of the position's rate and corner: inertia counts as force, in the direction in which little force bends the beam too.
+# Of the position's rate and corner, as inertia counts as force.
 _SLOWER = 0.5
-_MOST_OFF = 3.0  # sds: a robot is not farther off than this; what is felt beyond is not the robot
+_MOST_OFF = 3.0  # sds: more is not the robot's error
 
 
 class Felt(Protocol):
-    """A force and how exactly it is known, as `learning.sensing.sense.LiveForce` has them."""
-
     @property
     def force(self) -> Array:
-        """(2,) N on the beam, in its frame; NaN where nothing is known."""
+        """(2,) N; NaN if unknown."""
 
     @property
     def covariance(self) -> Array:
@@ -313,66 +300,59 @@ class Felt(Protocol):
 
 @dataclass(frozen=True)
 class FeltForce:
-    """A force and how exactly it is known."""
-
     force: Array  # (2,) N
     covariance: Array  # (2, 2) N^2
 
 
 @dataclass(frozen=True)
 class Offset:
-    """What is added to the force that is asked for, and what it goes on from."""
-
     force: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N
-    more: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N felt than wanted, when the point was seen last
-    correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at the moment of exposure
-    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))  # (2, 2) N more, behind the first filter and both
-    frame_at: float = 0.0  # s: when the last frame that told a force arrived
+    # (2,) N felt beyond the wanted force, when the point was last seen
+    more: Array = field(default_factory=lambda: np.zeros(2))
+    correction: Array = field(default_factory=lambda: np.zeros(2))  # (2,) N, the integral at exposure
+    # (2, 2) N excess, behind the first filter and both
+    filtered: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    frame_at: float = 0.0  # s, last frame with a force
 
 
 def believed_share(covariance: Array, sd: float) -> Array:
-    """(2, 2) of a difference that is believed: `sd^2 (sd^2 I + C)^-1`."""
+    """(2, 2): `sd^2 (sd^2 I + C)^-1`."""
     return np.asarray(sd**2 * np.linalg.inv(sd**2 * np.eye(2) + covariance))
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """What there is to be seen in a frame of a simulated loop."""
+    """One frame of a simulated loop."""
 
     time: float  # s
     force: Array  # (2,) N on the beam
-    pose: Callable[[Array], Array]  # of places (m,): (m, 3) m, m, rad, the beam there
+    pose: Callable[[Array], Array]  # places (m,) to poses (m, 3) m, m, rad
 
 
-ForceSense = Callable[[Exposure], Felt | None]  # what tells a simulated loop the force in a frame; None: nothing
+ForceSense = Callable[[Exposure], Felt | None]  # force in a frame; None: unknown
 
 
 class LoggedForce:
-    """A force sensor: off by `bias` (2,) N, with noise of sd `noise` N; `sd` N is how exactly it is said to be."""
+    """A force sensor with `bias` (2,) N, white noise `noise` N and stated accuracy `sd` N."""
 
     def __init__(self, bias: Array, *, noise: float = 0.0, sd: float = 0.0, seed: int = 0) -> None:
         self._bias, self._noise, self._rng = np.asarray(bias, dtype=float), noise, np.random.default_rng(seed)
         self._covariance = sd**2 * np.eye(2)
 
     def __call__(self, seen: Exposure) -> FeltForce:
-        """The force of this frame."""
         told = seen.force + self._bias + self._noise * self._rng.standard_normal(2)
         return FeltForce(told, self._covariance)
 
 
-# The fastest integral gain that keeps the margins for the model's k(s), and for k(s) softer and stiffer.
-
 _CORNERS = np.geomspace(1.0, 100.0, 13)  # rad/s, of the filter
-_FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, rates of the integral
+_FASTEST, _SLOWEST = 20.0, 0.02  # 1/s, of the integral
 
 
 @dataclass(frozen=True)
 class RequiredMargins:
-    """The margins that a loop must have at every stiffness it may meet."""
-
-    gain: float = 2.0  # factor
-    phase: float = np.deg2rad(40.0)  # rad
-    k_error: float = 0.3  # share by which all of k(s) may be wrong, either way
+    gain: float = 2.0
+    phase: float = np.deg2rad(40.0)
+    k_error: float = 0.3  # relative, either way
 
     def __post_init__(self) -> None:
         if not (self.gain > 1.0 and 0.0 < self.phase < 0.5 * np.pi and 0.0 <= self.k_error < 1.0):
@@ -383,10 +363,9 @@ class RequiredMargins:
 
 
 def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: RequiredMargins) -> Gains:
-    """Gains for plants, each with the map (2, 2) [N/m] from error to force that is used there.
+    """Gains for plants with their maps (2, 2) [N/m] from error to force.
 
-    For each corner the largest rate whose loci keep the margins, taken from the loci at rate 1; then the corner that
-    allows the largest rate.
+    For each corner the largest rate that keeps the margins, then the corner with the largest rate.
     """
     best = Gains(_SLOWEST, float(_CORNERS[0]))
     grid = frequencies(timing)
@@ -402,39 +381,36 @@ def tuned(plants: list[tuple[Plant, Array]], timing: Timing, wanted: RequiredMar
 
 
 def _largest(loci: ComplexArray, wanted: RequiredMargins) -> float:
-    """The largest factor on loci (R, 2) that begin at -90 degrees and keep both margins, at every resonance too."""
+    """The largest factor on loci (R, 2) that keeps both margins."""
     lag, size = -np.unwrap(np.angle(loci), axis=0), np.abs(loci)
     unit = float(np.max(size, initial=1e-9, where=lag > np.pi - wanted.phase))
     real = float(np.max(size, initial=1e-9, where=lag > np.pi))
     return min(_FASTEST, 1.0 / unit, 1.0 / (wanted.gain * real))
 
 
-# The closed loop. The model gives forces that lead from the beam's present state to the goal (feedforward), and the
-# positions that belong to them (the reference). In every frame the measured position is compared with the reference at
-# the time of exposure. The error is filtered, multiplied by the inverse compliance of the model at that working point,
-# and integrated. Where k(s) is wrong, the integral converges to the missing force.
+# The closed loop. The model gives forces from the present state to the goal (feedforward) and the positions on the way
+# (reference). In every frame the error against the reference at exposure is filtered, multiplied by the model's inverse
+# compliance there, and integrated. With a wrong k(s) the integral converges to the missing force.
 
-_REFERENCE_PLACES = 33  # of the reference path
-_GOAL_TOLERANCE = 1e-4  # share of the length by which the path's end may miss the goal
-_COARSE_RESOLUTION = Resolution(8)  # of the shape behind the map from error to force, which need not be exact
-_COMPLIANCE_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)  # of the model's compliance
-# Share of the length: an error of the position this large is as likely as a factor e in k.
+_REFERENCE_PLACES = 33  # of the reference
+_GOAL_TOLERANCE = 1e-4  # share of the length
+_COARSE_RESOLUTION = Resolution(8)  # need not be exact
+_COMPLIANCE_SCALES = np.geomspace(0.6, 1.0 / 0.6, 9)
+# Share of the length: such an error is as likely as a factor e in k.
 _POSITION_TRUST = 0.02
 
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """What is known about the loop, and the margins it must have."""
-
-    timing: Timing = field(default_factory=Timing)  # as known or guessed
-    longest_delay: float = 0.1  # s: the margins are kept up to here
-    damping_ratio: float = 0.03  # of the slowest vibration; a guess on the low side is safe
+    timing: Timing = field(default_factory=Timing)
+    longest_delay: float = 0.1  # s, for the margins
+    damping_ratio: float = 0.03  # of the slowest vibration; low is safe
     wanted: RequiredMargins = field(default_factory=RequiredMargins)
-    gains: Gains | None = None  # None: the fastest that keep the margins
-    weak: float = 0.01  # a direction whose compliance is below this share of the largest is corrected slowly
-    most_force: float = inf  # N, the bound on the wanted force; `felt` adds to it what the robot lacks
-    force_sd: float = 0.2  # N, of how far the robot's force is off; counts where the force is felt
-    rise: float | None = None  # s, from start to goal; None: two periods of the slowest vibration, 1 s at least
+    gains: Gains | None = None  # None: the fastest with these margins
+    weak: float = 0.01  # below this share of the largest compliance: corrected slowly
+    most_force: float = inf  # N, of the wanted force; `felt` adds to it
+    force_sd: float = 0.2  # N, of the robot's force, used with a felt force
+    rise: float | None = None  # s; None: two periods of the slowest vibration, at least 1 s
     feedforward: bool = True
     feedback: bool = True
 
@@ -454,15 +430,15 @@ class ControllerSettings:
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the model's beam is on its way to the goal: P places, at equal steps of the force."""
+    """The model on its way to the goal: P places, equal steps of force."""
 
     begins: Array  # (2,) N
     ends: Array  # (2,) N
     rise: float  # s
-    xy: Array  # (P, 2) m: the point's positions
+    xy: Array  # (P, 2) m of the point
 
     def share(self, time: float) -> float:
-        """Of the way, `time` s after its start: the quintic that starts and ends without velocity or acceleration."""
+        """Of the way at `time` s: a quintic without velocity and acceleration at its ends."""
         x = min(max(time / self.rise, 0.0), 1.0)
         return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
 
@@ -483,18 +459,16 @@ class Reference:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """The state of a controller. `Controller.begin` makes the first."""
-
     began: float  # s
     correction: Array  # (2,) N: the integral
-    filtered: Array  # (2, 2) m: the error behind the first filter, and behind both
-    frame_at: float  # s: when the last frame that counted arrived
-    offset: Offset = field(default_factory=Offset)  # what the felt force adds to what is asked for
+    filtered: Array  # (2, 2) m: error behind the first filter, and both
+    frame_at: float  # s
+    offset: Offset = field(default_factory=Offset)  # from the felt force
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller for one goal. It is constant; what changes is its `ControllerState`."""
+    """An immutable controller for one goal."""
 
     beam: Beam
     goal: Array  # (2,) m
@@ -502,14 +476,14 @@ class Controller:
     point_s: float
     gravity: Array  # (2,) m/s^2
     reference: Reference
-    inverse: Array  # (2, 2) N/m: the map from position error to force at the goal
+    inverse: Array  # (2, 2) N/m: from position error to force
     plant: Plant  # the model at the goal
     gains: Gains
     settings: ControllerSettings
 
     @one_blas_thread
     def begin(self, time: float, correction: ArrayLike = (0.0, 0.0), offset: ArrayLike = (0.0, 0.0)) -> ControllerState:
-        """The state in which the way to the goal starts at `time` s; `offset` (2,) N: of the state before."""
+        """Starts the way to the goal at `time` s; `offset` (2,) N of an earlier state."""
         carried = np.asarray(correction, dtype=float)
         begun = Offset(np.asarray(offset, dtype=float), carried, frame_at=time)
         return ControllerState(time, carried, np.zeros((2, 2)), time, begun)
@@ -518,11 +492,10 @@ class Controller:
     def step(
         self, state: ControllerState, seen: ArrayLike | None, time: float, *, felt: Felt | None = None
     ) -> tuple[ControllerState, Array]:
-        """The force (2,) N to ask for from `time` s on, and the state after it.
+        """The force (2,) N from `time` s on, and the next state.
 
-        `seen`: the point's position (2,) m in a frame that has just arrived; None where none has, NaN where the point
-        was hidden in it. Both leave the integral as it is. `felt`: the force on the beam in a frame that has just
-        arrived, as a sensor or the beam's shape tells it. Call it as often as the force can be set.
+        `seen`: the point (2,) m in a frame that has just arrived; None: no frame, NaN: hidden. `felt`: the force in a
+        frame that has just arrived. Call as often as the force can be set.
         """
         shown = False
         if seen is not None and self.settings.feedback:
@@ -539,11 +512,11 @@ class Controller:
 
     @one_blas_thread
     def margins(self) -> Margins:
-        """How far the loop at the goal is from ringing, k(s) being the model's."""
+        """At the goal, with the model's k(s)."""
         return margins(SampledLoop(self.plant, self.inverse, self.gains, self.settings.timing))
 
     def _corrected(self, state: ControllerState, position: Array, time: float) -> ControllerState:
-        """The state after one frame. A gap counts as one frame: time without a measurement adds no correction."""
+        """A gap counts as one frame."""
         since = time - state.began
         passed = min(time - state.frame_at, 1.0 / self.settings.timing.fps)
         if not passed > 0.0:
@@ -558,11 +531,10 @@ class Controller:
         return replace(state, correction=within, filtered=filtered, frame_at=time)
 
     def inverse_at(self, force: Array, since: float) -> Array:
-        """(2, 2) N/m: the map from position error to force where the beam stands under `force` at `since` s.
+        """(2, 2) N/m: from position error to force, under `force` at `since` s.
 
-        Among the beams with k(s) of the model times 1/c, the one nearest to the reference under this force is taken.
-        Its shape is that of the model under c times the force, its compliance c times the model's there. Where the
-        model has no stable shape, the map at the goal is used.
+        Among beams with the model's k(s) times 1/c, the one nearest to the reference is used: the model's shape under c
+        times the force, and c times its compliance. Without a stable shape, the map at the goal.
         """
         point = np.array([self.point_s])
         x, y = self.gravity.tolist()
@@ -578,7 +550,7 @@ class Controller:
         return damped_inverse(_COMPLIANCE_SCALES[best] * compliance, self.settings.weak)
 
     def _offset(self, state: ControllerState, felt: Felt, time: float, *, seen: bool) -> Offset:
-        """The offset after a frame that told a force; `seen`: it showed the point as well."""
+        """After a frame with a force; `seen`: it also showed the point."""
         offset, gains, sd = state.offset, self.gains, self.settings.force_sd
         told, timing = np.asarray(felt.force, dtype=float), self.settings.timing
         passed, late = min(time - offset.frame_at, 1.0 / timing.fps), timing.delay + timing.lag
@@ -599,14 +571,14 @@ class Controller:
 
 
 def _filtered(before: Array, value: Array, decay: float) -> Array:
-    """(2, 2) a value behind one first-order filter, and behind two equal ones."""
+    """(2, 2) behind one and two first-order filters."""
     keep = np.exp(-decay)
     once = keep * before[0] + (1.0 - keep) * value
     return np.stack([once, keep * before[1] + (1.0 - keep) * once])
 
 
 def bounded(force: Array, most: float) -> Array:
-    """(2,) N: the force, shortened to `most`."""
+    """(2,) N, shortened to `most`."""
     size = hypot(force[0], force[1])
     return force if size <= most else np.asarray(force * (most / size))
 
@@ -622,7 +594,7 @@ def controller(
     start: ArrayLike = (0.0, 0.0),
     settings: ControllerSettings = ControllerSettings(),
 ) -> Controller:
-    """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the force now [N]."""
+    """The loop that brings r(`point_s`) to `goal` (2,) [m] by a force at `push_s`; `start`: the present force [N]."""
     wanted, begins = np.asarray(goal, dtype=float), np.asarray(start, dtype=float)
     x, y = np.asarray(gravity, dtype=float).tolist()
     bounds = ReachSettings(gravity=(x, y), max_force=settings.most_force)
@@ -656,6 +628,6 @@ def controller(
 
 
 def damped_inverse(compliance: Array, weak: float) -> Array:
-    """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`. A direction with little compliance is corrected slowly."""
+    """(2, 2) N/m: `C^T (C C^T + (weak |C|)^2)^-1`; directions with little compliance are corrected slowly."""
     least = weak * np.linalg.norm(compliance, 2)
     return np.asarray(compliance.T @ np.linalg.inv(compliance @ compliance.T + least**2 * np.eye(2)))

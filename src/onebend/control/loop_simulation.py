@@ -1,4 +1,4 @@
-"""Simulation of the closed loop: a beam that is not the model, in full motion (7), with an actuator and a camera."""
+"""Simulation of the closed loop on a beam that differs from the model, in full motion (7), with actuator and camera."""
 
 from __future__ import annotations
 
@@ -23,31 +23,29 @@ from onebend.options import option
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-TICK = 1.0 / 120.0  # s, between two forces
-AXIS_PLACES = np.linspace(0.0, 1.0, 41)  # s, of the beam's axis in `LoopSimulation`
-_METHOD = Method(3, "radau")  # forgets at once what is too fast for a tick, as the strong damping up there does
+TICK = 1.0 / 120.0  # s, between forces
+AXIS_PLACES = np.linspace(0.0, 1.0, 41)  # s
+_METHOD = Method(3, "radau")  # damps motion faster than a tick, as the damping there does
 
 
 @dataclass(frozen=True)
 class LoopCamera:
-    """The camera and all that lies between it and the controller."""
+    """Camera and delays."""
 
-    fps: float = option("--fps", 30.0, "Frames of the camera a second.", metavar="HZ", within=(0.1, 100_000.0))
+    fps: float = option("--fps", 30.0, "Frame rate of the camera.", metavar="HZ", within=(0.1, 100_000.0))
     delay: float = option(
-        "--delay-ms", 0.05, "From a frame's exposure to its answer.", metavar="MS", within=(0.0, 10_000.0)
+        "--delay-ms", 0.05, "Delay from exposure to the force's change.", metavar="MS", within=(0.0, 10_000.0)
     )
-    jitter: float = 0.0  # s, sd of the delay of a frame
+    jitter: float = 0.0  # s, sd of the delay
     noise: float = option(
-        "--noise-mm", 5e-5, "Of each coordinate the camera sees, one sd.", metavar="MM", within=(0.0, 1e3)
+        "--noise-mm", 5e-5, "Noise of each coordinate of the camera, one sd.", metavar="MM", within=(0.0, 1e3)
     )
-    dropped: float = 0.0  # share of frames that never arrive
-    hidden: tuple[tuple[float, float], ...] = ()  # s, times in which the point is not seen
+    dropped: float = 0.0  # share of lost frames
+    hidden: tuple[tuple[float, float], ...] = ()  # s, intervals
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """The robot that applies the force."""
-
     lag: float = 0.02  # s, time constant
     gain: float = 1.0
     bias: tuple[float, float] = (0.0, 0.0)  # N
@@ -55,10 +53,10 @@ class Actuator:
 
 @dataclass(frozen=True)
 class TrueSystem:
-    """The simulated real beam, its camera and its actuator."""
+    """The real beam, its camera and actuator."""
 
     beam: Beam
-    damping_ratio: float = 0.05  # of the slowest vibration about rest
+    damping_ratio: float = 0.05  # of the slowest vibration
     push_s: float = 1.0
     point_s: float = 1.0
     gravity: tuple[float, float] = (0.0, 0.0)
@@ -69,27 +67,26 @@ class TrueSystem:
 
 @dataclass(frozen=True)
 class LoopSimulation:
-    """A simulated run at T times."""
+    """A run at T times."""
 
     goal: Array  # (2,) m
     time: Array  # (T,) s
-    xy: Array  # (T, 2) m, where the point was
-    asked: Array  # (T, 2) N, the force that the controller asked for
+    xy: Array  # (T, 2) m, of the point
+    asked: Array  # (T, 2) N
     force: Array  # (T, 2) N, the force on the beam
-    axis: Array  # (T, P, 2) m, the beam's axis at `AXIS_PLACES`
+    axis: Array  # (T, P, 2) m, at `AXIS_PLACES`
 
     @property
     def error(self) -> Array:
-        """(T,) m, distance from the goal."""
+        """(T,) m, from the goal."""
         return np.asarray(np.linalg.norm(self.xy - self.goal, axis=1))
 
     def steady(self, last: float = 1.0) -> float:
-        """m: the largest distance from the goal in the last seconds."""
+        """m: largest error in the last seconds."""
         return float(np.max(self.error[self.time > self.time[-1] - last]))
 
     def settled(self, within: float) -> float:
-        """s: time from which the point stays `within` m of the goal. Infinite where it does not do so for at least
-        the last second."""
+        """s after which the error stays below `within` m; infinite unless it does for the last second."""
         if self.steady() > within:
             return np.inf
         outside = np.flatnonzero(self.error > within)
@@ -106,10 +103,10 @@ def simulate_loop(
     tick: float = TICK,
     feel: ForceSense | None = None,
 ) -> LoopSimulation:
-    """Run `control` on `truth` from rest for `duration` s; the force is set anew every `tick` s. `feel` tells the
-    force in every frame that arrives, hidden point or not; it may remember, so give each run its own.
+    """Runs `control` on `truth` from rest for `duration` s, with a force every `tick` s. `feel` gives the force in
+    every frame; it may be stateful, so use one per run.
 
-    Raises `MechanicsError`: the beam's mass is not known, or its motion could not be followed.
+    Raises `MechanicsError`: unknown mass, or unsolved motion.
     """
     arrivals = _frames(truth.eye, duration, np.random.default_rng(seed))
     moving = _MovingBeam(truth, tick)
@@ -135,7 +132,7 @@ def simulate_loop(
 
 
 class _MovingBeam:
-    """The true beam in motion behind its actuator. Lives only inside `simulate_loop`."""
+    """The true beam behind its actuator."""
 
     def __init__(self, truth: TrueSystem, tick: float) -> None:
         self.body, self.tick, self.hand = damped_body(truth), tick, truth.hand
@@ -151,19 +148,19 @@ class _MovingBeam:
         self._guess = np.zeros((self.body.n, len(self._numbers.c)))
 
     def point_and_axis(self) -> tuple[Array, Array]:
-        """(2,) m, where the point is; (P, 2) m, the beam's axis."""
+        """(2,) m the point, (P, 2) m the axis."""
         alpha = self.body.rest_angle + self.body.to_angle @ self.theta
         found = self._places @ np.stack([np.cos(alpha), np.sin(alpha)], axis=1)
         return found[0], found[1:]
 
     def pose(self, theta: Array, s: Array) -> Array:
-        """(m, 3) m, m, rad: the beam at `s` (m,) where its modes are `theta`."""
+        """(m, 3) m, m, rad at `s` (m,)."""
         alpha, grid = self.body.rest_angle + self.body.to_angle @ theta, self.body.grid
         along = self.body.length * grid.integral_to(s)
         return np.column_stack([along @ np.cos(alpha), along @ np.sin(alpha), grid.value_at(s) @ alpha])
 
     def advance(self, asked: Array, now: float) -> None:
-        """One tick with the force going to what is asked for, by the actuator's lag."""
+        """One tick towards the requested force."""
         goes_to = self.hand.gain * asked + np.asarray(self.hand.bias)
         decay = np.exp(-self.tick * np.append(self._numbers.c, 1.0) / max(self.hand.lag, 1e-9))
         force = goes_to + decay[:, None] * (self.force - goes_to)
@@ -175,7 +172,7 @@ class _MovingBeam:
 
 
 def damped_body(truth: TrueSystem) -> Body:
-    """The true beam in curvature modes, its internal damping in proportion to k(s)."""
+    """The true beam in modes, damping in proportion to k(s)."""
     plain = body(truth.beam, Modes(truth.modes))
     slowest = float(vibration_of(plain, MotionState(np.zeros(plain.n), np.zeros(plain.n))).frequency[0])
     damping = Scaled(truth.damping_ratio / (np.pi * slowest), truth.beam.stiffness)
@@ -183,7 +180,7 @@ def damped_body(truth: TrueSystem) -> Body:
 
 
 def _frames(eye: LoopCamera, duration: float, rng: np.random.Generator) -> deque[tuple[float, float, Array]]:
-    """Arrival, exposure and noise (2,) of every frame, in the order of arrival; NaN where the point is hidden."""
+    """Arrival, exposure and noise (2,) of every frame, by arrival; NaN if hidden."""
     exposed = np.arange(0.0, duration, 1.0 / eye.fps)
     arrives = exposed + np.maximum(eye.delay + eye.jitter * rng.standard_normal(len(exposed)), 0.0)
     noise = eye.noise * rng.standard_normal((len(exposed), 2))
@@ -194,47 +191,44 @@ def _frames(eye: LoopCamera, duration: float, rng: np.random.Generator) -> deque
     return deque((float(arrives[j]), float(exposed[j]), noise[j]) for j in order)
 
 
-# Robustness of a closed loop: it is simulated on beams softer and stiffer than the model, or drawn from its band.
+# Robustness: beams softer and stiffer than the model, or drawn from its band.
 
-SETTLED = 1e-3  # m, from the goal: a point that stays nearer counts as settled
-MOST_DRAWN = 100  # beams: each takes as long as it takes to simulate
-_LEAST_MASS = 0.01  # kg/m of a beam whose mass is not known: it then swings, quickly, as any beam does
-_PLACES = np.linspace(0.0, 1.0, 101)  # s, over which log k is averaged
+SETTLED = 1e-3  # m
+MOST_DRAWN = 100
+_LEAST_MASS = 0.01  # kg/m, for a beam of unknown mass
+_PLACES = np.linspace(0.0, 1.0, 101)  # s, to average log k
 
 
 @dataclass(frozen=True)
 class TrialBeam:
-    """What the true beam is taken to be in a simulated loop."""
-
     stiffness: Profile
-    factor: float  # k(s) over the model's; of a drawn beam the geometric mean over s
-    drawn: bool = False  # from the band; else the factor is the same everywhere
+    factor: float  # k(s) over the model's (geometric mean over s)
+    drawn: bool = False  # from the band; else the factor is uniform
 
 
 @dataclass(frozen=True)
 class LoopTrial:
-    """One simulated loop. `run` is None where the beam snapped away."""
+    """`run` is None if the beam snapped."""
 
     beam: TrialBeam
     run: LoopSimulation | None
 
     @property
     def factor(self) -> float:
-        """k(s) over the model's, as of the beam."""
         return self.beam.factor
 
     @property
     def steady(self) -> float:
-        """m: the largest distance from the goal in the last second."""
+        """m: largest error in the last second."""
         return float("inf") if self.run is None else self.run.steady()
 
     def settled(self, within: float) -> float:
-        """s; infinite where it does not settle."""
+        """s, or infinite."""
         return float("inf") if self.run is None else self.run.settled(within)
 
 
 def trial_settings(fps: float, delay: float, k_error: float = 0.3, most_force: float = math.inf) -> ControllerSettings:
-    """A controller's settings for a camera that is `delay` s late, with margins for k(s) wrong by `k_error`."""
+    """For a camera `delay` s late, with margins for k(s) wrong by `k_error`."""
     return ControllerSettings(
         timing=Timing(fps=fps, delay=delay),
         longest_delay=max(0.1, delay),
@@ -244,9 +238,9 @@ def trial_settings(fps: float, delay: float, k_error: float = 0.3, most_force: f
 
 
 def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
-    """The model itself, and beams whose k(s) is `k_error` lower and higher everywhere.
+    """The model, and beams with k(s) lower and higher by `k_error`.
 
-    Raises `ControlError`: an error of k that is not in [0, 1).
+    Raises `ControlError` unless it is in [0, 1).
     """
     if not 0.0 <= k_error < 1.0:
         raise ControlError(f"the error of k is a share from 0 to below 1, got {k_error}")
@@ -256,9 +250,9 @@ def wrong_beams(beam: Beam, k_error: float) -> tuple[TrialBeam, ...]:
 
 @one_blas_thread
 def drawn_beams(beam: Beam, known: UncertainStiffness | None, count: int, *, seed: int = 0) -> tuple[TrialBeam, ...]:
-    """The model itself, and `count` beams as probable as the band of its k(s) says.
+    """The model, and `count` beams from the band of k(s).
 
-    Raises `ControlError`: the model has no band, or the count is not from 1 to `MOST_DRAWN`.
+    Raises `ControlError`: no band, or a count not from 1 to `MOST_DRAWN`.
     """
     if known is None:
         raise ControlError("the model has no band to draw beams from: give an error of k instead, or learn with a band")
@@ -282,12 +276,11 @@ def simulate_trials(
     force_off: float = 0.0,
     feel: Callable[[Beam], ForceSense] | None = None,
 ) -> Iterator[LoopTrial]:
-    """The loop on one beam after the other. A beam whose mass is not known is given a small one.
+    """The loop on each beam; unknown masses are replaced by a small one.
 
-    The robot's force is off by `force_off` [N], to the left of the force that the model needs; `feel` makes what tells
-    the force on the beam that moves.
+    The robot's force is off by `force_off` [N], to the left of the model's force; `feel` makes the source of the force.
 
-    Raises `ControlError`: a duration below two seconds, a force that is off by less than nothing.
+    Raises `ControlError`: a duration below two seconds, or a negative `force_off`.
     """
     if not duration >= 2.0:
         raise ControlError(f"a simulation takes two seconds at least, got {duration} s")
@@ -315,7 +308,7 @@ def simulate_trials(
 
 
 def along(control: Controller) -> Array:
-    """(2,) the direction of the force that the model needs; that of x where it needs none."""
+    """(2,) direction of the model's force, else x."""
     force = control.reference.ends
     size = float(np.linalg.norm(force))
     return np.asarray(force / size) if size > 0.0 else np.array([1.0, 0.0])
@@ -332,10 +325,7 @@ def simulate_range(
     force_off: float = 0.0,
     feel: Callable[[Beam], ForceSense] | None = None,
 ) -> tuple[LoopTrial, ...]:
-    """The loop on the `wrong_beams` of its model, as `simulate_trials`.
-
-    Raises `ControlError`: as `wrong_beams` and `simulate_trials`.
-    """
+    """The loop on `wrong_beams`. Raises `ControlError` as `wrong_beams` and `simulate_trials`."""
     beams = wrong_beams(control.beam, k_error)
     trials = simulate_trials(control, beams, eye=eye, duration=duration, seed=seed, force_off=force_off, feel=feel)
     return tuple(trials)

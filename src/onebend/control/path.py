@@ -1,4 +1,4 @@
-"""Goals in time to forces, or poses of a gripper, in time."""
+"""Goals in time to forces or gripper poses in time."""
 
 from __future__ import annotations
 
@@ -41,32 +41,29 @@ from onebend.options import POSITIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
-_LAST_STEP = 1e-10  # rad, of the last step
-_MOST_ITERATIONS = 6  # Newton iterations
-_LARGEST_TURN = 0.05  # rad, from the shape to start from
-_BATCH = 128  # frames solved together: what stays in the cache
+_LAST_STEP = 1e-10  # rad
+_MOST_ITERATIONS = 6
+_LARGEST_TURN = 0.05  # rad, from the start
+_BATCH = 128  # frames per batch, to fit the cache
 
 
 @dataclass(frozen=True)
 class PathSamples:
-    """T equilibria under the same actuators, and their multipliers."""
+    """T equilibria under the same actuators, with multipliers."""
 
     q: Array  # (T, Q) rad
     u: Array  # (T, m) N, N m
     multipliers: Array  # (T, Q)
 
     def take(self, chosen: IntArray) -> PathSamples:
-        """Some of them."""
         return PathSamples(self.q[chosen], self.u[chosen], self.multipliers[chosen])
 
 
 def settle(
     actuators: Actuators, near: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[PathSamples, BoolArray]:
-    """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from ones `near`; True where found there.
-
-    Newton's method on the conditions of the optimum. Bounds on forces are not looked at.
-    """
+    """The closest stable shapes to targets xy (T, N, 2), angle (T, N), from `near`, and whether they were found.
+    Newton's method on the optimality conditions, without bounds."""
     q, u, prices = near.q.copy(), near.u.copy(), near.multipliers.copy()
     settled, b, out = np.zeros(len(q), dtype=bool), actuators.problem.to_nodes, PathSamples(q, u, prices)
     for first in range(0, len(q), _BATCH):
@@ -85,7 +82,7 @@ def settle(
 
 
 def stable(actuators: Actuators, q: Array, u: Array) -> BoolArray:
-    """(T,) whether the shapes stand: pushes are dead loads, a gripped end stays where it is."""
+    """(T,) stability under dead pushes and a fixed grip."""
     if actuators.grip is None or len(q) == 0:
         return is_stable(actuators.loaded(u), q)
     bare = u.copy()
@@ -96,10 +93,10 @@ def stable(actuators: Actuators, q: Array, u: Array) -> BoolArray:
 def _step(
     actuators: Actuators, samples: PathSamples, targets: Targets, xy: Array, angle: Array, arm: float
 ) -> tuple[Array, Array, Array]:
-    """Newton's step of q and u, and the new multipliers; curvature and controls in units that make numbers about 1.
+    """Newton's step of q and u, and multipliers, scaled to about 1.
 
-    With the multipliers l of equilibrium the conditions are `r_q^T r + T l = 0`, `A l = 0` and `g = 0`. Newton's matrix
-    holds the exact second derivatives, and is symmetric.
+    With multipliers l of equilibrium: `r_q^T r + T l = 0`, `A l = 0`, `g = 0`; the matrix is symmetric, with exact
+    second derivatives.
     """
     solved, b = actuators.solved(samples.q, samples.u), actuators.problem.to_nodes
     problem, count, controls = solved.problem, samples.q.shape[1], actuators.count
@@ -126,18 +123,18 @@ def _step(
     return root * unbend * answer[:, :count], actuators.scale * answer[:, count:a], root * unbend * answer[:, a:]
 
 
-_KNOT_SPACING = 0.02  # of L: the way of a target from knot to knot
-_FEWEST_KNOTS = 12  # knots
+_KNOT_SPACING = 0.02  # of L, between knots
+_FEWEST_KNOTS = 12
 
 
 def knots_of(goals: Goals, length: float) -> Array:
-    """(K,) s: close enough for the shape at one to lead to that at the next."""
+    """(K,) s: close enough to lead from shape to shape."""
     time = np.union1d(np.linspace(goals.time[0], goals.time[-1], 200), goals.time)
     xy, angle = goals.along(time)
     way = np.nan_to_num(np.linalg.norm(np.diff(xy, axis=0), axis=2) / length).max(axis=1)
     turn = np.nan_to_num(np.abs(np.diff(angle, axis=0))).max(axis=1)
     done = np.append(0.0, np.cumsum(np.maximum(way, turn)))
-    # Where the goals rest there is no way to go: a little of plain time keeps knots there as well.
+    # Plain time adds knots where the goals rest.
     done = done / max(done[-1], 1e-12) + 0.25 * (time - time[0]) / (time[-1] - time[0])
     count = max(_FEWEST_KNOTS, int(np.ceil(np.sum(np.maximum(way, turn)) / _KNOT_SPACING)) + 1)
     return np.asarray(np.interp(np.linspace(0.0, done[-1], count), done, time))
@@ -153,12 +150,10 @@ def _check(result: DescentResult, time: float) -> None:
         raise ControlError(f"at {time:.4g} s no stable shape closest to the goal was found; give more goals before it")
 
 
-# Goals of one point under a single force, joined by a path on which the force exists everywhere.
-#
-# One force can hold a point only within a thin region, where the beam is stable; a straight path from goal to goal
-# may leave it. So the force is interpolated from goal to goal, and the point follows.
+# Goals of one point under one force, which can hold it only within a thin region. A straight path may leave it; so the
+# force is interpolated, and the point follows.
 
-_GOALS_PER_STEP = 24  # goals from goal to goal
+_GOALS_PER_STEP = 24
 _SAME_PLACE = 1e-5  # of L
 
 
@@ -171,10 +166,9 @@ def by_force(
     max_force: float | None = None,
     gravity: tuple[float, float] = (0.0, 0.0),
 ) -> Goals:
-    """The same goals at the same times, and more between them, all within reach of a force at `push_s`.
+    """The goals with more between them, all within reach of a force at `push_s`.
 
-    Raises `ControlError`: goals of more than one point or of an angle, a goal out of reach (with its time), or a force
-    that goes from goal to goal through a place where the beam would jump.
+    Raises `ControlError`: several points or an angle, a goal out of reach, or a jump on the way.
     """
     if len(goals.targets.s) != 1 or not bool(goals.targets.placed[0]) or bool(goals.targets.turned[0]):
         raise ControlError("a single force leads one point, without an angle; lead more with a grip or more forces")
@@ -200,17 +194,22 @@ def by_force(
     return replace(goals, time=time, xy=xy, angle=np.full((len(time), 1), np.nan))
 
 
-_SLACK = 1.002  # a little slower than the limit asks, so that sampling anew does not break it again
+_SLACK = 1.002  # margin for resampling
 
 
 @dataclass(frozen=True)
 class RateLimits:
-    """The largest rates; infinite where there is no limit."""
+    """Largest rates; infinite: none."""
 
-    force: float = option("--max-force-rate-N-per-s", np.inf, "Of every push.", metavar="N/S", within=POSITIVE)
-    speed: float = option("--max-speed-m-per-s", np.inf, "Of the gripper.", metavar="M/S", within=POSITIVE)
+    force: float = option("--max-force-rate-N-per-s", np.inf, "Limit for every push.", metavar="N/S", within=POSITIVE)
+    speed: float = option("--max-speed-m-per-s", np.inf, "Limit for the gripper.", metavar="M/S", within=POSITIVE)
     turning: float = option(
-        "--max-turn-rate-deg-per-s", np.inf, "Of the gripper.", metavar="DEG/S", within=POSITIVE, scale=np.pi / 180.0
+        "--max-turn-rate-deg-per-s",
+        np.inf,
+        "Limit for the gripper.",
+        metavar="DEG/S",
+        within=POSITIVE,
+        scale=np.pi / 180.0,
     )
 
     def __post_init__(self) -> None:
@@ -221,7 +220,7 @@ class RateLimits:
 
 @dataclass(frozen=True)
 class _Limited:
-    """A quantity at T moments of a path, and the limit on its rate."""
+    """A quantity at T moments, and the limit on its rate."""
 
     name: str
     unit: str
@@ -230,13 +229,13 @@ class _Limited:
 
 
 def _excess(moving: list[_Limited], time: Array) -> Array:
-    """(T - 1, n) rate over limit of each quantity between one moment and the next."""
+    """(T - 1, n) rate over limit."""
     step = np.diff(time)
     return np.stack([np.linalg.norm(np.diff(one.values, axis=0), axis=1) / step / one.most for one in moving], axis=1)
 
 
 def _refuse(moving: list[_Limited], time: Array) -> None:
-    """Raise `ControlError` with the first moment at which a limit is broken, and by how much."""
+    """Raises `ControlError` with the first moment beyond a limit, and by how much."""
     excess = _excess(moving, time)
     broken = np.flatnonzero(np.any(excess > 1.0 + 1e-9, axis=1))
     if broken.size:
@@ -250,10 +249,7 @@ def _refuse(moving: list[_Limited], time: Array) -> None:
 
 
 def _stretched(moving: list[_Limited], time: Array, smooth: int = 5) -> Array:
-    """(T,) the moments moved apart where a limit is broken, and only there.
-
-    The largest excess over `smooth` neighbours counts, so that finer moments in between keep the limits as well.
-    """
+    """(T,) moments moved apart where a limit is exceeded, by the largest excess over `smooth` neighbours."""
     if not moving:
         return time
     excess = np.max(_excess(moving, time), axis=1)
@@ -261,42 +257,38 @@ def _stretched(moving: list[_Limited], time: Array, smooth: int = 5) -> Array:
     return np.append(time[0], time[0] + np.cumsum(np.diff(time) * slower))
 
 
-# Goals in time to forces, or gripper poses, in time. The beam is taken as it stands under the forces of the moment
-# (quasi-static). Shapes are sought one after the other at knots along the path; between the knots they are interpolated
-# and then corrected together.
+# The beam is quasi-static. Shapes are solved in turn at knots, interpolated, and corrected together.
 
-_LARGEST_TAIL = 1e-4  # share of the last Legendre coefficients, at the worst knot: positions are good to about 1e-6 L
-_FINEST_PANEL = 1.0 / 16.0  # widest panel
-_MOST_STRETCHES = 8  # of stretching
+_LARGEST_TAIL = 1e-4  # share of the last Legendre coefficients at the worst knot: positions to about 1e-6 L
+_FINEST_PANEL = 1.0 / 16.0
+_MOST_STRETCHES = 8
 MOST_SAMPLES = 200_000
-_MOMENTS_PER_SAMPLE = 4  # moments a sample, at which rates are looked at
+_MOMENTS_PER_SAMPLE = 4  # for rates
 
 
 @dataclass(frozen=True)
 class PathSettings:
-    """How a path is made."""
-
     rate: float = option("--rate-Hz", 1000.0, "Samples of the path.", metavar="HZ", within=(1e-6, 1e6))
     limits: RateLimits = field(default_factory=RateLimits)
     too_fast: Literal["stretch", "refuse"] = option(
-        "--too-fast", "stretch", "Where a limit on a rate is broken: take more time there, or say when and stop."
+        "--too-fast", "stretch", "Where a rate limit is exceeded: take more time, or stop with an error."
     )
     shape: ShapeSettings = field(default_factory=ShapeSettings)
 
 
 @dataclass(frozen=True)
 class FollowedPath:
-    """T samples of the controls, and how close the beam comes to its goals."""
+    """T samples of the controls, and the distance from the goals."""
 
-    time: Array  # (T,) s, from 0 on, evenly spaced
-    goal_time: Array  # (T,) s, the time of the goals that each sample serves; other than `time` where stretched
+    time: Array  # (T,) s, evenly spaced from 0
+    goal_time: Array  # (T,) s, of the goals; differs from `time` if stretched
     goals: Goals
     actuators: Actuators
     q: Array  # (T, Q) rad
-    u: Array  # (T, m) N, N m: the pushes' forces in turn, then the gripper's wrench
-    miss: Array  # (T,) m: root of the weighted mean square distance from the goals
-    margin: Array  # (K,) of stability, at knots
-    margin_time: Array  # (K,) s, of the goals
+    u: Array  # (T, m) N, N m: pushes, then the gripper's wrench
+    miss: Array  # (T,) m: weighted RMS distance
+    margin: Array  # (K,) at knots
+    margin_time: Array  # (K,) s
     warnings: tuple[str, ...]
 
     @property
@@ -306,12 +298,12 @@ class FollowedPath:
 
     @property
     def poses(self) -> Array:
-        """(T, 3) m, m, rad: of the end s = 1; with a grip, of the gripper. The angle counts full turns."""
+        """(T, 3) m, m, rad: of s = 1, or the gripper, counting full turns."""
         return end_pose(self.actuators.problem, self.q)
 
     @property
     def wrench(self) -> Array | None:
-        """(T, 3) N, N, N m that the gripper puts on the beam; None without one."""
+        """(T, 3) N, N, N m on the beam, if gripped."""
         return None if self.actuators.grip is None else self.u[:, -3:]
 
     @property
@@ -320,7 +312,7 @@ class FollowedPath:
         return float(self.time[-1] / (self.goals.time[-1] - self.goals.time[0]))
 
     def xy(self, s: ArrayLike) -> Array:
-        """(T, S, 2) m, the beam's positions at `s`."""
+        """(T, S, 2) m at `s`."""
         return self.actuators.solved(self.q, self.u).xy(np.atleast_1d(np.asarray(s, dtype=float)))
 
 
@@ -334,17 +326,14 @@ def follow_goals(
     gravity: ArrayLike | None = None,
     settings: PathSettings = PathSettings(),
 ) -> FollowedPath:
-    """The controls with which the beam follows the goals as closely as it can at every moment.
+    """The controls that follow the goals as closely as possible, from the first goal on.
 
-    The first sample serves the first goal: how the beam comes there is not part of the path.
-
-    Raises `ControlError`: goals that leave a freedom of the actuators open, no stable way from one goal to the next, or
-    a broken limit on a rate where `too_fast` is "refuse"; each says at what time. Too many samples; `MechanicsError`:
-    k(s) not positive.
+    Raises `ControlError` with the time: goals that do not determine the actuators, no stable way, too many samples, or
+    an exceeded rate with `too_fast` "refuse". Raises `MechanicsError`: k(s) not positive.
     """
     if not settings.rate > 0.0:
         raise ControlError(f"a rate of samples must be positive, got {settings.rate:g} Hz")
-    _even(goals.time[-1] - goals.time[0], settings.rate)  # too many samples are said before the work
+    _even(goals.time[-1] - goals.time[0], settings.rate)  # checked before the work
     check_metres(goals.xy, float(beam.length))
     knots = knots_of(goals, float(beam.length))
     resolution = settings.shape.resolution
@@ -366,7 +355,7 @@ def _first_pass(
     gravity: ArrayLike | None,
     settings: PathSettings,
 ) -> _KnottedPath:
-    """The shapes at the knots: the first from rest, each other one from that before."""
+    """Shapes at the knots, each from the one before."""
     first = shape(beam, goals.at(knots[0]), pushes=pushes, grip=grip, gravity=gravity, settings=settings.shape)
     if first.open_freedoms:
         raise ControlError(
@@ -388,7 +377,7 @@ def _first_pass(
 
 @dataclass(frozen=True)
 class _KnottedPath:
-    """The goals, and the shapes closest to them at knots in time."""
+    """Goals, and the closest shapes at knots."""
 
     goals: Goals
     knots: Array  # (K,) s
@@ -405,7 +394,7 @@ class _KnottedPath:
         return self.results[0].state.actuators
 
     def sampled(self) -> FollowedPath:
-        """Samples at the asked rate, the time stretched where a limit wants it."""
+        """Samples at the requested rate, stretched for limits."""
         rate, goals, actuators = self.settings.rate, self.goals, self.actuators
         duration, near = goals.time[-1] - goals.time[0], self._between
         goal_time = goals.time[0] + np.minimum(_even(duration, rate), duration)
@@ -431,10 +420,8 @@ class _KnottedPath:
     def _slower(
         self, moving: list[_Limited], frames: PathSamples, time: Array, goal_time: Array, *, everywhere: bool
     ) -> tuple[Array, CubicSpline]:
-        """Other times of the goals for the samples, so that the limits are kept; and the samples so far as a spline.
-
-        Slower only where a limit wants it, or `everywhere`, where that was tried and kinks of the path still break one.
-        """
+        """Slower times of the goals that keep the limits, and the samples as a spline; with `everywhere` not only where
+        a limit is exceeded."""
         inside = np.append(True, np.diff(goal_time) > 0.0)
         near = CubicSpline(goal_time[inside], np.concatenate([frames.q, frames.u, frames.multipliers], axis=1)[inside])
         if everywhere:
@@ -447,7 +434,6 @@ class _KnottedPath:
 
     @cached_property
     def _between(self) -> CubicSpline:
-        """Shapes, controls and multipliers between the knots."""
         rows = []
         for time, state in zip(self.knots.tolist(), self.states, strict=True):
             residuals = target_residuals(state.solved, self.goals.at(time), self.arm)
@@ -455,12 +441,11 @@ class _KnottedPath:
         return CubicSpline(self.knots, np.array(rows))
 
     def _split(self, values: Array) -> PathSamples:
-        """Interpolated values as the shapes, controls and multipliers that they stand for."""
         count = len(self.actuators.problem.weights)
         return PathSamples(*np.split(values, [count, count + self.actuators.count], axis=1))
 
     def _corrected(self, start: PathSamples, goal_time: Array) -> PathSamples:
-        """The closest shapes at the samples; one by one where a bound holds or the batch did not find them."""
+        """The closest shapes at the samples; one by one at bounds or where the batch failed."""
         actuators, knots = self.actuators, self.knots
         xy, angle = self.goals.along(goal_time)
         frames, ok = settle(actuators, start, self.goals.targets, xy, angle, self.arm)
@@ -481,7 +466,7 @@ class _KnottedPath:
         return frames
 
     def _moving(self, frames: PathSamples) -> list[_Limited]:
-        """The quantities that have a finite limit."""
+        """Quantities with a finite limit."""
         limits, every = self.settings.limits, []
         for i, pusher in enumerate(self.actuators.pushes):
             force = frames.u[:, 2 * i : 2 * i + 2]
@@ -510,7 +495,7 @@ class _KnottedPath:
 
 
 def _even(duration: float, rate: float) -> Array:
-    """Moments at the rate, from 0 to the first at or after the duration; a `ControlError` where they are too many."""
+    """Moments at the rate up to the first at or after the duration. Raises `ControlError` if too many."""
     if not duration * rate <= MOST_SAMPLES:
         raise ControlError(
             f"the path takes {duration:.4g} s, {duration * rate:.3g} samples at {rate:g} Hz; at most {MOST_SAMPLES} "
@@ -519,22 +504,22 @@ def _even(duration: float, rate: float) -> Array:
     return np.arange(int(np.ceil(duration * rate - 1e-9)) + 1) / rate
 
 
-# The spread of a path that follows from the band on k(s), to first order; the actuators do as commanded.
+# The spread of a path due to the band on k(s), to first order.
 
 _MOMENTS = 25
 
 
 @dataclass(frozen=True)
 class PathSpread:
-    """Standard deviations at M moments of a path."""
+    """sds at M moments."""
 
     time: Array  # (M,) s
-    rms: Array  # (M,) m: of the targets' places, root of the mean square over them
+    rms: Array  # (M,) m: RMS over the targets' places
 
 
 @one_blas_thread
 def path_spread(way: FollowedPath, uncertain: UncertainStiffness, *, moments: int = _MOMENTS) -> PathSpread:
-    """The spread of a path at up to `moments` of its samples, evenly spaced, the first and the last among them."""
+    """At up to `moments` evenly spaced samples, with the first and last."""
     chosen = np.unique(np.round(np.linspace(0, len(way.time) - 1, moments)).astype(int))
     states = (BeamState(way.actuators, way.q[i], way.u[i]) for i in chosen)
     return PathSpread(way.time[chosen], np.array([spread(one, way.goals.targets.s, uncertain).rms for one in states]))

@@ -1,4 +1,4 @@
-"""The force that puts a point of the beam on a goal, and which goals can be reached."""
+"""The force that puts a point of the beam on a goal, and the reachable goals."""
 
 from __future__ import annotations
 
@@ -44,37 +44,36 @@ from onebend.errors import ControlError
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-# Equilibria that are known beforehand: forces in all directions and sizes, each followed from rest. A goal near the
-# place of one is a step away: its load and shape are predicted by the derivatives there and corrected by Newton's
-# method. The step counts only where the corrector moves the shape little and every tangent is positive.
+# Precomputed equilibria under forces in all directions and sizes. A goal near one is a step away: predicted by
+# derivatives, corrected by Newton's method, accepted if the correction is small and every tangent positive.
 
 _DIRECTIONS = 20
-_SIZES = 0.5 * 2.0 ** np.arange(6)  # times k / (L s_a^2): up to 16
-_WAY = ContinuationSettings(tolerance=1e-8, min_step=0.05, max_steps=7)  # what takes more steps is left out
-_TURN_WEIGHT = 0.03  # of L: the distance that a radian of turn weighs, so that of two ways the less bent is taken
-_LEAST_DETERMINANT = 1e-9  # of the compliance, over its size squared: below it the goal does not say the force
+_SIZES = 0.5 * 2.0 ** np.arange(6)  # times k / (L s_a^2)
+_WAY = ContinuationSettings(tolerance=1e-8, min_step=0.05, max_steps=7)  # longer ways are omitted
+_TURN_WEIGHT = 0.03  # of L per radian: prefers the less bent of two
+_LEAST_DETERMINANT = 1e-9  # of the compliance over its squared size; below it the goal does not determine the force
 
 
 @dataclass(frozen=True)
 class KnownEquilibria:
-    """C stable equilibria of a `PushedBeam`, rest among them, and how they go with the force."""
+    """C stable equilibria of a `PushedBeam`, with rest, and their derivatives by the force."""
 
     q: Array  # (C, n) rad
     force: Array  # (C, 2) N
     places: Array  # (C, 2) m
-    bent: Array  # (C,) m^2: square of what its turn weighs
+    bent: Array  # (C,) m^2: weight of the turn
     shape_by_force: Array  # (C, n, 2) rad/N: Y
     force_by_place: Array  # (C, 2, 2) N/m: inverse of S
 
 
 def known_equilibria(pushed: PushedBeam) -> KnownEquilibria:
-    """Made once and remembered by the beam."""
+    """Cached with the beam."""
     key = (KnownEquilibria, pushed.push_s, pushed.point_s, pushed.gravity, pushed.resolution)
     return pushed.beam.memory.once(key, lambda: _sampled(pushed))
 
 
 def step_to(pushed: PushedBeam, goal: Array) -> tuple[LoadedState, NewtonResult] | None:
-    """The known equilibrium nearest to a goal (2,), and where one step from it ends; None where that is no step."""
+    """The nearest known equilibrium, and one step from it to the goal (2,); None if that fails."""
     known = known_equilibria(pushed)
     away = goal - known.places
     i = int(np.argmin(away[:, 0] ** 2 + away[:, 1] ** 2 + known.bent))
@@ -116,22 +115,22 @@ def _sampled(pushed: PushedBeam) -> KnownEquilibria:
     return KnownEquilibria(q[told], force[told], places[told], weighs[told], by_force[told], inverse)
 
 
-_MOST_STARTS = 8  # starts that are tried
-_MOST_SAMPLES = 5  # sampled equilibria that the goal is led from
-_FORCE_WITHOUT_BOUND = 30.0  # times k / (L s_a^2): the largest force thought of where no bound is given
-_MOST_REFINEMENTS = 3  # halvings of the panels that are tried
+_MOST_STARTS = 8
+_MOST_SAMPLES = 5
+_FORCE_WITHOUT_BOUND = 30.0  # times k / (L s_a^2): largest force without a bound
+_MOST_REFINEMENTS = 3  # halvings of panels
 _SURELY_FINE = 0.01  # of the tolerance
 
 
 @dataclass(frozen=True)
 class ReachCandidate:
-    """Equilibria from rest to the last, which has the point on its goal."""
+    """Equilibria from rest to one on the goal."""
 
     pushed: PushedBeam
     states: tuple[LoadedState, ...]
     iterations: int
-    wrong: str = ""  # the bound it breaks
-    known: bool = False  # one step from a known equilibrium, which is the state between
+    wrong: str = ""  # violated bound
+    known: bool = False  # one step from a known equilibrium
 
 
 def search(
@@ -141,7 +140,7 @@ def search(
     begin: EquilibriumPath | None,
     samples: Callable[[], ReachableSet],
 ) -> ReachCandidate | None:
-    """An equilibrium on the goal that the beam comes to from rest; one out of bounds where there is no other."""
+    """An equilibrium on the goal reached from rest; out of bounds only if there is no other."""
     spare = None
     for candidate in _tries(pushed, goal, settings, begin, samples):
         wrong = broken_bound(pushed, candidate.states[-1], settings)
@@ -152,7 +151,7 @@ def search(
 
 
 def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -> Iterator[tuple[LoadedState, int]]:
-    """Stable equilibria with the point on the goal, from one start after another, and the iterations so far."""
+    """Stable equilibria on the goal from the starts in turn, and the iterations so far."""
     iterations, before = 0, list[LoadedState]()
     for first in (True, False):
         for begin in starts.near(goal[:2], 1) if first else starts.near(goal[:2], _MOST_STARTS)[1:]:
@@ -166,14 +165,14 @@ def solutions(pushed: PushedBeam, starts: StartTable, goal: Array, loads: int) -
 
 
 def from_rest(pushed: PushedBeam, state: LoadedState) -> EquilibriumPath | None:
-    """The way to an equilibrium while its load grows in proportion; None where that ends elsewhere."""
+    """The way under a proportional load; None if it ends elsewhere."""
     trail = trace(pushed, state.load)
     return trail if trail.arrived and pushed.same(trail.states[-1], state) else None
 
 
 @lru_cache(maxsize=8)
 def sampled(pushed: PushedBeam, settings: ReachSettings) -> ReachableSet:
-    """The reachable set within the settings, sampled coarsely."""
+    """Coarse."""
     return reachable(
         pushed.beam,
         push_s=pushed.push_s,
@@ -209,7 +208,7 @@ def _tries(
 
 
 def _led(pushed: PushedBeam, trail: EquilibriumPath, goal: Array, loads: int) -> Iterator[ReachCandidate]:
-    """The goal led on from the end of a way; its place first, then its angle."""
+    """Leads the goal from the end of a way; first its place, then its angle."""
     if not trail.arrived:
         return
     states, arrived = trail.states, True
@@ -222,15 +221,13 @@ def _led(pushed: PushedBeam, trail: EquilibriumPath, goal: Array, loads: int) ->
 
 @lru_cache(maxsize=32)
 def _onto(pushed: PushedBeam, finer: PushedBeam) -> Array:
-    """Rows that give curvatures at the unknown nodes of a finer grid."""
+    """Rows from curvatures to the unknown nodes of a finer grid."""
     return pushed.problem.grid.value_at(finer.problem.grid.nodes[: finer.count])
 
 
 def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) -> ReachCandidate:
-    """The same on a grid fine enough that a finer one moves the point by less than a tenth of the tolerance.
-
-    The grid at hand is fine enough where what its angles miss moves the point by less than a hundredth of it.
-    """
+    """On a grid for which refinement moves the point by less than a tenth of the tolerance, or whose own error is below
+    a hundredth of it."""
     pushed = candidate.pushed
     for _ in range(_MOST_REFINEMENTS):
         last, grid = candidate.states[-1], pushed.problem.grid
@@ -251,26 +248,26 @@ def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) ->
     return candidate
 
 
-# `method="newton"`: Newton's method on shape and force together. A solution counts only if it is stable and connected
-# to rest by stable equilibria. `method="paper"`: Algorithm 1 as printed; its force is then applied to the exact beam.
+# `method="newton"`: shape and force together; a solution must be stable and connected to rest by stable equilibria.
+# `method="paper"`: Algorithm 1 as printed; its force is applied to the exact beam.
 
 __all__ = ["Reach", "ReachSettings", "reach"]
 
 
 @dataclass(frozen=True)
 class Reach:
-    """A force for a goal, or why there is none; then force and shape are those of the nearest point that was found."""
+    """A force for a goal, or the reason why there is none, with the nearest point found."""
 
-    pushed: PushedBeam  # the beam, where it is pushed, the point
+    pushed: PushedBeam
     goal: Array  # (2,) m, or (3,) m, m, rad
     settings: ReachSettings
-    states: tuple[LoadedState, ...]  # equilibria on one branch from rest to the last
-    reached: Array  # (3,) m, m, rad: the point and the tangent's angle there
-    converged: bool  # the point is on its goal, within all bounds, and the beam comes there from rest
+    states: tuple[LoadedState, ...]  # on one branch from rest
+    reached: Array  # (3,) m, m, rad: pose of the point
+    converged: bool  # on the goal, within bounds, reached from rest
     reason: str
-    iterations: int  # of Newton's method, or of Algorithm 1
-    nearest: NearestPoint | None  # to a goal that cannot be reached
-    known: bool = False  # found one step from an equilibrium that was known beforehand
+    iterations: int
+    nearest: NearestPoint | None  # to an unreachable goal
+    known: bool = False  # one step from a precomputed equilibrium
 
     @property
     def beam(self) -> Beam:
@@ -286,7 +283,6 @@ class Reach:
 
     @property
     def resolution(self) -> Resolution:
-        """The nodes of `solved`."""
         return self.pushed.resolution
 
     @property
@@ -302,45 +298,44 @@ class Reach:
     @cached_property
     @one_blas_thread
     def solved(self) -> Equilibrium:
-        """The last shape, solved again under its load by the beam's own statics."""
+        """The last shape, by `beam.statics`."""
         last = self.states[-1]
         return refine(self.pushed.loaded(last.load), self.pushed.whole(last.q)[None])
 
     @cached_property
     @one_blas_thread
     def way(self) -> tuple[LoadedState, ...]:
-        """P equilibria from rest, `settings.steps` steps at least; made when it is first asked for."""
+        """P equilibria from rest, at least `settings.steps` steps; computed on demand."""
         straight = from_rest(self.pushed, self.states[-1]) if self.known else None
         return densified(self.pushed, self.states if straight is None else straight.states, self.settings.steps)
 
     @property
     def path(self) -> Array:
-        """(P, 3) N, N, N m: loads from rest, each an equilibrium on one branch."""
+        """(P, 3) N, N, N m: loads from rest on one branch."""
         return np.array([state.load for state in self.way])
 
     @property
     def path_points(self) -> Array:
-        """(P, 2) m: where they hold the point."""
+        """(P, 2) m: the point."""
         return np.array([self.pushed.pose(state.q)[:2] for state in self.way])
 
     @property
     def error(self) -> float:
-        """m, distance of the point from its goal."""
+        """m, from the goal."""
         return float(np.linalg.norm(self.reached[:2] - self.goal[:2]))
 
     @property
     def stable(self) -> bool:
-        """Whether the shape is a stable equilibrium."""
         return self.pushed.stable(self.states[-1])
 
     @property
     def loads(self) -> Loads:
-        """All that acts on the beam at last."""
+        """All final loads."""
         weighs = weight(self.settings.gravity)
         return weighs + push(self.force, self.push_s) + twist(self.moment, self.push_s)
 
     def shapes(self, s: Array) -> Array:
-        """(P, S, 2) m: places `s` (S,) of the beam along the path."""
+        """(P, S, 2) m at `s` (S,)."""
         q = np.array([self.pushed.whole(state.q) for state in self.way])
         return replace(self.solved, q=q).xy(s)
 
@@ -355,12 +350,13 @@ def reach(
     settings: ReachSettings = ReachSettings(),
     start: Reach | None = None,
 ) -> Reach:
-    """The force at `push_s` that puts the point at `point_s` on `goal`; a goal out of reach is no error (`converged`).
+    """The force at `push_s` that puts the point at `point_s` on `goal`; an unreachable goal is no error (`converged`).
 
-    `goal`: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], where the gripper gives a moment. `start`:
-    an earlier result for the same beam and places, from which the goal is led first.
+    Args:
+        goal: (2,) m in the beam's frame; (3,) with the tangent's angle [rad], with a moment.
+        start: an earlier result for the same beam and places, to lead from.
 
-    Raises `ControlError`: a goal, place or bound without meaning; `MechanicsError`: k(s) is not positive somewhere.
+    Raises `ControlError`: an invalid goal, place or bound. Raises `MechanicsError`: k(s) is not positive.
     """
     wanted = checked_goal(goal, settings)
     pushed = prepared(beam, push_s, point_s, settings.gravity, Resolution())
@@ -377,7 +373,6 @@ def reach(
 
 
 def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
-    """The way to where an earlier result stands."""
     if (start.push_s, start.point_s) != (pushed.push_s, pushed.point_s) or start.beam != pushed.beam:
         raise ControlError("`start` is a result for another beam or other places; leave it out")
     states = [pushed.start]
@@ -390,7 +385,7 @@ def _way_of(pushed: PushedBeam, start: Reach) -> EquilibriumPath:
 
 
 def _too_far(pushed: PushedBeam, goal: Array) -> str:
-    """Why no shape at all can bring the point to the goal: it is too far away. Else empty."""
+    """Why no shape can reach the goal, or ""."""
     arm, away = float(pushed.problem.length) * pushed.point_s, float(np.hypot(*goal[:2]))
     if away >= arm:
         text = f"the goal is {1e3 * away:.4g} mm from the clamp, and the beam up to the point {1e3 * arm:.4g} mm long"
@@ -399,7 +394,7 @@ def _too_far(pushed: PushedBeam, goal: Array) -> str:
 
 
 def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, samples: ReachableSet) -> Reach:
-    """The nearest point to a goal that was not found; where that lies within the tolerance, the goal is reached."""
+    """The nearest point; within the tolerance it counts as reached."""
     nearest = samples.nearest(goal[:2])
     last = nearest.states[-1]
     trail = from_rest(pushed, last)
@@ -410,7 +405,7 @@ def _unreached(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: 
 
 
 def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, nearest: NearestPoint) -> str:
-    """One sentence on why the goal is not reached, one on the nearest alternative."""
+    """Why the goal is not reached, and the nearest alternative."""
     if not known:
         way = "" if settings.direction is None else f" at {math.degrees(settings.direction):.4g} deg"
         most = "" if settings.max_force is None else f" of up to {settings.max_force:.3g} N"
@@ -427,7 +422,7 @@ def _why(pushed: PushedBeam, goal: Array, settings: ReachSettings, known: str, n
 
 
 def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint) -> str:
-    """The nearest point that a force alone reaches, whatever angle was asked for."""
+    """The nearest point without its angle."""
     at, turn = 1e3 * nearest.point, math.degrees(math.atan2(nearest.force[1], nearest.force[0]))
     needs = f"it needs {nearest.size:.3g} N at {turn:.4g} deg"
     if settings.moment:
@@ -444,7 +439,7 @@ def _instead(pushed: PushedBeam, settings: ReachSettings, nearest: NearestPoint)
 def _result(
     candidate: ReachCandidate, goal: Array, settings: ReachSettings, why: str, nearest: NearestPoint | None = None
 ) -> Reach:
-    """The result; `why`: the reason if the goal is not reached, else empty."""
+    """`why`: reason if the goal is not reached."""
     pushed, last = candidate.pushed, candidate.states[-1]
     reached = pushed.pose(last.q)
     allowed = settings.tolerance if settings.method == "newton" else 2.0 * settings.paper.tolerance
@@ -466,7 +461,7 @@ def _result(
 
 
 def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach:
-    """Algorithm 1, and the shape of the exact beam under its force."""
+    """Algorithm 1, and the exact beam under its force."""
     force = paper_force(pushed.beam, goal, pushed.push_s, pushed.point_s, settings.paper)
     trail, why = trace(pushed, np.append(force.force, 0.0)), ""
     off = float(np.linalg.norm(pushed.pose(trail.states[-1].q)[:2] - goal))
@@ -479,24 +474,22 @@ def _by_paper(pushed: PushedBeam, goal: Array, settings: ReachSettings) -> Reach
     return _result(ReachCandidate(pushed, trail.states, force.iterations), goal, settings, why)
 
 
-_LARGEST_TURN = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
+_LARGEST_TURN = 0.4  # rad: a larger turn may leave the branch
 
 
 @dataclass(frozen=True, slots=True)
 class HoldingLoad:
-    """The load that holds a point on its goal."""
-
     force: Array  # (2,) N
     moment: float  # N m
-    route: Literal["warm", "led", "rest"]  # Newton from the last load, small steps of the goal, or a search from rest
-    iterations: int  # of Newton's method; 0 where the search did not count them
+    route: Literal["warm", "led", "rest"]  # Newton from the last load, small steps of the goal, or search from rest
+    iterations: int  # 0 if not counted
 
 
 class WarmReach:
-    """A beam whose point moves from goal to goal under the load at one place; it remembers its state.
+    """A beam whose point moves from goal to goal; stateful, for one thread.
 
-    It stays on its branch of stable equilibria. A goal that is not on it is searched for from rest; a real beam may
-    reach that state only by a jump (`HoldingLoad.route` is then "rest"). Not for two threads at once.
+    It stays on its branch of stable equilibria. Other goals are searched from rest; a real beam may need a jump
+    (`HoldingLoad.route` is "rest").
     """
 
     @one_blas_thread
@@ -509,10 +502,7 @@ class WarmReach:
         settings: ReachSettings = ReachSettings(),
         resolution: Resolution = Resolution(),
     ) -> None:
-        """The beam at rest.
-
-        Raises `ControlError`: a place without meaning, or settings that only `reach` knows (paper, one direction).
-        """
+        """At rest. Raises `ControlError`: an invalid place, or settings for `reach` only (paper, one direction)."""
         if settings.method != "newton" or settings.direction is not None:
             raise ControlError("a warm reach is Newton's, with forces in all directions; take `reach` for others")
         self._settings = settings
@@ -523,25 +513,24 @@ class WarmReach:
 
     @property
     def jacobian(self) -> Array:
-        """(2, 2) or (2, 3) m/N: how the point goes with the load, where the last `solve` ended. Equation (25)."""
+        """(2, 2) or (2, 3) m/N: the point by the load. Equation (25)."""
         if self._state is None:
             raise ControlError("no goal has been reached yet: there is nothing to take derivatives of")
         return self._pushed.response(self._state)[:2, : self._settings.loads]
 
     @property
     def point(self) -> Array:
-        """(3,) m, m, rad: where the point stands, and the tangent's angle there."""
+        """(3,) m, m, rad."""
         return self._pushed.pose((self._state or self._pushed.start).q)
 
     def reset(self) -> None:
-        """Back to rest."""
         self._state = self._last = None
 
     @one_blas_thread
     def solve(self, goal: ArrayLike) -> HoldingLoad:
         """The load for `goal` (2,) m, or (3,) with an angle [rad].
 
-        Raises `ControlError`: a goal without meaning, or one that cannot be reached (the beam stays where it is).
+        Raises `ControlError`: an invalid or unreachable goal (the beam stays).
         """
         wanted = checked_goal(goal, self._settings)
         if self._state is not None:
@@ -566,7 +555,7 @@ class WarmReach:
         return self._take(settled.states[-1], "rest", settled.iterations, None)
 
     def _predicted(self, goal: Array) -> LoadedState:
-        """The state one step ahead, by the derivatives at hand: they cost nothing more."""
+        """First-order prediction."""
         assert self._state is not None
         state, last = self._state, self._last
         if last is None or last.curvature_per_load is None or last.compliance is None:
@@ -592,23 +581,21 @@ class WarmReach:
         return HoldingLoad(state.load[:2].copy(), float(state.load[2]), route, count)
 
 
-SURE = 0.95  # probability of the ellipse that is shown and written
+SURE = 0.95  # of the ellipse
 
 
 def _squared_radius(level: float) -> float:
-    """Squared Mahalanobis distance within which a plane normal variable lies with probability `level`."""
+    """Squared Mahalanobis radius of a plane normal with probability `level`."""
     return -2.0 * math.log1p(-level)
 
 
 @dataclass(frozen=True)
 class ErrorEllipse:
-    """Where a point lies with some probability."""
-
-    semi_axes: Array  # (2,) m, the longer first
-    angle: float  # rad, of the longer
+    semi_axes: Array  # (2,) m, longer first
+    angle: float  # rad, of the first
 
     def outline(self, count: int = 97) -> Array:
-        """(count, 2) m around the centre."""
+        """(count, 2) m."""
         turn = np.linspace(0.0, 2.0 * np.pi, count)
         x, y = self.semi_axes[0] * np.cos(turn), self.semi_axes[1] * np.sin(turn)
         cos, sin = math.cos(self.angle), math.sin(self.angle)
@@ -620,23 +607,22 @@ class PredictedError:
     """The reached point as a normal variable."""
 
     point: Array  # (2,) m, under the most probable k(s)
-    mean: Array  # (2,) m: bending is not linear in log k, so it lies a little beside
+    mean: Array  # (2,) m, differs from `point` by nonlinearity
     covariance: Array  # (2, 2) m^2
-    lost: float  # share of the drawn beams that have no stable shape nearby: they would snap away
+    lost: float  # share of drawn beams that snap away
 
     def ellipse(self, level: float = SURE) -> ErrorEllipse:
-        """The ellipse around `mean` that holds the real point with probability `level`."""
+        """Contains the real point with probability `level`."""
         values, vectors = np.linalg.eigh(self.covariance)
         size = np.sqrt(np.maximum(values[::-1], 0.0) * _squared_radius(level))
         return ErrorEllipse(size, math.atan2(vectors[1, 1], vectors[0, 1]))
 
     def distance(self, xy: Array) -> Array:
-        """(...) squared Mahalanobis distance of places (..., 2): chi-square with 2 degrees of freedom."""
+        """(...) squared Mahalanobis distance of (..., 2)."""
         away = np.asarray(xy, dtype=float) - self.mean
         return np.asarray(np.einsum("...i,ij,...j->...", away, np.linalg.pinv(self.covariance), away))
 
     def holds(self, xy: Array, level: float = SURE) -> bool:
-        """Whether a place lies in the ellipse of `level`."""
         return bool(self.distance(xy) <= _squared_radius(level))
 
 
@@ -650,13 +636,12 @@ def predicted_error(
     draws: int = 400,
     seed: int = 0,
 ) -> PredictedError:
-    """The uncertainty of the point's position under the load that was found, by k(s) with its band (`uncertain`).
+    """Uncertainty of the point under the load found, due to the band of k(s).
 
-    `same_sensor`: the force is given by the sensor that the beam was learned with; its scale error then cancels.
-    `draws`: beams drawn from the band and put into equilibrium under the load; 0: to first order in log k, which takes
-    a millisecond, and makes the ellipse too thin where it is long.
+    `same_sensor`: the beam was learned with the sensor that gives the force; its scale error cancels. `draws`: beams
+    drawn from the band; 0: first order in log k, faster, but too thin for long ellipses.
 
-    Raises `ControlError`: beam, band and result do not belong together, or too few of the beams within the band stand.
+    Raises `ControlError`: beam, band and result do not match, or too few drawn beams are stable.
     """
     s = np.linspace(0.0, 1.0, 41)
     if beam != result.beam or not np.allclose(uncertain.profile(s), beam.stiffness(s), rtol=1e-6):
@@ -678,7 +663,7 @@ def predicted_error(
 
 
 def _first_order(known: UncertainStiffness, result: Reach) -> Array:
-    """(2, 2) m^2, by the derivatives of the equilibrium with log k."""
+    """(2, 2) m^2."""
     nodes = result.solved.problem.grid.nodes
     basis = np.column_stack([known.basis(nodes), np.ones(len(nodes))])
     functions = np.asarray(result.beam.stiffness(nodes))[:, None] * basis

@@ -1,8 +1,7 @@
-"""The reachable set of a point of a beam: its positions under all forces at one place, up to a bound.
+"""Reachable positions of a point under forces at one place.
 
-Forces are sampled by direction and size; each shape is the equilibrium on the branch that grows from rest while the
-force grows in proportion, and counts only where it is stable. The nearest point to a goal is then found exactly, from
-the nearest samples on.
+Forces are sampled by direction and size; each shape must be stable on the branch from rest under a proportional force.
+The nearest point to a goal is then refined exactly.
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ from onebend.errors import ControlError
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 
-_START_SAMPLES = 4  # samples from which the nearest point is sought
-_MOST_STEPS = 60  # steps of the search
-_LEAST_SHARE_OF_LENGTH = 1e-9  # of L: a step that brings the point no nearer than this ends the search
-_HALVES = tuple(0.5**i for i in range(14))  # of a step of the search
-_SHORTEST_FOLLOW = 1e-3  # of such a step, by which the shape follows it
+_START_SAMPLES = 4
+_MOST_STEPS = 60
+_LEAST_SHARE_OF_LENGTH = 1e-9  # of L
+_HALVES = tuple(0.5**i for i in range(14))
+_SHORTEST_FOLLOW = 1e-3
 
 
 @dataclass(frozen=True)
@@ -49,9 +48,9 @@ class NearestPoint:
     """The reachable point nearest to a goal."""
 
     point: Array  # (2,) m
-    force: Array  # (2,) N that holds it there
+    force: Array  # (2,) N
     distance: float  # m, to the goal
-    states: tuple[LoadedState, ...]  # equilibria that lead there from rest, one after the other
+    states: tuple[LoadedState, ...]  # equilibria from rest to it
 
     @property
     def size(self) -> float:
@@ -61,27 +60,24 @@ class NearestPoint:
 
 @dataclass(frozen=True)
 class ReachableSet:
-    """Places of a point under forces at one place: D directions, R sizes, the largest last."""
+    """D directions, R sizes, the largest last."""
 
     pushed: PushedBeam
     max_force: float  # N
-    max_curvature: float | None  # 1/m, beyond that at rest
+    max_curvature: float | None  # 1/m, beyond rest
     force: Array  # (D, R, 2) N
-    points: Array  # (D, R, 2) m; NaN where the beam has no stable shape on the branch, or is bent too much
+    points: Array  # (D, R, 2) m; NaN if not stable or bent too much
     q: Array  # (D, R, n) rad, the shapes
 
     @property
     def reached(self) -> BoolArray:
-        """(D, R) whether the force holds the point anywhere."""
+        """(D, R)."""
         return np.isfinite(self.points[..., 0])
 
     @one_blas_thread
     def nearest(self, goal: ArrayLike) -> NearestPoint:
-        """The reachable point nearest to `goal` (2,) m, sought from the nearest samples and from rest.
-
-        It is exact within the bound on the force; where stability or the bound on curvature is the limit, a nearer
-        point may exist.
-        """
+        """The reachable point nearest to `goal` (2,) m: exact at the bound on the force; at other bounds a nearer one
+        may exist."""
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (2,) or not np.all(np.isfinite(wanted)):
             raise ControlError(f"a goal has two finite coordinates [m], got {numbers(wanted)}")
@@ -90,14 +86,14 @@ class ReachableSet:
         return min((self._refine(way, wanted) for way in ways), key=lambda point: point.distance)
 
     def samples_near(self, goal: Array, count: int) -> list[LoadedState]:
-        """Up to `count` sampled equilibria, those with the point nearest to `goal` first."""
+        """Up to `count` equilibria, nearest point first."""
         away = np.linalg.norm(self.points - goal, axis=-1).ravel()
         order = [int(i) for i in np.argsort(away)[:count] if np.isfinite(away[i])]
         q, force = self.q.reshape(-1, self.q.shape[-1]), self.force.reshape(-1, 2)
         return [LoadedState(q[i], np.append(force[i], 0.0)) for i in order]
 
     def _refine(self, way: tuple[LoadedState, ...], goal: Array) -> NearestPoint:
-        """Gauss-Newton in the disc of allowed forces; every step is followed as an equilibrium."""
+        """Gauss-Newton in the disc of forces, followed as equilibria."""
         pushed, least = self.pushed, _LEAST_SHARE_OF_LENGTH * float(self.pushed.problem.length)
         forces = np.eye(2) if len(self.force) > 1 else np.asarray(self.force[0, -1] / self.max_force)[:, None]
         for _ in range(_MOST_STEPS):
@@ -131,10 +127,13 @@ def reachable(
 ) -> ReachableSet:
     """Where forces up to `max_force` [N] at `push_s` can hold the point at `point_s`.
 
-    `max_curvature`: 1/m beyond the curvature at rest, anywhere. `direction`: rad, of the only forces that are given.
-    `directions`, `sizes`: of the sampled forces. `gravity`: (2,) m/s^2 in the beam's frame.
+    Args:
+        max_curvature: 1/m beyond that at rest.
+        direction: rad, the only direction of the force.
+        directions, sizes: numbers of sampled forces.
+        gravity: (2,) m/s^2 in the beam's frame.
 
-    Raises `ControlError`: a place or bound without meaning.
+    Raises `ControlError`: an invalid place or bound.
     """
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
@@ -164,10 +163,8 @@ def _nearer(
     least: float,
     allowed: Callable[[LoadedState], bool] = lambda _: True,
 ) -> EquilibriumPath | None:
-    """A Gauss-Newton step of the point towards a goal, by forces (2, P) of up to `most` N, followed as an equilibrium.
-
-    The first of the `shares` of the step counts that brings the point nearer by `least` m; None where none does.
-    """
+    """A Gauss-Newton step towards a goal by forces (2, P) up to `most` N, followed as an equilibrium; the first of
+    `shares` that approaches by `least` m, or None."""
     s = pushed.response(state)[:2, :2] @ forces
     if not np.all(np.isfinite(s)):
         return None
@@ -182,7 +179,7 @@ def _nearer(
 
 
 def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> Array:
-    """(P,) x that minimises |S x - wanted| with |x| <= radius; one number: with 0 <= x <= radius."""
+    """(P,) x with |x| <= radius that minimises |S x - wanted|; one number: 0 <= x <= radius."""
     if one_sided:
         return np.array([np.clip(float(s[:, 0] @ wanted) / max(float(s[:, 0] @ s[:, 0]), 1e-300), 0.0, radius)])
     u, d, vt = np.linalg.svd(s)
@@ -198,18 +195,18 @@ def best_in_ball(s: Array, wanted: Array, radius: float, *, one_sided: bool) -> 
     return np.asarray(vt.T @ (c / (d**2 + damping)))
 
 
-# A map of the reachable set, made once. Forces are laid out by direction and size and joined to triangles; each goes
-# with a triangle of places of the point. Where neighbouring directions lead to shapes far apart (the beam falls to its
-# other side), the directions between are halved until the gap is narrow, and no triangle goes across. Either side of
-# such a gap the force is turned on until the beam is no longer stable: there is the edge of stability.
+# A map of the reachable set. Forces by direction and size are joined to triangles, each with a triangle of places.
+# Where neighbouring directions lead to distant shapes (the beam falls to its other side), directions are halved until
+# the gap is narrow, and no triangle spans it. On either side the force is turned until stability is lost: the edge of
+# stability.
 
 _DIRECTIONS = 72
-_SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # of the largest force: the first of it bends the beam most
+_SIZES: Array = np.linspace(0.0, 1.0, 13)[1:] ** 1.5  # small forces bend most
 _MOST_SIZES = 40
-_TOO_COARSE = 0.2  # rad: between directions with shapes that differ by more are others: triangles have straight sides
-_SAME_BRANCH = 0.6  # rad: what then still differs by more lies apart
-_ROUNDS = 8  # of halving
-_TURN = np.deg2rad(5.0)  # of a force beyond a gap, at a time; the last time halved thrice
+_TOO_COARSE = 0.2  # rad, between shapes of neighbouring directions
+_SAME_BRANCH = 0.6  # rad, beyond which shapes are on different branches
+_ROUNDS = 8
+_TURN = np.deg2rad(5.0)  # of a force beyond a gap, per step
 _MOST_TURNS = 36
 _INSIDE = -1e-9  # barycentric coordinate
 _MAP_AT_BOUND = 1.0 - 1e-6  # of the largest force
@@ -219,18 +216,16 @@ Edge = Literal["force", "stability"]
 
 @dataclass(frozen=True)
 class MapPlace:
-    """Where a goal lies on a `ReachMap`."""
-
     inside: bool
-    point: Array  # (2,) m: the goal, or the nearest point of the map's edge
-    state: LoadedState  # an equilibrium to first order, near the point
-    near: LoadedState  # an equilibrium of the map beside it
-    edge: Edge | None  # what limits the beam there; None inside
+    point: Array  # (2,) m: the goal, or the nearest edge point
+    state: LoadedState  # to first order
+    near: LoadedState  # an equilibrium of the map
+    edge: Edge | None  # limit; None inside
 
 
 @dataclass(frozen=True)
 class ReachMap:
-    """V sampled equilibria, the first at rest, joined to triangles."""
+    """V equilibria, the first at rest, joined to triangles."""
 
     max_force: float  # N
     force: Array  # (V, 2) N
@@ -240,16 +235,16 @@ class ReachMap:
 
     @cached_property
     def _corners(self) -> tuple[Array, Array]:
-        """(T, 2) m the first corner, (T, 2, 2) from places to barycentric coordinates of the others."""
+        """(T, 2) m first corners, (T, 2, 2) from places to the other barycentric coordinates."""
         a, b, c = (self.points[self.triangles[:, i]] for i in range(3))
         sides = np.stack([b - a, c - a], axis=-1)
         flat = np.abs(np.linalg.det(sides)) < 1e-16
-        sides[flat] = np.eye(2) * 1e-300  # no place lies in it
+        sides[flat] = np.eye(2) * 1e-300  # degenerate: contains no place
         return a, np.asarray(np.linalg.inv(sides))
 
     @cached_property
     def edges(self) -> IntArray:
-        """(E, 2) sides that belong to one triangle alone, in the order of the triangle."""
+        """(E, 2) sides of one triangle only."""
         t = self.triangles
         sides = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
         _, first, count = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
@@ -257,17 +252,16 @@ class ReachMap:
 
     @cached_property
     def edge_is_force(self) -> BoolArray:
-        """(E,) the largest force ends the map there; elsewhere the beam is not stable beyond."""
+        """(E,) whether the edge is the bound on the force; else stability."""
         size = np.linalg.norm(self.force, axis=1)
         return np.asarray(np.all(size[self.edges] >= _MAP_AT_BOUND * self.max_force, axis=1))
 
     def outline(self) -> list[tuple[Array, Edge]]:
-        """Lines (P, 2) m along the edge, each with what limits the beam there."""
         kinds: dict[Edge, BoolArray] = {"force": self.edge_is_force, "stability": ~self.edge_is_force}
         return [(self.points[line], kind) for kind, chosen in kinds.items() for line in _chains(self.edges[chosen])]
 
     def locate(self, goal: Array, now: LoadedState | None = None) -> MapPlace:
-        """Where the goal (2,) m lies; of several forces for it that nearest to the one `now` is taken."""
+        """Where the goal (2,) m lies; of several forces the one nearest to `now`."""
         a, inverse = self._corners
         others = np.einsum("tij,tj->ti", inverse, goal - a)
         weights = np.column_stack([1.0 - others.sum(axis=1), others])
@@ -298,8 +292,6 @@ class ReachMap:
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Equilibria under forces of D directions and R sizes; NaN in `points` where there is none."""
-
     force: Array  # (D, R, 2) N
     q: Array  # (D, R, n) rad
     points: Array  # (D, R, 2) m
@@ -307,7 +299,7 @@ class _Sheet:
 
 @one_blas_thread
 def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
-    """The map of all forces up to `max_force` [N] at the push. Raises `ControlError` for a bound without meaning."""
+    """For forces up to `max_force` [N]. Raises `ControlError` for an invalid bound."""
     if not (max_force > 0.0 and np.isfinite(max_force)):
         raise ControlError(f"the largest force must be positive, got {max_force:g} N")
     sheet = _grown(pushed, max_force)
@@ -322,7 +314,7 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
                 continue
             more = _turned_on(pushed, sheet, int(side), chosen, way)
             joined = np.arange(count, count + more.points[..., 0].size)
-            joined[: len(chosen)] = 1 + side * sizes + chosen  # where it begins are the vertices of that direction
+            joined[: len(chosen)] = 1 + side * sizes + chosen  # vertices of the direction where it begins
             vertices.append(more)
             triangles.append(joined[_near(pushed, more, _quads(np.isfinite(more.points[..., 0]), None, cyclic=False))])
             count += len(joined)
@@ -337,7 +329,7 @@ def reach_map(pushed: PushedBeam, max_force: float) -> ReachMap:
 
 
 def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
-    """Forces that grow from rest in all directions, close enough together for triangles with straight sides."""
+    """Forces from rest in all directions, dense enough for straight triangle sides."""
     turns, sizes = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False), max_force * _SIZES
     q, points = _sampled(pushed, turns, sizes)
     for _ in range(2):
@@ -363,14 +355,13 @@ def _grown(pushed: PushedBeam, max_force: float) -> _Sheet:
 
 
 def _merged(values: Array, more: Array) -> tuple[Array, IntArray]:
-    """Both, rising, and the order that they are then in."""
     every = np.concatenate([values, more])
     order = np.argsort(every, kind="stable")
     return every[order], order
 
 
 def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, way: float) -> _Sheet:
-    """From direction `side` on, the forces of these sizes turned further (`way` 1: counter-clockwise) while stable."""
+    """Turns forces beyond direction `side` while stable."""
     columns = [_column(pushed, sheet, side, int(r), way) for r in sizes]
     shape = (max(map(len, columns)), len(columns))
     force, points = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
@@ -382,13 +373,12 @@ def _turned_on(pushed: PushedBeam, sheet: _Sheet, side: int, sizes: IntArray, wa
 
 
 def _near(pushed: PushedBeam, sheet: _Sheet, triangles: IntArray) -> IntArray:
-    """Those triangles whose three shapes are of one branch."""
     shapes = sheet.q.reshape(-1, sheet.q.shape[-1])[triangles] @ pushed.b.T
     return np.asarray(triangles[np.max(np.ptp(shapes, axis=1), axis=-1) < 2.0 * _SAME_BRANCH])
 
 
 def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) -> list[LoadedState]:
-    """One force turned until the beam would fall; the end is found to an eighth of a step."""
+    """One force turned until the beam would fall, to an eighth of a step."""
     state = LoadedState(sheet.q[side, r], np.append(sheet.force[side, r], 0.0))
     begin, size = float(np.arctan2(*sheet.force[side, r][::-1])), float(np.hypot(*sheet.force[side, r]))
     found, turned, step = [state], 0.0, _TURN
@@ -405,12 +395,11 @@ def _column(pushed: PushedBeam, sheet: _Sheet, side: int, r: int, way: float) ->
 
 
 def _forces(turns: Array, sizes: Array) -> Array:
-    """(D, R, 2) N."""
     return np.asarray(sizes[None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)[:, None])
 
 
 def _sampled(pushed: PushedBeam, turns: Array, sizes: Array) -> tuple[Array, Array]:
-    """(D, R, n) rad the shapes, (D, R, 2) m the point; NaN where no stable shape grows from rest."""
+    """(D, R, n) rad shapes, (D, R, 2) m the point; NaN if not stable."""
     force = _forces(turns, sizes).reshape(-1, 2)
     loads = push(force, pushed.push_s) + weight(pushed.gravity)
     solved = follow(make_problem(pushed.beam, loads, pushed.resolution))
@@ -421,7 +410,7 @@ def _sampled(pushed: PushedBeam, turns: Array, sizes: Array) -> tuple[Array, Arr
 
 
 def _apart(pushed: PushedBeam, q: Array, points: Array, most: float) -> BoolArray:
-    """(D, R) the shapes of a direction and the next, one of the two unknown or both more than `most` rad apart."""
+    """(D, R) whether the next direction's shape is unknown or differs by more than `most` rad."""
     turned = np.max(np.abs((np.roll(q, -1, axis=0) - q) @ pushed.b.T), axis=-1)
     known = np.isfinite(points[..., 0])
     both, neither = known & np.roll(known, -1, axis=0), ~known & ~np.roll(known, -1, axis=0)
@@ -429,7 +418,7 @@ def _apart(pushed: PushedBeam, q: Array, points: Array, most: float) -> BoolArra
 
 
 def _fan(sheet: _Sheet, apart: BoolArray) -> IntArray:
-    """(T, 3) triangles between rest, vertex 0, and the smallest forces."""
+    """(T, 3) triangles of rest (vertex 0) and the smallest forces."""
     known = np.isfinite(sheet.points[:, 0, 0])
     count, sizes = sheet.points.shape[:2]
     here = 1 + np.arange(count) * sizes
@@ -438,7 +427,7 @@ def _fan(sheet: _Sheet, apart: BoolArray) -> IntArray:
 
 
 def _quads(known: BoolArray, apart: BoolArray | None, *, cyclic: bool) -> IntArray:
-    """(T, 3) triangles between directions that follow one another and sizes that do, from vertex 0 on."""
+    """(T, 3) triangles between neighbouring directions and sizes."""
     count, sizes = known.shape
     d, r = np.meshgrid(np.arange(count if cyclic else count - 1), np.arange(sizes - 1), indexing="ij")
     here, there = d * sizes + r, (d + 1) % count * sizes + r
@@ -454,7 +443,6 @@ def _quads(known: BoolArray, apart: BoolArray | None, *, cyclic: bool) -> IntArr
 
 
 def _chains(edges: IntArray) -> list[list[int]]:
-    """Edges (E, 2) that follow one another, as lines of vertices."""
     after: dict[int, list[int]] = {}
     for i, (begin, _) in enumerate(edges.tolist()):
         after.setdefault(begin, []).append(i)
@@ -473,63 +461,55 @@ def _chains(edges: IntArray) -> list[list[int]]:
     return lines
 
 
-# A point of a beam that is dragged. A goal inside the map is a Newton's method away from where the beam stands or from
-# the map; a goal outside is answered by the map's nearest edge, from where the point slides nearer as long as the force
-# allows it. There is no search.
+# A dragged point. A goal inside the map is solved by Newton's method from the present shape or the map; for a goal
+# outside, the point slides along the map's edge.
 
-_TRUST = 0.4  # rad: a step that turns the beam by more anywhere may have left the branch
-_SHORTEST_EDGE_STEP = 1e-3  # of the way to a force of the map's edge
-_SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)  # of the way of a hand that cannot go all of it
+_TRUST = 0.4  # rad: a larger turn may leave the branch
+_SHORTEST_EDGE_STEP = 1e-3  # of the way to a force of the edge
+_SHARES = (1.0, 0.5, 0.25, 0.125, 0.03)
 _ON_GOAL = 1e-6  # m
-_SLIDES = 8  # steps towards a goal that Newton's method does not find, or that is out of reach
+_SLIDES = 8
 _LEAST_DRAG = 1e-7  # m, of such a step
-_DRAG_AT_BOUND = 0.999  # of the largest force
-_OVER = 1.0 + 1e-9  # times a bound
+_DRAG_AT_BOUND = 0.999
+_OVER = 1.0 + 1e-9
 
 
 @dataclass(frozen=True)
 class DragAnswer:
-    """Where the beam stands after a drag."""
-
     goal: Array  # (2,) m, or (3,) m, m, rad
-    pose: Array  # (3,) m, m, rad: the dragged point and the tangent's angle there
+    pose: Array  # (3,) m, m, rad
     state: LoadedState
-    margin: float  # smallest eigenvalue of the scaled tangent: 1 without loads, 0 where the beam loses its stability
-    limit: Edge | None  # why the point is not on its goal; None where it is
+    margin: float  # smallest eigenvalue of the scaled tangent: 1 without loads, 0 at loss of stability
+    limit: Edge | None  # why the point is off its goal
 
     @property
     def away(self) -> float:
-        """m, of the point from its goal."""
+        """m, from the goal."""
         return float(np.hypot(*(self.pose - self.goal[:3] if len(self.goal) > 3 else self.pose[:2] - self.goal[:2])))
 
 
 class _Hand:
-    """A beam that is led, and where it stands now. Not for two threads at once."""
+    """Stateful, for one thread."""
 
-    holds = False  # the end's angle as well as its place
+    holds = False  # also holds the end's angle
 
     def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
         self.pushed, self.state, self.max_force = pushed, start, max_force
 
     def answer(self, goal: Array, limit: Edge | None = None) -> DragAnswer:
-        """How the beam stands now."""
         margin = stability_margin(self.pushed, self.state, held=self.holds)
         return DragAnswer(goal, self.pushed.pose(self.state.q), self.state, margin, limit)
 
 
 class DraggedPoint(_Hand):
-    """A point that a force at one place leads."""
-
     def __init__(self, pushed: PushedBeam, max_force: float) -> None:
         super().__init__(pushed, pushed.start, max_force)
-        self.map: ReachMap | None = None  # until it is there only Newton's method answers
+        self.map: ReachMap | None = None  # until then Newton's method only
 
     @one_blas_thread
     def to(self, goal: ArrayLike) -> DragAnswer:
-        """The beam with its point on `goal` (2,) m, or as near as the force may bring it.
-
-        Raises `ControlError` for a goal without meaning.
-        """
+        """The beam with its point on `goal` (2,) m, or as near as possible. Raises `ControlError` for an invalid
+        goal."""
         wanted = checked_goal(goal, ReachSettings())
         limit: Edge | None = None
         if self.map is None:
@@ -547,10 +527,8 @@ class DraggedPoint(_Hand):
 
     @one_blas_thread
     def under(self, force: ArrayLike) -> DragAnswer:
-        """The beam under a force (2,) N, reached from rest as it grows; at the last stable shape where there is none.
-
-        Raises `ControlError` for a force without meaning.
-        """
+        """The beam under a force (2,) N grown from rest, or at its last stable shape. Raises `ControlError` for an
+        invalid force."""
         load = np.append(np.asarray(force, dtype=float), 0.0)
         if load.shape != (3,) or not np.isfinite(load).all():
             raise ControlError("a force has two finite components [N]")
@@ -561,7 +539,7 @@ class DraggedPoint(_Hand):
         return self.answer(self.pushed.pose(self.state.q)[:2], limit)
 
     def _approach(self, goal: Array) -> bool:
-        """Nearer to a goal by forces within the bound, each step followed as an equilibrium; whether it got there."""
+        """Approaches a goal within the bound, step by step; whether it arrived."""
         for _ in range(_SLIDES):
             way = _nearer(self.pushed, self.state, goal, self.max_force, np.eye(2), (1.0, 0.3, 0.1), 0.05, _LEAST_DRAG)
             if way is None:
@@ -582,22 +560,18 @@ class DraggedPoint(_Hand):
 
 
 class HeldEnd(_Hand):
-    """A hand that holds the end s = 1 at a place and an angle."""
-
     holds = True
 
     def __init__(self, pushed: PushedBeam, start: LoadedState, max_force: float) -> None:
-        """`start`: an equilibrium under a force at the end, which the hand takes over.
-
-        Raises `ControlError` where the beam is not pushed at its end.
-        """
+        """`start`: an equilibrium under a force at the end. Raises `ControlError` if the beam is not pushed at its
+        end."""
         if (pushed.push_s, pushed.point_s) != (1.0, 1.0):
             raise ControlError("a hand holds the end of the beam: s = 1")
         super().__init__(pushed, start, max_force)
 
     @one_blas_thread
     def to(self, goal: ArrayLike) -> DragAnswer:
-        """The beam with its end at `goal` (3,) m, m, rad, or as far on the straight way there as it is stable."""
+        """The beam with its end at `goal` (3,) m, m, rad, or as far on the straight way as it is stable."""
         wanted = checked_goal(goal, ReachSettings(moment=True))
         if len(wanted) != 3:
             raise ControlError("a hand holds a place and an angle: a goal is (x, y, angle)")
@@ -612,7 +586,7 @@ class HeldEnd(_Hand):
         return self.answer(wanted, limit or "stability")
 
     def _step(self, wanted: Array) -> Edge | None:
-        """One step towards the pose, as long as it may be; what forbids to go on, or None."""
+        """Returns the limit, or None."""
         limit: Edge | None = None
         here = self.pushed.pose(self.state.q)
         for share in _SHARES:
@@ -622,7 +596,7 @@ class HeldEnd(_Hand):
         return self._slide(wanted) or limit
 
     def _slide(self, wanted: Array) -> Edge | None:
-        """Along the bound on the force, where the angle is as wanted; "force" where that leads nearer."""
+        """Along the bound on the force at the wanted angle; "force" if that leads nearer."""
         here = self.pushed.pose(self.state.q)
         s = self.pushed.response(self.state)
         if abs(wanted[2] - here[2]) > 1e-3 or not np.isfinite(s).all() or not s[2, 2] > 0.0:
@@ -639,11 +613,11 @@ class HeldEnd(_Hand):
 
     @one_blas_thread
     def edge(self, directions: int = 36, step: float = 0.04) -> list[tuple[Array, Edge]]:
-        """How far the hand gets from here if it goes straight and does not turn: (2,) m, and what ends the way.
+        """How far the hand can go straight without turning: (2,) m, and the limit.
 
         Args:
-            directions: in which it goes.
-            step: of L, by which it goes; the last is halved three times.
+            directions: of the way.
+            step: of L; the last is halved three times.
         """
         here, begin, length = self.pushed.pose(self.state.q), self.state, float(self.pushed.problem.length)
         ends: list[tuple[Array, Edge]] = []
@@ -672,10 +646,8 @@ class HeldEnd(_Hand):
 
 
 def stability_margin(pushed: PushedBeam, state: LoadedState, *, held: bool = False) -> float:
-    """The smallest eigenvalue of the scaled tangent; `held`: on changes that leave the end's pose as it is.
-
-    Without loads it is 1 whatever k(s); at 0 the beam buckles or falls.
-    """
+    """Smallest eigenvalue of the scaled tangent, with `held` on changes that keep the end's pose: 1 without loads, 0 at
+    buckling."""
     _, tangent, cos, sin = pushed.balance(state.q, state.load)
     scale = 1.0 / np.sqrt(pushed.stiff)
     matrix = scale[:, None] * np.tril(tangent) * scale

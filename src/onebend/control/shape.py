@@ -1,4 +1,4 @@
-"""Forces, or poses of a gripper, that bring a beam as close as it can be to a wanted shape."""
+"""Forces, or gripper poses, that bring a beam closest to a wanted shape."""
 
 from __future__ import annotations
 
@@ -21,24 +21,21 @@ from onebend.options import NOT_NEGATIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-# Actuators on a beam, and the equilibria they can hold: a smooth surface with as many dimensions as controls.
+# Actuators and their equilibria: a smooth surface with as many dimensions as controls,
 #
 #     g(q, u) = g0(q) - A(q)^T u = 0,
 #
-# u: forces of the pushers (dead loads), and force and moment of a grip that holds the end; A: derivative of the places
-# where they act. With forces alone, the surface (q, u) is a graph over u as long as the beam is stable. A gripped beam
-# can be stable where one under the same dead wrench has buckled, and its surface is not everywhere a graph over wrench
-# or pose. So steps are taken in the surface's tangent plane and then corrected at right angles to it.
+# u: forces of pushers (dead loads), force and moment of a grip; A: derivative of their places. With forces alone the
+# surface is a graph over u while the beam is stable. With a grip it is not everywhere a graph over wrench or pose; so
+# steps are taken in its tangent plane and corrected at right angles.
 
-_LAST_UPDATE = 1e-11  # rad, of a correction's last update
-_MOST_ITERATIONS = 12  # Newton iterations of a correction
-_RANK_TOLERANCE = 1e-9  # share of the largest singular value below which one is nothing
+_LAST_UPDATE = 1e-11  # rad
+_MOST_ITERATIONS = 12
+_RANK_TOLERANCE = 1e-9  # of the largest singular value
 
 
 @dataclass(frozen=True)
 class Pusher:
-    """An actuator that pushes at `at_s` with a force no larger than `max_force` [N]."""
-
     at_s: float = 1.0
     max_force: float = np.inf
 
@@ -51,7 +48,7 @@ class Pusher:
 
 @dataclass(frozen=True)
 class Grip:
-    """An actuator that holds the end s = 1 at a position and an angle; its force and moment may be bounded."""
+    """Holds s = 1 at a position and an angle."""
 
     max_force: float = np.inf  # N
     max_moment: float = np.inf  # N m
@@ -72,27 +69,25 @@ class LoadBound:
 
 @dataclass(frozen=True)
 class Actuators:
-    """All actuators on one beam. Controls u: the pushers' forces in turn, then the grip's force and moment."""
+    """Controls u: pushers' forces, then the grip's force and moment."""
 
-    problem: Problem  # one frame, under the weight alone; an edge at every push
+    problem: Problem  # one frame, under weight; an edge at every push
     pushes: tuple[Pusher, ...]
     grip: Grip | None
 
     @property
     def count(self) -> int:
-        """m, the number of controls."""
         return 2 * len(self.pushes) + (0 if self.grip is None else 3)
 
     @property
     def scale(self) -> Array:
-        """(m,) N, N m: the controls' natural units, mean k over L and mean k."""
+        """(m,) N, N m: natural units, mean k over L and mean k."""
         stiff = self.mean_stiffness
         forces = np.full(2 * len(self.pushes) + (0 if self.grip is None else 2), stiff / float(self.problem.length))
         return forces if self.grip is None else np.append(forces, stiff)
 
     @cached_property
     def mean_stiffness(self) -> float:
-        """N m."""
         return float(np.sum(self.problem.weights * self.problem.k))
 
     @cached_property
@@ -103,7 +98,6 @@ class Actuators:
 
     @property
     def bounds(self) -> tuple[LoadBound, ...]:
-        """The limits that are finite."""
         every = [
             LoadBound(slice(2 * i, 2 * i + 2), pusher.max_force, f"force at s = {pusher.at_s:g}")
             for i, pusher in enumerate(self.pushes)
@@ -115,51 +109,47 @@ class Actuators:
         return tuple(bound for bound in every if np.isfinite(bound.most))
 
     def loaded(self, u: Array) -> Problem:
-        """The problem with the controls u (T, m) as dead loads."""
+        """With the controls u (T, m) as dead loads."""
         p, last = self.problem, self.count if self.grip is None else self.count - 1
         force = np.stack([u[:, i:last:2] @ self.beyond[i:last:2] for i in (0, 1)], axis=-1)
         moment = p.moment + (0.0 if self.grip is None else u[:, -1:])
         return replace(p, dead_force=p.dead_force + force, moment=np.broadcast_to(moment, force.shape[:2]))
 
     def solved(self, q: Array, u: Array) -> Equilibrium:
-        """Known equilibria q (T, Q) under the controls u (T, m), as the mechanics has them."""
+        """Known equilibria q (T, Q) under u (T, m)."""
         return found_near(self.loaded(u), q, np.ones(len(q), dtype=bool))
 
 
 @dataclass(frozen=True)
 class BeamState:
-    """One equilibrium of the beam under its actuators."""
-
     actuators: Actuators
     q: Array  # (Q,)
     u: Array  # (m,)
 
     @cached_property
     def solved(self) -> Equilibrium:
-        """The equilibrium with the controls as dead loads. For stability see `margin`."""
+        """With the controls as dead loads; for stability see `margin`."""
         return self.actuators.solved(self.q[None], self.u[None])
 
     @cached_property
     def tangent(self) -> Array:
-        """(Q, Q), scaled: `D T D`, D = 1 / sqrt(w k)."""
+        """(Q, Q) `D T D`, D = 1 / sqrt(w k)."""
         return np.asarray(scaled(self.solved.problem, tangent(self.solved.problem, self.q[None]))[0])
 
     @cached_property
     def actions(self) -> Array:
-        """(m, Q), scaled: `A D`, rows over the controls' units so that they are numbers about 1."""
+        """(m, Q) `A D`, over the controls' units."""
         return np.asarray(actions(self.actuators, self.solved)[0] * self.unbend)
 
     @property
     def unbend(self) -> Array:
-        """(Q,) D: scaled curvature to curvature."""
+        """(Q,) D."""
         return self.actuators.problem.unbend
 
     @cached_property
     def plane(self) -> tuple[Array, Array]:
-        """(Q, m) and (m, m): how curvature [rad] and controls [N, N m] change along the tangent plane.
-
-        Orthonormal in curvature over `sqrt(mean k)` with weights `w k`, and in controls over their units.
-        """
+        """(Q, m) and (m, m): curvature [rad] and controls [N, N m] along the tangent plane, orthonormal in scaled
+        units."""
         unit = self.actuators.scale / np.sqrt(self.actuators.mean_stiffness)
         rows = np.concatenate([self.tangent, -(self.actions.T * unit)], axis=1)
         basis = np.linalg.qr(rows.T, mode="complete")[0][:, len(self.q) :]
@@ -168,26 +158,25 @@ class BeamState:
 
     @cached_property
     def margin(self) -> float:
-        """The smallest eigenvalue of the scaled tangent, on changes that leave a gripped end where it is.
+        """Smallest eigenvalue of the scaled tangent on changes that keep a gripped end.
 
-        1 without loads whatever k(s); 0 where the beam buckles. Were all loads to grow with the shape as it is, it
-        would buckle at `1 / (1 - margin)` times them.
+        1 without loads, 0 at buckling. With the shape fixed, `1 / (1 - margin)` times the loads would buckle it.
         """
         matrix = self.tangent
         if self.actuators.grip is not None:
-            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # of a straight beam, nothing moves the end along it
+            _, sizes, rows = np.linalg.svd(self.actions[-3:])  # nothing moves a straight beam's end along it
             free = rows[int(np.sum(sizes > _RANK_TOLERANCE * sizes[0])) :]
             matrix = free @ matrix @ free.T
         return float(np.linalg.eigvalsh(matrix)[0])
 
     @property
     def end(self) -> Array:
-        """(3,) x, y [m] and angle of the end s = 1."""
+        """(3,) x, y [m], angle of s = 1."""
         return np.asarray(end_pose(self.actuators.problem, self.q[None])[0])
 
 
 def actions(actuators: Actuators, solved: Equilibrium) -> Array:
-    """(T, m, Q) A: derivative of the pushed places' positions and the gripped end's pose with the curvature."""
+    """(T, m, Q) A: positions of pushed places and pose of the gripped end, by the curvature."""
     problem, alpha = solved.problem, solved.alpha
     count = 2 * len(actuators.pushes)
     turning = np.empty((len(alpha), count, alpha.shape[1]))
@@ -202,10 +191,9 @@ def actions(actuators: Actuators, solved: Equilibrium) -> Array:
 def resting_state(
     beam: Rod, pushes: tuple[Pusher, ...], grip: Grip | None, gravity: ArrayLike | None, resolution: Resolution
 ) -> BeamState:
-    """The beam under its weight, with actuators that do nothing.
+    """Under weight alone.
 
-    Raises `ControlError`: no actuator, or a beam that buckles under its own weight; `MechanicsError`: the beam has a
-    thickness: stretch and shear are not known here.
+    Raises `ControlError`: no actuator, or buckling under weight. Raises `MechanicsError`: a beam with a thickness.
     """
     if not pushes and grip is None:
         raise ControlError("no actuator on the beam: give a push or a grip")
@@ -221,10 +209,8 @@ def resting_state(
 
 
 def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
-    """The equilibrium after a step z (m,) in the tangent plane; None if none was found within `trust` rad.
-
-    With forces alone the controls are the step's end, exactly; with a grip the way back is square to the plane.
-    """
+    """The equilibrium after a step z (m,) in the tangent plane; None if not within `trust` rad. Forces alone are then
+    exact; with a grip the correction is perpendicular."""
     actuators, (dq, du) = state.actuators, state.plane
     q, u, count = state.q + dq @ z, state.u + du @ z, len(state.q)
     problem, unit, root = actuators.problem, actuators.scale, np.sqrt(actuators.mean_stiffness)
@@ -253,30 +239,30 @@ def next_state(state: BeamState, z: Array, trust: float) -> BeamState | None:
     return None
 
 
-_MOST_DUAL_ITERATIONS = 60  # iterations for the multipliers
-_BOUND_TOLERANCE = 1e-12  # share of a bound to which it is kept
-_FLAT_TO_NEWTON = 1e-11  # share of the largest curvature of the cost below which it counts as flat
+_MOST_DUAL_ITERATIONS = 60
+_BOUND_TOLERANCE = 1e-12  # of a bound
+_FLAT_TO_NEWTON = 1e-11  # of the cost's largest curvature
 
 
 @dataclass(frozen=True)
 class QuadraticModel:
-    """The cost near an equilibrium, in coordinates z of its tangent plane: `slope . z + z H z / 2`."""
+    """Cost near an equilibrium in its tangent plane: `slope . z + z H z / 2`."""
 
     slope: Array  # (m,)
-    hessian: Array  # (m, m), exact: with the curvature of the surface itself
+    hessian: Array  # (m, m)
 
 
 def model_of(state: BeamState, residuals: TargetResiduals) -> QuadraticModel:
-    """The cost half the sum of squares, to second order along the surface.
+    """Half the sum of squares, to second order along the surface.
 
-    With the multipliers l of equilibrium, `T l = -r_q^T r` (and with a grip `A l = 0`, both as nearly as can be), the
-    Hessian of `|r|^2 / 2 + l . g` is taken on the tangent plane.
+    With the multipliers l, `T l = -r_q^T r` (and `A l = 0` with a grip, least squares), the Hessian of
+    `|r|^2 / 2 + l . g` on the tangent plane.
     """
     dq, du = state.plane
     b, solved = state.actuators.problem.to_nodes, state.solved
     turned = b @ multipliers(state, residuals)
     across = nodal_forces(solved.problem, solved.q).across
-    flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turn of the nodes
+    flow, seen = b @ dq, residuals.jacobian[0] @ dq  # (Q, m) turns
     bent = flow.T @ ((residuals.curvature_term[0] + across[0] * turned)[:, None] * flow)
     coupled = du.T @ control_coupling(state.actuators, solved.alpha, turned[None])[0] @ flow
     return QuadraticModel(seen.T @ residuals.value[0], seen.T @ seen + bent + coupled + coupled.T)
@@ -293,7 +279,7 @@ def multipliers(state: BeamState, residuals: TargetResiduals) -> Array:
 
 
 def control_coupling(actuators: Actuators, alpha: Array, turned: Array) -> Array:
-    """(T, m, Q) derivative of `-u . A l` with the controls and the nodes' angles; `turned` (T, Q) is B l."""
+    """(T, m, Q) derivative of `-u . A l` by controls and node angles; `turned` (T, Q) is B l."""
     problem, forces = actuators.problem, actuators.count - (0 if actuators.grip is None else 1)
     out = problem.length * problem.weights * actuators.beyond * turned[:, None]
     out[:, 0:forces:2] *= np.cos(alpha)[:, None]
@@ -303,7 +289,7 @@ def control_coupling(actuators: Actuators, alpha: Array, turned: Array) -> Array
 
 
 def convex(hessian: Array, damping: float) -> Array:
-    """The Hessian with its negative curvatures turned positive, and `damping` added: steps lead away from saddles."""
+    """Absolute eigenvalues plus `damping`."""
     values, vectors = np.linalg.eigh(hessian)
     size = np.maximum(np.abs(values), _FLAT_TO_NEWTON * np.max(np.abs(values)) + 1e-300) + damping
     return np.asarray((vectors * size) @ vectors.T)
@@ -312,10 +298,9 @@ def convex(hessian: Array, damping: float) -> Array:
 def bounded_step(
     slope: Array, hessian: Array, u: Array, du: Array, bounds: tuple[LoadBound, ...]
 ) -> tuple[Array, Array]:
-    """(m,) minimum of `slope . z + z H z / 2` with every bounded part of `u + du z` within its bound; (n,) multipliers.
+    """(m,) minimum of `slope . z + z H z / 2` with bounded `u + du z`; (n,) multipliers.
 
-    Newton's method on the multipliers of the bounds that bind, in the form in which it hardly overshoots: the
-    reciprocal size of a bounded part is nearly linear in its multiplier.
+    Newton's method on the active bounds' multipliers; the reciprocal size of a bounded part is nearly linear in them.
     """
     prices = np.zeros(len(bounds))
     parts = [(u[bound.columns], du[bound.columns], bound.most) for bound in bounds]
@@ -340,7 +325,6 @@ def bounded_step(
 
 
 def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
-    """The share of a step that stays within all bounds to rounding, where the multipliers did not settle."""
     share = 1.0
     for _ in range(60):
         if all(
@@ -351,42 +335,40 @@ def _share(z: Array, parts: list[tuple[Array, Array, float]]) -> float:
     return share
 
 
-_LAST_STEP = 1e-9  # rad, of the last step
-_BELOW_ROUNDING = 1e-6  # rad: below, the cost's own rounding hides whether a step helps
-_EDGE_MARGIN = 1.1  # times the least margin: where steps on are barred, the search ends
-_FIRST_DAMPING = 1e-5  # share of the cost's curvature, after a step that failed
-_RETURN_SHARE = 0.5  # share of a step's turn that the way back to the surface may add
+_LAST_STEP = 1e-9  # rad
+_BELOW_ROUNDING = 1e-6  # rad: below, rounding of the cost hides progress
+_EDGE_MARGIN = 1.1  # times the least margin
+_FIRST_DAMPING = 1e-5  # of the cost's curvature, after a failed step
+_RETURN_SHARE = 0.5  # of a step's turn
 
 
 @dataclass(frozen=True)
 class DescentSettings:
-    """Settings of the descent. Angles in radians."""
+    """Angles in radians."""
 
-    stride: float = 0.5  # the largest turn of a step
-    most: int = 200  # steps
+    stride: float = 0.5  # turn per step
+    most: int = 200
     damping: float = 1e-3  # of the first step, as a share of the cost's curvature
-    least_margin: float = 1e-3  # of stability, see `grip.Stand.margin`
+    least_margin: float = 1e-3  # see `BeamState.margin`
 
 
 @dataclass(frozen=True)
 class DescentResult:
-    """Where a search ended."""
-
     state: BeamState
     residuals: TargetResiduals
-    multipliers: Array  # (n,) of the bounds in `state.actuators.bounds`; positive where one holds the shape back
+    multipliers: Array  # (n,) of `state.actuators.bounds`; positive if active
     converged: bool
     near_buckling: bool  # instability stopped the descent
     steps: int
 
     @property
     def cost(self) -> float:
-        """Sum of the weighted squares, lengths over L."""
+        """Weighted squares, over L."""
         return float(self.residuals.cost[0])
 
 
 def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSettings) -> DescentResult:
-    """Newton's method with a bound on the turn; a step counts if the cost falls and the beam is stable there."""
+    """Newton's method with bounded turn; a step must lower the cost and be stable."""
     state, residuals = start, target_residuals(start.solved, targets, arm)
     bounds, damping = start.actuators.bounds, settings.damping
     multipliers, barred, price = np.zeros(len(bounds)), False, 0.0
@@ -422,43 +404,37 @@ def descend(start: BeamState, targets: Targets, arm: float, settings: DescentSet
 
 
 def _turn(state: BeamState, z: Array) -> float:
-    """rad, the largest turn of a node."""
     return float(np.max(np.abs(state.actuators.problem.to_nodes @ (state.plane[0] @ z))))
 
 
 def _merit(state: BeamState, residuals: TargetResiduals, price: float) -> float:
-    """Half the cost, and what lies beyond the bounds at its price."""
+    """Half the cost plus penalty."""
     beyond = [np.linalg.norm(state.u[bound.columns]) / bound.most - 1.0 for bound in state.actuators.bounds]
     return 0.5 * float(residuals.cost[0]) + price * float(np.sum(np.maximum(beyond, 0.0)))
 
 
 @dataclass(frozen=True)
 class ShapeSpread:
-    """Standard deviations of the shape at N places, given the forces of the pushes and the pose of the grip."""
+    """sds of the shape at N places, given the pushes' forces and the grip's pose."""
 
     xy: Array  # (N, 2) m
     angle: Array  # (N,) rad
-    wrench: Array | None  # (3,) N, N, N m: of what the gripper has to put on the beam; None without one
+    wrench: Array | None  # (3,) N, N, N m of the gripper, if any
 
     @property
     def rms(self) -> float:
-        """m, of the positions, over all places."""
+        """m, over all places."""
         return float(np.sqrt(np.mean(np.sum(self.xy**2, axis=1))))
 
 
 def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSpread:
-    """The spread at places s (N,).
-
-    A gripped end stays where it is, whatever k(s): a common factor of k then changes the wrench, and not the shape
-    (without weight).
-    """
+    """At places s (N,). With a grip a common factor of k changes the wrench and not the shape (without weight)."""
     problem, solved = state.actuators.problem, state.solved
     basis = uncertain.basis(problem.grid.nodes)
     strain = problem.weights * problem.k * (state.q - problem.q0)
     right = -(state.unbend * strain)[:, None] * np.column_stack([basis, np.ones(len(strain))])
     held = 0 if state.actuators.grip is None else 3
     count = len(strain)
-    # Controls in their units, curvature scaled: all entries are numbers about 1.
     unit = state.actuators.scale[state.actuators.count - held :]
     rows = state.actions[state.actuators.count - held :]
     system = np.zeros((count + held, count + held))
@@ -478,79 +454,74 @@ def spread(state: BeamState, s: Array, uncertain: UncertainStiffness) -> ShapeSp
     return ShapeSpread(np.stack([sd(x), sd(y)], axis=-1), sd(to @ dq), wrench)
 
 
-_FINEST_PANEL = 1.0 / 16.0  # widest panel at the end of refinement
-_TARGETS_MET = 1e-9  # of the beam's length, rms: targets are met, no further start is tried
-_ACTIVE_BOUND = 1e-6  # share of a bound within which it is active
-_OPEN_FREEDOM = 1e-9  # share of the largest curvature of the cost below which a freedom is open
-_RANDOM_LOAD_SIZE = 1.5  # size of the further starts' controls, in units of mean k over L
+_FINEST_PANEL = 1.0 / 16.0
+_TARGETS_MET = 1e-9  # of L, RMS: no further start
+_ACTIVE_BOUND = 1e-6  # share of a bound
+_OPEN_FREEDOM = 1e-9  # of the cost's largest curvature
+_RANDOM_LOAD_SIZE = 1.5  # of random starts, in mean k over L
 
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """Settings of the search for a shape."""
-
     arm: float | None = option(
         "--arm-m",
         None,
-        "An error of 1 rad counts as one of so many metres; default: L.",
+        "An error of 1 rad counts as an error of this many metres; default: L.",
         metavar="M",
         within=NOT_NEGATIVE,
     )
-    starts: int = 6  # where the first search, from rest, does not meet the targets: further ones, from bent shapes
-    seed: int = 0  # of those shapes
-    warn_margin: float = 0.1  # of stability, below which is warned
+    starts: int = 6  # if the targets are not met from rest
+    seed: int = 0
+    warn_margin: float = 0.1
     descent: DescentSettings = field(default_factory=DescentSettings)
-    # To begin with; it is refined at the end.
     resolution: Resolution = field(default_factory=lambda: Resolution(order=16, widest=0.5))
 
 
 @dataclass(frozen=True)
 class ShapeResult:
-    """The closest shape that was found, and the loads that hold it."""
-
     targets: Targets
     state: BeamState
-    xy_error: Array  # (N, 2) m: where the shape is less where it is wanted; NaN where of no concern
+    xy_error: Array  # (N, 2) m: shape less target; NaN where free
     angle_error: Array  # (N,) rad
-    rms: float  # m: root of the weighted mean square, angles times the arm: as close as physics and the limits allow
-    spread: ShapeSpread | None  # what the band on k(s) makes of the shape; None where no band was given
-    limits: tuple[str, ...]  # the limits that hold the shape back
-    open_freedoms: int  # directions in which the controls may change without a change of the sum of squares
-    converged: bool  # no stable shape nearby is closer
-    starts: int  # searches made
+    rms: float  # m: weighted RMS, angles times the arm
+    spread: ShapeSpread | None  # due to the band on k(s), if given
+    limits: tuple[str, ...]  # active limits
+    open_freedoms: int  # directions of the controls that do not change the cost
+    converged: bool  # no closer stable shape nearby
+    starts: int
     warnings: tuple[str, ...]
 
     @property
     def forces(self) -> Array:
-        """(a, 2) N: the pushes' forces on the beam."""
+        """(a, 2) N."""
         return np.asarray(self.state.u[: 2 * len(self.state.actuators.pushes)].reshape(-1, 2))
 
     @property
     def wrench(self) -> Array | None:
-        """(3,) N, N, N m: what the gripper puts on the beam; None without one."""
+        """(3,) N, N, N m on the beam, if gripped."""
         return None if self.state.actuators.grip is None else self.state.u[-3:]
 
     @property
     def pose(self) -> Array:
-        """(3,) m, m, rad: the end s = 1; with a grip, where the gripper is to be."""
+        """(3,) m, m, rad: end, or gripper."""
         return self.state.end
 
     @property
     def margin(self) -> float:
-        """Smallest eigenvalue of the tangent over that without loads: 1 far from buckling, 0 where it buckles."""
+        """Smallest eigenvalue of the tangent over that without loads; 0 at buckling."""
         return self.state.margin
 
     @property
     def load_left(self) -> float:
-        """By what factor all loads could grow, the shape as it is, before the beam buckles; infinite if by any."""
+        """Factor on all loads at buckling, with the shape fixed; may be infinite."""
         return float(1.0 / (1.0 - self.margin)) if self.margin < 1.0 else np.inf
 
     def xy(self, s: ArrayLike) -> Array:
-        """(S, 2) m, positions at `s`."""
+        """(S, 2) m at `s`."""
         return np.asarray(self.state.solved.xy(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
     def angle(self, s: ArrayLike) -> Array:
-        """(S,) rad, the tangent's angle at `s`."""
+        """(S,) rad at `s`."""
         return np.asarray(self.state.solved.angle(np.atleast_1d(np.asarray(s, dtype=float)))[0])
 
 
@@ -566,15 +537,14 @@ def shape(
     start: BeamState | None = None,
     settings: ShapeSettings = ShapeSettings(),
 ) -> ShapeResult:
-    """The stable shape under these actuators that is closest to the targets, weighted least squares.
+    """The stable shape under these actuators closest to the targets (weighted least squares): a local optimum.
 
-    The search visits stable equilibria only. It starts from rest, or from `start` (`ShapeResult.state` of an earlier
-    shape under the same actuators); where it does not meet the targets it starts again from other bent shapes. The
-    result is a local optimum, found with exact second derivatives. `gravity`: (2,) m/s^2 in the beam's frame.
-    `uncertain`: k(s) with its band, for the errors to expect.
+    The search starts from rest, or from `start` (`ShapeResult.state` under the same actuators), and from other bent
+    shapes if the targets are not met. `gravity`: (2,) m/s^2 in the beam's frame. `uncertain`: band of k(s), for the
+    expected errors.
 
-    Raises `ControlError`: no actuator, bad targets, or a beam that buckles under its own weight; `MechanicsError`: k(s)
-    not positive.
+    Raises `ControlError`: no actuator, bad targets, or buckling under weight. Raises `MechanicsError`: k(s) not
+    positive.
     """
     arm = float(beam.length) if settings.arm is None else settings.arm
     check_metres(targets.xy, float(beam.length))
@@ -602,7 +572,6 @@ def shape(
 
 
 def _bent(resting: BeamState, settings: ShapeSettings) -> list[BeamState]:
-    """Stable shapes under controls drawn at random, within the bounds."""
     actuators, rng, out = resting.actuators, np.random.default_rng(settings.seed), []
     for _ in range(settings.starts):
         u = _RANDOM_LOAD_SIZE * actuators.scale * rng.standard_normal(actuators.count)

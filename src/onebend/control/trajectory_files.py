@@ -1,8 +1,7 @@
-"""A path as files that robots take: CSV, ROS 2 messages as YAML, and a ROS 2 bag.
+"""A path as CSV, ROS 2 messages in YAML, and a ROS 2 bag.
 
-Forces and wrenches are those that the actuator applies TO the beam, in the beam's frame, at the place where it acts (a
-moment is about that place). Poses are those of the beam's end s = 1: x along its tangent, z out of the plane. Times
-count from the start of the path.
+Forces and wrenches act on the beam, in its frame, at the actuator's place (also moments). Poses are of s = 1: x along
+the tangent, z out of the plane. Times count from the path's start.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ from onebend.extras import require
 from onebend.records import Array
 from onebend.text_files import to_json
 
-if TYPE_CHECKING:  # an optional package
+if TYPE_CHECKING:  # optional package
     from rosbags.typesys.store import Typestore
 
-FRAME = "beam_base"  # the beam's frame: origin at the base tag, x along the undeformed beam, y to its left
+FRAME = "beam_base"  # origin at the base tag, x along the undeformed beam, y to its left
 JOINT = "gripper"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
-NO_NAMES = ("true", "false", "null")  # what YAML takes for something else, of four letters or more
+NO_NAMES = ("true", "false", "null")  # YAML words of four letters or more
 BAG_VERSION: Final = 9
 
 
 @dataclass(frozen=True)
 class WrenchTrack:
-    """The load of one actuator on the beam, in time."""
+    """An actuator's load in time."""
 
     topic: str
     force: Array  # (T, 2) N
@@ -42,7 +41,7 @@ class WrenchTrack:
 
 
 def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
-    """Of every actuator: pushers in turn, then the gripper."""
+    """Pushers, then the gripper."""
     zero = np.zeros(len(path.time))
     out = [WrenchTrack(f"/onebend/push_{i + 1}/wrench", path.forces[:, i], zero) for i in range(path.forces.shape[1])]
     if path.wrench is not None:
@@ -51,7 +50,7 @@ def wrench_tracks(path: FollowedPath) -> tuple[WrenchTrack, ...]:
 
 
 def columns(path: FollowedPath) -> dict[str, Array]:
-    """Name and values (T,) of every column of the CSV."""
+    """(T,) per CSV column."""
     out = {"time_s": path.time, "goal_time_s": path.goal_time}
     for i in range(path.forces.shape[1]):
         out[f"force_{i + 1}_x_N"], out[f"force_{i + 1}_y_N"] = path.forces[:, i].T
@@ -63,7 +62,6 @@ def columns(path: FollowedPath) -> dict[str, Array]:
 
 
 def write_samples(file: Path, path: FollowedPath) -> None:
-    """One row a sample; units stand at the end of the columns' names."""
     table = columns(path)
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
@@ -72,7 +70,7 @@ def write_samples(file: Path, path: FollowedPath) -> None:
 
 
 def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, Any]:
-    """The gripper's poses and velocities as a trajectory_msgs/MultiDOFJointTrajectory, in plain data."""
+    """The gripper's path as trajectory_msgs/MultiDOFJointTrajectory, in plain data."""
     poses = path.poses
     rates = np.gradient(poses, path.time, axis=0) if len(path.time) > 1 else np.zeros_like(poses)
     points = [
@@ -93,17 +91,15 @@ def trajectory_message(path: FollowedPath, *, frame: str = FRAME) -> dict[str, A
 
 
 def wrench_messages(path: FollowedPath, track: WrenchTrack, *, frame: str = FRAME) -> Iterator[dict[str, Any]]:
-    """One geometry_msgs/WrenchStamped a sample, in plain data."""
+    """One geometry_msgs/WrenchStamped per sample, in plain data."""
     for seconds, (x, y), moment in zip(path.time, track.force, track.moment, strict=True):
         wrench = {"force": _vector(x, y, 0.0), "torque": _vector(0.0, 0.0, moment)}
         yield {"header": _header(seconds, frame), "wrench": wrench}
 
 
 def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[str]:
-    """YAML as `ros2 topic pub` takes it and `ros2 topic echo` shows it; the names of the files.
-
-    The gripper's trajectory is one message; of wrenches there is one a sample, with `---` between.
-    """
+    """YAML for `ros2 topic pub`; returns file names. The trajectory is one message, wrenches one per sample, with `---`
+    between."""
     names = []
     if path.wrench is not None:
         names.append("gripper_trajectory.yaml")
@@ -119,7 +115,7 @@ def write_yaml(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> list[
 
 
 def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
-    """A ROS 2 bag (sqlite3) in a new `folder`: the gripper's trajectory at time 0, and every hand's wrench in time."""
+    """A ROS 2 bag (sqlite3) in a new `folder`: the trajectory at time 0, wrenches in time."""
     require(("rosbags",), "ros")
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -138,7 +134,7 @@ def write_bag(folder: Path, path: FollowedPath, *, frame: str = FRAME) -> None:
 
 
 def _typed(store: Typestore, name: str, data: dict[str, Any]) -> Any:
-    """Plain data as the message of a type; fields that are messages, or lists of messages, in turn."""
+    """Plain data as a message, recursively."""
     from rosbags.interfaces import Nodetype
 
     fields: dict[str, Any] = {}
@@ -171,7 +167,7 @@ def _header(seconds: float, frame: str) -> dict[str, Any]:
 
 
 def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
-    """YAML block style, as `ros2 topic echo` writes: lists at the level of their key."""
+    """YAML block style as of `ros2 topic echo`."""
     for key, value in data.items():
         if isinstance(value, dict):
             yield f"{indent}{key}:"
@@ -185,7 +181,7 @@ def _block(data: dict[str, Any], indent: str = "") -> Iterator[str]:
 
 
 def _scalar(value: Any) -> str:
-    """A name as it is; any other text in quotes, as JSON has it and YAML takes it."""
+    """Names as they are, other text in JSON quotes."""
     plain = not isinstance(value, str) or (
         re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{3,}", value) and value.lower() not in NO_NAMES
     )

@@ -2,8 +2,8 @@
 
     >>> x, y, alpha = shape((0.0, 0.1), at_s=1.0, s=[0.5, 1.0])
 
-Frame: origin at the clamp, x along it, y to its left; m, N, rad. A force is positive when it acts on the beam. The beam
-does not stretch or shear. The branch of equilibria that grows from rest is followed; where it ends, an error is raised.
+Frame: origin at the clamp, x along it, y to its left; m, N, rad. A force is positive when it acts on the beam. The
+branch of equilibria that grows from rest is followed; where it ends, an error is raised.
 """
 
 import math
@@ -17,12 +17,15 @@ CLAMP_ANGLE_RAD = 0.0
 K_N_M: tuple[float, ...] = (1.0, 1.0)  # bending stiffness k = E I / L; linear between the places in 1 / k
 Q0_RAD: tuple[float, ...] = (0.0, 0.0)  # curvature at rest, per unit of s
 MU_KG_M: tuple[float, ...] = (0.0, 0.0)  # mass per metre
+STRETCH_1_N: tuple[float, ...] = (0.0, 0.0)  # 1 / EA
+SHEAR_1_N: tuple[float, ...] = (0.0, 0.0)  # 1 / kGA
 # --------------------------------------------------------------------------------------------------------------------
 
 EVERY_TWENTIETH = (*(0.05 * i for i in range(20)), 1.0)
 STEPS = 200  # of the integration from tip to clamp, fourth order
 
 Row = tuple[float, float, float, float, float, float]  # alpha, M, d alpha, d M (by the tip's angle), x, y from the tip
+Pull = tuple[float, float, float, float]  # the force beyond a place [N], and gravity [m/s^2]
 
 
 def shape(
@@ -56,7 +59,7 @@ def shape(
             continue
         slope = (found - turn) / step
         part, turn, rows, step = part + step, found, bent, 1.5 * step
-    return _at(s, _integrate(turn, 1.0, force, at_s, gravity))
+    return _at(s, *_integrate(turn, 1.0, force, at_s, gravity))
 
 
 def _newton(
@@ -82,23 +85,24 @@ def _newton(
 
 def _integrate(
     turn: float, part: float, force: tuple[float, float], at_s: float, gravity: tuple[float, float]
-) -> tuple[list[float], list[Row]]:
-    """From the tip (no moment there) to the clamp: the places, and the state at each."""
+) -> tuple[list[float], list[Row], list[Pull]]:
+    """From the tip (no moment there) to the clamp: the places, the state at each, and the loads between."""
     beyond = max(1, math.ceil(STEPS * (1.0 - at_s))) if at_s < 1.0 else 0
     grid = [1.0 - i * (1.0 - at_s) / beyond for i in range(beyond)] if beyond else []
     below = max(1, STEPS - beyond)
     grid += [at_s * (1.0 - i / below) for i in range(below + 1)]
     row: Row = (turn, 0.0, 1.0, 0.0, 0.0, 0.0)
-    rows = [row]
+    rows, pulls = [row], []
     for i in range(len(grid) - 1):
         loaded = part if i >= beyond else 0.0
         pull = (loaded * force[0], loaded * force[1], part * gravity[0], part * gravity[1])
         row = _runge_kutta(row, grid[i], grid[i + 1] - grid[i], pull)
         rows.append(row)
-    return grid, rows
+        pulls.append(pull)
+    return grid, rows, pulls
 
 
-def _runge_kutta(row: Row, s: float, h: float, pull: tuple[float, float, float, float]) -> Row:
+def _runge_kutta(row: Row, s: float, h: float, pull: Pull) -> Row:
     a = _slope(row, s, pull)
     b = _slope(_moved(row, a, h / 2), s + h / 2, pull)
     c = _slope(_moved(row, b, h / 2), s + h / 2, pull)
@@ -112,45 +116,43 @@ def _moved(row: Sequence[float], slope: Sequence[float], h: float) -> Row:
     return a, b, c, d, e, f
 
 
-def _slope(row: Row, s: float, pull: tuple[float, float, float, float]) -> Row:
-    """By s: alpha' = q0 + M / k, M' = -L (cos alpha N_y - sin alpha N_x), and the same by the tip's angle."""
+def _slope(row: Row, s: float, pull: Pull) -> Row:
+    """By s: alpha' = q0 + M / k, r' = L (t + T / EA t + V / kGA n), M' = -r' x N, and the same by the tip's angle.
+
+    T and V are the parts of the force N along t and across it, along n.
+    """
     alpha, moment, d_alpha, d_moment = row[:4]
     hanging = LENGTH_M * _beyond(MU_KG_M, MU_BEYOND, s) if pull[2] or pull[3] else 0.0  # kg
     nx, ny = pull[0] + hanging * pull[2], pull[1] + hanging * pull[3]
     cos, sin = math.cos(alpha), math.sin(alpha)
-    give = _between(GIVE, s)
+    tension, across = cos * nx + sin * ny, cos * ny - sin * nx
+    give, stretch, shear = _between(GIVE, s), _between(STRETCH_1_N, s), _between(SHEAR_1_N, s)
+    long, wide, more = 1.0 + stretch * tension, shear * across, stretch - shear
     return (
         _between(Q0_RAD, s) + moment * give,
-        -LENGTH_M * (cos * ny - sin * nx),
+        -LENGTH_M * across * (1.0 + more * tension),
         d_moment * give,
-        LENGTH_M * (sin * ny + cos * nx) * d_alpha,
-        LENGTH_M * cos,
-        LENGTH_M * sin,
+        LENGTH_M * (tension + more * (tension**2 - across**2)) * d_alpha,
+        LENGTH_M * (long * cos - wide * sin),
+        LENGTH_M * (long * sin + wide * cos),
     )
 
 
-def _at(s: Sequence[float], found: tuple[list[float], list[Row]]) -> tuple[list[float], list[float], list[float]]:
+def _at(
+    s: Sequence[float], places: list[float], states: list[Row], pulls: list[Pull]
+) -> tuple[list[float], list[float], list[float]]:
     """Cubic between the integration's places."""
-    grid, rows = found[0][::-1], found[1][::-1]
+    grid, rows, between = places[::-1], states[::-1], pulls[::-1]
     x0, y0 = rows[0][4], rows[0][5]
     out: tuple[list[float], list[float], list[float]] = ([], [], [])
     for place in s:
         i = _index(grid, place)
         h = grid[i + 1] - grid[i]
         u = (place - grid[i]) / h
-        low, high = rows[i], rows[i + 1]
-        alpha_low, alpha_high = low[0], high[0]
-        bend = (_curvature(low, grid[i]), _curvature(high, grid[i + 1]))
-        along = (LENGTH_M * math.cos(alpha_low), LENGTH_M * math.cos(alpha_high))
-        across = (LENGTH_M * math.sin(alpha_low), LENGTH_M * math.sin(alpha_high))
-        out[0].append(_hermite(u, h, low[4], high[4], *along) - x0)
-        out[1].append(_hermite(u, h, low[5], high[5], *across) - y0)
-        out[2].append(_hermite(u, h, alpha_low, alpha_high, *bend))
+        low, high = (_slope(rows[j], grid[j], between[i]) for j in (i, i + 1))
+        for values, part, begins in zip(out, (4, 5, 0), (x0, y0, 0.0), strict=True):
+            values.append(_hermite(u, h, rows[i][part], rows[i + 1][part], low[part], high[part]) - begins)
     return out
-
-
-def _curvature(row: Row, s: float) -> float:
-    return _between(Q0_RAD, s) + row[1] * _between(GIVE, s)
 
 
 def _hermite(u: float, h: float, low: float, high: float, slope_low: float, slope_high: float) -> float:

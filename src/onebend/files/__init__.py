@@ -1,1 +1,1 @@
-"""Files that are whole or absent: folders published in one step, manifests, locks, single files."""
+"""Files and folders that are complete or absent: folders published in one step, manifests, locks, single files."""

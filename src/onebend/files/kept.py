@@ -1,7 +1,7 @@
-"""A folder in which things are kept from run to run: what is in it, what may be dropped, how large it may grow.
+"""A cache folder with a size limit.
 
-An entry is one file: the SHA-256 of the rest, then the rest. What is not as it was written counts as not there and is
-written anew. Nothing else in the folder is read, counted or removed.
+An entry is one file: the SHA-256 of the rest, then the rest. Damaged entries count as absent. Other files in the folder
+are not touched.
 """
 
 from __future__ import annotations
@@ -21,31 +21,29 @@ from onebend.files.single_file import write_file
 
 VARIABLE = "ONEBEND_CACHE"  # a folder, or one of OFF
 OFF = ("off", "0")
-MOST = 500_000_000  # bytes of a user's cache
+MOST = 500_000_000  # bytes
 _ENTRY = re.compile(r"[a-z]+-[0-9a-f]{40}\.kept")
-_BEGUN = re.compile(r"\.[a-z]+-[0-9a-f]+\.[a-z0-9_]+\.kept")  # what a process that was killed left of one
-_STALE = 3600.0  # s: no entry takes longer to write
+_BEGUN = re.compile(r"\.[a-z]+-[0-9a-f]+\.[a-z0-9_]+\.kept")  # unfinished entries of a killed process
+_STALE = 3600.0  # s
 _DIGEST = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
 class KeptEntry:
-    """One thing that is kept."""
-
     path: Path
     size: int  # bytes
-    used: float  # s since 1970: when it was last written or read
+    used: float  # s since 1970: last written or read
 
 
 @dataclass(frozen=True)
 class KeptFolder:
-    """Entries by name in a folder that is made when something is to be kept."""
+    """Entries by name, in a folder that is made on demand."""
 
     path: Path
-    most: int = MOST  # bytes of all entries; the ones that were not used for longest are dropped
+    most: int = MOST  # bytes; the longest unused entries are dropped
 
     def load(self, name: str) -> bytes | None:
-        """What is kept under `name`; None where nothing is, or it is damaged."""
+        """The content under `name`; None if absent or damaged."""
         path = self._file(name)
         try:
             if path.is_symlink() or not path.is_file() or path.stat().st_size > self.most:
@@ -61,7 +59,7 @@ class KeptFolder:
         return content
 
     def save(self, name: str, content: bytes) -> bool:
-        """Keep `content` under `name`, whole or not at all; whether that was possible."""
+        """Stores `content` completely or not at all; whether that was possible."""
         if len(content) + _DIGEST > self.most:
             return False
         try:
@@ -73,7 +71,7 @@ class KeptFolder:
         return True
 
     def entries(self) -> list[KeptEntry]:
-        """All that is kept, the longest unused first."""
+        """The longest unused first."""
         found = []
         for path in self._ours(_ENTRY):
             with suppress(OSError):
@@ -82,7 +80,7 @@ class KeptFolder:
         return sorted(found, key=lambda entry: (entry.used, entry.path.name))
 
     def trim(self) -> None:
-        """Drop the longest unused entries until the others are small enough together, and what was never finished."""
+        """Drops the longest unused entries beyond the limit, and unfinished ones."""
         kept = self.entries()
         size = sum(entry.size for entry in kept)
         for entry in kept:
@@ -97,10 +95,7 @@ class KeptFolder:
                     path.unlink()
 
     def clear(self) -> list[KeptEntry]:
-        """Drop all entries, and the folder where nothing else is in it; those that were dropped.
-
-        Raises `OSError`: one cannot be removed.
-        """
+        """Drops all entries, and the folder if it is then empty; returns the entries. Raises `OSError`."""
         dropped = self.entries()
         for path in (*(entry.path for entry in dropped), *self._ours(_BEGUN)):
             path.unlink(missing_ok=True)
@@ -112,7 +107,7 @@ class KeptFolder:
         return self.path / f"{name}.kept"
 
     def _ours(self, pattern: re.Pattern[str]) -> list[Path]:
-        """The plain files in the folder whose names are of this pattern."""
+        """Plain files whose names match."""
         try:
             inside = list(self.path.iterdir())
         except OSError:
@@ -121,8 +116,8 @@ class KeptFolder:
 
 
 def users_folder(environment: Mapping[str, str] | None = None, system: str = sys.platform) -> KeptFolder | None:
-    """The user's own: the folder that ONEBEND_CACHE names, else `onebend` in the system's place for caches (on Linux by
-    the XDG specification); None where it is turned off, or there is no such place."""
+    """The user's cache: ONEBEND_CACHE, else `onebend` in the system's cache folder (XDG on Linux); None if turned off
+    or there is none."""
     env = os.environ if environment is None else environment
     asked = env.get(VARIABLE, "").strip()
     if asked.lower() in OFF:
@@ -134,13 +129,12 @@ def users_folder(environment: Mapping[str, str] | None = None, system: str = sys
 
 
 def _place(env: Mapping[str, str], system: str) -> Path | None:
-    """Where this system keeps caches."""
     variable, otherwise = {
         "win32": ("LOCALAPPDATA", "AppData/Local"),
         "darwin": ("", "Library/Caches"),
     }.get(system, ("XDG_CACHE_HOME", ".cache"))
     stated = Path(env.get(variable, ""))
-    if stated.is_absolute():  # the XDG specification: a relative one counts as none
+    if stated.is_absolute():  # XDG ignores relative paths
         return stated
     try:
         return Path.home() / otherwise

@@ -1,7 +1,6 @@
-"""A folder of results: the old one or the new one, whole, at every moment, and no other file is ever lost.
+"""A results folder that is complete, old or new, at every moment, and never loses files of others.
 
-A run works in a folder of its own beside the target (`workplace`), finishes its files there, and then swaps the two
-folders in one step (`swap`).
+A run works in its own folder beside the target (`workplace`), and then swaps both in one step (`swap`).
 """
 
 from __future__ import annotations
@@ -25,28 +24,27 @@ from onebend.errors import ResultsError
 from onebend.files.single_file import exchange, move_in, sync_file, sync_folder, sync_tree, umask
 from onebend.text_files import to_json
 
-# `summary.json` as a manifest: the files of a result by name and SHA-256, and a SHA-256 of the summary itself.
-#
-# What it lists, unchanged since, is ours. All else in a folder is somebody's, and is neither replaced nor removed.
+# `summary.json` as a manifest: name and SHA-256 of each result file, and of the summary itself. Listed, unchanged files
+# are ours; all others belong to someone else and are never replaced or removed.
 
 SUMMARY = "summary.json"
-OWN_CHECKSUM = "sha256"  # of everything else in the same object
-LARGEST = 64 * 2**20  # bytes: no summary is longer
+OWN_CHECKSUM = "sha256"  # of the other entries
+LARGEST = 64 * 2**20  # bytes
 
 
 def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file's content, as 64 hexadecimal digits."""
+    """64 hexadecimal digits."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def with_checksum(data: Mapping[str, Any]) -> dict[str, Any]:
-    """`data` and the checksum of its content. The text that it is written as does not matter."""
+    """`data` with the checksum of its content."""
     return {**data, OWN_CHECKSUM: _checksum(data)}
 
 
 def is_unchanged(data: Mapping[str, Any]) -> bool:
-    """Whether the checksum that stands in `data` is that of the rest."""
+    """Whether the checksum in `data` is right."""
     return data.get(OWN_CHECKSUM) == _checksum(data)
 
 
@@ -57,12 +55,12 @@ def _checksum(data: Mapping[str, Any]) -> str:
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Write `summary` into `folder`; `seal` adds the files to it."""
+    """`seal` adds the files."""
     (folder / SUMMARY).write_text(to_json(summary) + "\n", encoding="utf-8")
 
 
 def seal(folder: Path, more: Mapping[str, Any]) -> None:
-    """Put `more` and the manifest of all files into the summary in `folder`; to be done last."""
+    """Adds `more` and the manifest of all files to the summary; done last."""
     path = folder / SUMMARY
     data = json.loads(path.read_text(encoding="utf-8"))
     files = {name: sha256_of(folder / name) for name in files_in(folder) if name != SUMMARY}
@@ -71,7 +69,7 @@ def seal(folder: Path, more: Mapping[str, Any]) -> None:
 
 
 def read_summary(folder: Path) -> dict[str, Any] | None:
-    """The summary in `folder`, as onebend wrote it; None where there is none, or it was changed since."""
+    """The summary; None if absent or changed."""
     data = read_object(folder / SUMMARY, LARGEST)
     try:
         return data if data is not None and is_unchanged(data) and isinstance(data.get("files"), dict) else None
@@ -80,7 +78,7 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
 
 
 def read_object(file: Path, most: int) -> dict[str, Any] | None:
-    """The object in a JSON file of up to `most` bytes; None where there is none."""
+    """A JSON object of up to `most` bytes, or None."""
     try:
         if file.is_symlink() or not file.is_file() or file.stat().st_size > most:
             return None
@@ -91,7 +89,7 @@ def read_object(file: Path, most: int) -> dict[str, Any] | None:
 
 
 def own_files(folder: Path, kind: str | None = None) -> set[str]:
-    """The files in `folder` that a run wrote (one of this `kind`, where one is named) and nobody changed since."""
+    """Unchanged files of a run (of this `kind`, if given)."""
     summary = read_summary(folder)
     if summary is None or (kind is not None and summary.get("format") != kind):
         return set()
@@ -99,14 +97,14 @@ def own_files(folder: Path, kind: str | None = None) -> set[str]:
 
 
 def changed_files(folder: Path) -> list[str]:
-    """The files that the summary of `folder` lists and that are not as it lists them, sorted."""
+    """Listed files that differ, sorted."""
     summary = read_summary(folder)
     return [] if summary is None else sorted(set(summary["files"]) - own_files(folder))
 
 
 def is_listed_otherwise(file: Path) -> bool:
-    """Whether a summary beside `file` lists it with another content."""
-    return _differs(file) and _differs(file)  # once may be a folder that was just being replaced
+    """Whether a summary beside `file` lists another content."""
+    return _differs(file) and _differs(file)  # once could be a folder being replaced
 
 
 def _differs(file: Path) -> bool:
@@ -116,13 +114,13 @@ def _differs(file: Path) -> bool:
 
 
 def files_in(folder: Path) -> list[str]:
-    """Every file below `folder`, relative to it, sorted; links do not count."""
+    """All files below `folder`, relative, sorted, without links."""
     found, _ = entries_in(folder)
     return sorted(name for name in found if not (folder / name).is_symlink())
 
 
 def entries_in(folder: Path) -> tuple[set[str], set[str]]:
-    """All that is not a folder (links too) and all folders below `folder`, relative to it. Links are not followed."""
+    """All entries that are not folders (also links), and all folders, relative. Links are not followed."""
     others: set[str] = set()
     folders: set[str] = set()
     waiting = [folder]
@@ -138,12 +136,11 @@ def entries_in(folder: Path) -> tuple[set[str], set[str]]:
 
 
 def parents_of(names: set[str]) -> set[str]:
-    """The folders that these files lie in, relative as they are."""
     return {parent.as_posix() for name in names for parent in PurePosixPath(name).parents} - {"."}
 
 
 def _is_ours(folder: Path, name: str, checksum: object) -> bool:
-    """Whether `name` is a file inside the folder, by no link, with the content that was written."""
+    """Whether `name` is a file inside the folder, not through a link, with its written content."""
     inside = PurePosixPath(name)
     if inside.is_absolute() or ".." in inside.parts or not inside.parts or "\\" in name or ":" in name:
         return False
@@ -158,16 +155,16 @@ def _is_ours(folder: Path, name: str, checksum: object) -> bool:
         return False
 
 
-# Whether results may go to a folder, asked before the work and again before they are put there.
+# Whether results may go to a folder; asked before the work and again at its end.
 
 
 def check_place(out: Path) -> None:
-    """Raises `ResultsError` where no results may go to `out`, whatever it holds."""
+    """Raises `ResultsError` where results can never go to `out`."""
     if (out / "recording.toml").exists():
         raise ResultsError(f"{out}: this is a recording. Results do not go among its files; choose another -o")
     try:
-        mode = out.stat().st_mode  # asked once: another process may make the folder at any moment
-    except OSError:  # there is none, or it cannot be made, which is said when it is
+        mode = out.stat().st_mode  # once: another process may make the folder at any moment
+    except OSError:  # absent, or cannot be made (reported later)
         return
     if not stat.S_ISDIR(mode):
         raise ResultsError(f"{out}: this is a file, not a folder. Choose another -o")
@@ -178,10 +175,7 @@ def check_place(out: Path) -> None:
 
 
 def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
-    """Raises `ResultsError` where results of this kind may not go to `out`.
-
-    To be asked while `out` is locked: it could be replaced meanwhile.
-    """
+    """Raises `ResultsError` where results of this kind may not go to `out`, which must be locked."""
     check_place(out)
     if not out.is_dir() or not any(out.iterdir()):
         return
@@ -204,7 +198,7 @@ def check_free(out: Path, kind: str, *, overwrite: bool) -> None:
 
 
 def _check_reach(out: Path) -> None:
-    """Raises `ResultsError` where something in `out` could not be carried over to a new folder."""
+    """Raises `ResultsError` where something in `out` could not be carried over."""
     try:
         _, folders = entries_in(out)
         mounted = [name for name in sorted(folders) if _device(out / name) != _device(out)]
@@ -222,19 +216,16 @@ def _device(folder: Path) -> int:
 
 
 def _stands_in(out: Path) -> bool:
-    """Whether the process works in `out` or below; a shell that does would stand in a folder that is gone."""
+    """Whether the process works in `out`; its shell would stand in a removed folder."""
     try:
         return Path.cwd().is_relative_to(out)
     except OSError:
         return False
 
 
-# A folder to work in, beside the target, of a name that nobody has; while it is in use, it locks the target.
-#
-# Each run makes its own (`.OUT.onebend-XXXXXXXX`) with a marker that says for which target, and holds a lock on that
-# marker for as long as it lives: the system lets go of it when the process ends, however it ends. Who starts looks
-# for the workplaces of others: one that is locked says who is writing; one that is not was left behind, and is gone
-# on with.
+# A working folder beside the target, which locks the target. Each run makes `.OUT.onebend-XXXXXXXX` with a marker
+# naming its target, and locks that marker until the process ends. A locked workplace of another run says who is
+# writing; an unlocked one was left behind, and is continued.
 
 if sys.platform == "win32":
     import msvcrt
@@ -251,49 +242,49 @@ else:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def _probe(number: int) -> None:
-        fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)  # a folder that may only be read is enough
+        fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)  # works on a read-only folder
 
 
 MARKER = "workplace.json"
 FORMAT = "onebend-workplace-1"
-LONGEST = 40  # characters of the target's name in the workplace's
-LARGEST_MARKER = 10_000  # bytes of a marker
+LONGEST = 40  # characters of the target's name
+LARGEST_MARKER = 10_000  # bytes
 
 
 @dataclass
 class Workplace:
-    """A folder of one run's own, and its lock."""
+    """A run's own folder, and its lock."""
 
     folder: Path
-    number: int  # of the marker that is open and locked; -1: let go
+    number: int  # of the locked marker; -1: released
 
     def release(self) -> None:
-        """Let go of the lock; the folder stays."""
+        """The folder stays."""
         if self.number >= 0:
             os.close(self.number)
             self.number = -1
 
     def remove(self) -> None:
-        """Delete the folder, its marker last, and let go of the lock."""
+        """Deletes the folder, its marker last, and releases the lock."""
         for path in self.folder.iterdir():
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path, ignore_errors=True)
             elif path.name != MARKER:
                 path.unlink(missing_ok=True)
-        with _one_at_a_time(self.folder.parent):  # nobody goes on with a folder that is just going
+        with _one_at_a_time(self.folder.parent):  # nobody continues a folder that is being removed
             shutil.rmtree(self.folder, ignore_errors=True)
             self.release()
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing but the marker is in it."""
+        """Except for the marker."""
         return all(path.name.startswith(MARKER) for path in self.folder.iterdir())
 
 
 def enter(target: Path, kind: str) -> Workplace:
-    """A workplace for `target`: one that an earlier run of this kind left behind, or a new one; locked.
+    """A locked workplace for `target`, left behind by a run of this kind or new.
 
-    Raises `ResultsError`: another process is writing to the target now; `OSError`: the folder cannot be made.
+    Raises `ResultsError`: another process writes to the target. Raises `OSError`: the folder cannot be made.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     with _one_at_a_time(target.parent):
@@ -310,7 +301,7 @@ def enter(target: Path, kind: str) -> Workplace:
 
 
 def left_behind(target: Path) -> list[tuple[Path, dict[str, Any]]]:
-    """All workplaces for `target`, with what their markers say."""
+    """Workplaces for `target`, with their markers."""
     found = []
     for folder in sorted(target.parent.glob(f"{_literal(_prefix(target))}*")):
         marker = _marker(folder)
@@ -320,13 +311,13 @@ def left_behind(target: Path) -> list[tuple[Path, dict[str, Any]]]:
 
 
 def _drop_unmarked(target: Path) -> None:
-    """Delete workplaces of runs that ended before they had a marker. (Who makes one now waits: `_one_at_a_time`.)"""
+    """Deletes workplaces of runs that ended before they had a marker."""
     for folder in target.parent.glob(f"{_literal(_prefix(target))}*"):
         if not folder.is_symlink() and not (folder / MARKER).exists():
             with suppress(OSError):
                 for begun in folder.glob(f"{MARKER}.*"):
                     begun.unlink()
-                folder.rmdir()  # only where nothing else is in it
+                folder.rmdir()  # only if empty
 
 
 def _prefix(target: Path) -> str:
@@ -334,21 +325,21 @@ def _prefix(target: Path) -> str:
 
 
 def _literal(text: str) -> str:
-    """As a pattern for this text alone."""
+    """As a glob pattern."""
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in text)
 
 
 def _marker(folder: Path) -> dict[str, Any] | None:
-    """The content of a workplace's marker; None where the folder is no workplace."""
+    """Its content, or None."""
     data = None if folder.is_symlink() else read_object(folder / MARKER, LARGEST_MARKER)
     return data if data is not None and data.get("format") == FORMAT else None
 
 
 def _refuse_if_locked(folder: Path, marker: dict[str, Any], target: Path) -> None:
-    """Raises `ResultsError` where another process holds the lock of the workplace."""
+    """Raises `ResultsError` if another process holds the lock."""
     try:
         number = os.open(folder / MARKER, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
-    except OSError:  # gone since
+    except OSError:  # gone
         return
     try:
         _probe(number)
@@ -357,14 +348,14 @@ def _refuse_if_locked(folder: Path, marker: dict[str, Any], target: Path) -> Non
         raise ResultsError(
             f"{target}: is being written by {who} since {marker.get('since')}. Wait for it, or choose another -o"
         ) from error
-    except OSError:  # a file system without locks
+    except OSError:  # no locks on this file system
         return
     finally:
         os.close(number)
 
 
 def is_private(folder: Path) -> bool:
-    """Whether the folder is the user's own, not everybody can write to it, and nothing in it is a link elsewhere."""
+    """Whether only the user can write to the folder, and it contains no links elsewhere."""
     if any(path.is_symlink() for path in folder.iterdir()):
         return False
     if sys.platform == "win32":
@@ -374,13 +365,13 @@ def is_private(folder: Path) -> bool:
 
 
 def _locked(folder: Path, target: Path, kind: str) -> Workplace:
-    """The folder with a marker of this process, locked; it takes the place of an earlier one as a whole."""
+    """The folder with a marker of this process, locked, in place of an earlier one."""
     number, name = tempfile.mkstemp(prefix=f"{MARKER}.", dir=folder)
     try:
         locked = True
         try:
             _lock(number)
-        except OSError:  # a file system without locks: nothing is gone on with there
+        except OSError:  # no locks: nothing is continued
             locked = False
         data = {
             "format": FORMAT,
@@ -402,7 +393,7 @@ def _locked(folder: Path, target: Path, kind: str) -> Workplace:
 
 @contextmanager
 def _one_at_a_time(parent: Path) -> Iterator[None]:
-    """While two look for each other's workplaces, one of them waits (where the file system locks folders)."""
+    """Serialises the search for workplaces (where folders can be locked)."""
     if sys.platform == "win32":
         yield
         return
@@ -415,23 +406,18 @@ def _one_at_a_time(parent: Path) -> Iterator[None]:
         os.close(number)
 
 
-# The swap of two folders: the new results take the name of the old ones in one step, with all that is not ours.
-#
-# What is in the target and not ours (`manifest`) is linked into the new folder before; nothing is copied. Where the
-# system has no such step, the old folder moves away and the new one in; if the process dies between the two, the next
-# run for that target brings the old one back.
+# The swap: new results take the target's name in one step, with all files that are not ours, which are linked into the
+# new folder before. Without such a system call the old folder moves away and the new one in; after a crash in between,
+# the next run restores the old one.
 
-COMPLETE = "complete"  # in a workplace: new results, all written; after a swap, the old ones
-REPLACED = "replaced"  # the old ones
-SWAPPING = "swapping.json"  # which folder is the new one, while they are swapped
+COMPLETE = "complete"  # in a workplace: complete new results; after a swap the old ones
+REPLACED = "replaced"
+SWAPPING = "swapping.json"  # names the new folder during a swap
 
 
 def swap_in(complete: Path, out: Path, work: Path) -> Path | None:
-    """Give the new folder the name of the target; what was there and not ours is in it then.
-
-    Returns:
-        A folder with what is of others and could not be brought into the new one; None as a rule.
-    """
+    """Gives the new folder the target's name, with the other files of the target. Returns a folder with files of others
+    that could not be moved, or None."""
     replaced = work / REPLACED
     if not os.path.lexists(out):
         complete.rename(out)
@@ -457,7 +443,7 @@ def swap_in(complete: Path, out: Path, work: Path) -> Path | None:
 
 
 def recover(target: Path) -> None:
-    """Bring the workplaces for `target` to a rest where a process died while it swapped folders there."""
+    """Completes or reverts an interrupted swap."""
     for work, _ in left_behind(target):
         swapping, complete, replaced = work / SWAPPING, work / COMPLETE, work / REPLACED
         if not is_private(work):
@@ -480,10 +466,8 @@ def _identity(folder: Path) -> list[int]:
 
 
 def _carry_over(old: Path, new: Path) -> None:
-    """Link all that is in `old` and not ours into `new`. What cannot be linked is moved after the swap.
-
-    Raises `ResultsError` where results would take the name of something of others.
-    """
+    """Links all in `old` that is not ours into `new`; the rest is moved after the swap. Raises `ResultsError` on a name
+    conflict."""
     ours = own_files(old)
     others, folders = entries_in(old)
     others -= ours
@@ -505,16 +489,12 @@ def _carry_over(old: Path, new: Path) -> None:
 
 
 def _clear(old: Path, new: Path) -> Path | None:
-    """Delete our files in `old`; what else is there, is in `new` too, or goes there.
-
-    Returns:
-        `old`, where something of others can neither go nor be left out; else None.
-    """
+    """Deletes our files in `old` and moves the rest to `new`. Returns `old` if files of others remain, else None."""
     ours = own_files(old)
     others, folders = entries_in(old)
     made = parents_of(ours)
     for name in folders:
-        with suppress(OSError):  # one that may not be written to could not be emptied
+        with suppress(OSError):  # a write-protected folder could not be emptied
             (old / name).chmod(0o700)
     for name in sorted(others - ours):
         with suppress(OSError):
@@ -526,7 +506,7 @@ def _clear(old: Path, new: Path) -> Path | None:
             if name not in made and not os.path.lexists(new / name):
                 (new / name).mkdir(parents=True)
             (old / name).rmdir()
-    if SUMMARY in ours:  # last: it says which are ours
+    if SUMMARY in ours:  # last: it lists ours
         (old / SUMMARY).unlink()
     with suppress(OSError):
         old.rmdir()
@@ -534,7 +514,7 @@ def _clear(old: Path, new: Path) -> Path | None:
 
 
 def _hand_over(before: Path, after: Path, new: Path) -> None:
-    """See that a file of others is in the folder `new` as `after`, and drop its name `before`; unless that is taken."""
+    """Ensures that a file of others is in `new` as `after`, and drops its name `before`, unless the name is taken."""
     if not after.parent.resolve().is_relative_to(new):
         return
     if not os.path.lexists(after):
@@ -544,30 +524,29 @@ def _hand_over(before: Path, after: Path, new: Path) -> None:
         before.unlink()
 
 
-UNFINISHED = "unfinished"  # in the workplace: new results that are being written
+UNFINISHED = "unfinished"  # in the workplace
 
 
 @dataclass
 class OutputFolder:
-    """Where a run puts its results, and where it works until then."""
+    """A run's target and workplace."""
 
     out: Path
-    kind: str  # the `format` of the summary: results of one kind never replace those of another
+    kind: str  # the summary's `format`: results replace only their own kind
     overwrite: bool
     workplace: Workplace
-    published: bool = False  # results of this run are in place
+    published: bool = False
 
     @property
     def work(self) -> Path:
-        """Kept when a run is interrupted, so that the next one goes on from there."""
+        """Kept on interruption; the next run continues."""
         return self.workplace.folder
 
 
 def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
-    """Check that results may go to `out`, lock it and make a workplace, before any heavy work.
+    """Checks and locks `out` and makes a workplace, before heavy work.
 
-    Raises `ResultsError` where the folder is taken, is being written by another process, is a recording, or cannot be
-    made.
+    Raises `ResultsError`: the folder is taken, locked, a recording, or cannot be made.
     """
     target = Path(os.path.realpath(out))
     check_place(target)
@@ -588,14 +567,11 @@ def prepare(out: Path, *, kind: str, overwrite: bool) -> OutputFolder:
 def publish(
     place: OutputFolder, write: Callable[[Path], None], made_from: Mapping[str, Any] | None = None
 ) -> Path | None:
-    """Let `write` fill a fresh folder, seal its summary (with `made_from` in it), and put it in place as a whole.
+    """Lets `write` fill a new folder, seals its summary (with `made_from`), and puts it in place; may be called again
+    with later results.
 
-    It may be called again, with more; the later results replace the earlier ones.
-
-    Returns:
-        Where files of others stand that appeared under the names of results in the meantime; None as a rule.
-
-    Raises `ResultsError`: writing or moving fails; what was there before stands as it was.
+    Returns a folder with files of others that took names of results meanwhile, or None. Raises `ResultsError`: writing
+    or moving failed; the target is unchanged.
     """
     unfinished, complete = place.work / UNFINISHED, place.work / COMPLETE
     try:
@@ -619,21 +595,21 @@ def publish(
 
 
 def unplaced(place: OutputFolder) -> Path | None:
-    """Whole results that could not be put in place, in the workplace; None where there are none."""
+    """Complete results in the workplace that could not be put in place, or None."""
     complete = place.work / COMPLETE
     return complete if complete.is_dir() and not place.published else None
 
 
 def finish(place: OutputFolder) -> None:
-    """After the work: the workplace goes."""
-    if (place.work / REPLACED).exists():  # files of others are in it
+    """Removes the workplace."""
+    if (place.work / REPLACED).exists():  # contains files of others
         place.workplace.release()
     else:
         place.workplace.remove()
 
 
 def abandon(place: OutputFolder) -> bool:
-    """After work that ended early: keep its finished parts in the workplace, drop the rest. True if any are kept."""
+    """After an early end: keeps finished parts in the workplace; whether there are any."""
     with suppress(OSError):
         recover(place.out)
     for half in (UNFINISHED, "*.tmp"):
@@ -649,11 +625,8 @@ def abandon(place: OutputFolder) -> bool:
 
 
 def amend(file: Path, data: bytes) -> bool:
-    """Replace one file of a results folder, whose summary then lists the new content; the folder stays whole.
-
-    Returns:
-        False where no summary beside the file lists it as it is; nothing is done then.
-    """
+    """Replaces a file of a results folder and its entry in the summary. Returns False if no summary lists the file as
+    it is."""
     folder = file.parent
     summary = read_summary(folder)
     if summary is None or file.name not in own_files(folder):

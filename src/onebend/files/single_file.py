@@ -1,4 +1,4 @@
-"""One file as a result: written completely or not at all; another file is replaced only if asked for."""
+"""One file as a result: written completely or not at all, replaced only if asked for."""
 
 from __future__ import annotations
 
@@ -19,21 +19,16 @@ from onebend.errors import ResultsError
 if TYPE_CHECKING:
     import pyarrow as pa
 
-# Renames in one step, and data that is on the disk before its name is.
+# Renames in one step, and data on disk before their name.
 
-HERE = -100  # AT_FDCWD: paths as the process sees them
+HERE = -100  # AT_FDCWD
 SWAP = 2  # RENAME_EXCHANGE
 CANNOT = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Swap the names of two folders, or of two files, in one step (`renameat2`).
-
-    Returns:
-        False where this system or file system has no such step; nothing is changed then.
-
-    Raises `OSError`: it has, and it failed; nothing is changed.
-    """
+    """Swaps two names in one step (`renameat2`). Returns False if not supported. Raises `OSError`; then nothing is
+    changed."""
     call = _renameat2()
     if call is None:
         return False
@@ -47,7 +42,7 @@ def exchange(one: Path, other: Path) -> bool:
 
 @cache
 def _renameat2() -> Any:
-    """The C library's function; None where it has none."""
+    """The C library's function, or None."""
     try:
         return ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):
@@ -55,12 +50,12 @@ def _renameat2() -> Any:
 
 
 def move_in(old: Path, new: Path) -> bool:
-    """Give a file the name `new`, which must not exist; no data are copied. False where that name is taken."""
+    """Renames without copying to `new`, which must not exist; False if it does."""
     try:
         os.link(old, new, follow_symlinks=False)
     except FileExistsError:
         return False
-    except (OSError, NotImplementedError):  # no hard links here
+    except (OSError, NotImplementedError):  # no hard links
         if os.path.lexists(new):
             return False
         old.rename(new)
@@ -70,7 +65,7 @@ def move_in(old: Path, new: Path) -> bool:
 
 
 def link_tree(old: Path, new: Path) -> None:
-    """The files of the folder `old` in a new folder too; their data are copied only where nothing can be linked."""
+    """Hard links of all files in a new folder; copies where links fail."""
     shutil.copytree(old, new, symlinks=True, copy_function=_link_or_copy)
 
 
@@ -82,14 +77,12 @@ def _link_or_copy(old: str, new: str) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Return when the file's data are on the disk."""
     with path.open("rb+" if os.name == "nt" else "rb") as stream:
         os.fsync(stream.fileno())
 
 
 def sync_folder(folder: Path) -> None:
-    """Return when the folder's names are on the disk."""
-    if os.name == "nt":  # has no such call for folders
+    if os.name == "nt":  # no such call
         return
     number = os.open(folder, os.O_RDONLY)
     try:
@@ -102,7 +95,6 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Return when every file below `folder` and every name is on the disk."""
     for path in folder.rglob("*"):
         if path.is_file() and not path.is_symlink():
             sync_file(path)
@@ -112,27 +104,22 @@ def sync_tree(folder: Path) -> None:
 
 
 def umask() -> int:
-    """The process's mask for new files; it can only be read by setting it."""
+    """The process's umask, which can be read only by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
 
 
 def write_file(path: Path, data: str | bytes, *, overwrite: bool = False) -> None:
-    """Write `data` to `path`; its folder is made if need be.
-
-    Raises `ResultsError`: the file exists and `overwrite` is False, or it cannot be written.
-    """
+    """Writes `data` and makes its folder. Raises `ResultsError`: the file exists without `overwrite`, or cannot be
+    written."""
     with fresh_file(path, overwrite=overwrite) as beside, _as_results_error(path):
         beside.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
 
 
 @contextmanager
 def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """An empty file beside `path` to write into; it takes that name when all went well, and is gone otherwise.
-
-    Raises `ResultsError`: as `write_file`.
-    """
+    """A temporary file beside `path` that takes its name on success. Raises `ResultsError` as `write_file`."""
     check_name_free(path, overwrite=overwrite)
     with _as_results_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -155,13 +142,10 @@ def fresh_file(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def replace_file(path: Path, data: bytes, known: bytes) -> bytes | None:
-    """Put `data` in the place of a file that holds `known`, in one step; its permissions stay.
+    """Replaces a file that holds `known` in one step, keeping its permissions. Returns None, or the file's content if
+    it differs, also if it changed during the swap.
 
-    Returns:
-        None where it was done; what the file holds where that is not `known`: then it is left as it is, also where it
-        changed in the moment of the replacement (on systems that can swap two names).
-
-    Raises `ResultsError`: there is no such plain file, or it cannot be read or written.
+    Raises `ResultsError`: no such plain file, or it cannot be read or written.
     """
     check_name_free(path, overwrite=True)
     with _as_results_error(path):
@@ -187,7 +171,7 @@ def replace_file(path: Path, data: bytes, known: bytes) -> bytes | None:
 
 
 def check_replaceable(path: Path, mark: str, *, overwrite: bool) -> None:
-    """Raises `ResultsError` where `path` exists and is not a file that begins with this mark in its first bytes."""
+    """Raises `ResultsError` if `path` exists without this mark in its first bytes."""
     if path.is_file() and not overwrite:
         with path.open("rb") as stream:
             if mark.encode() in stream.read(200):
@@ -196,7 +180,7 @@ def check_replaceable(path: Path, mark: str, *, overwrite: bool) -> None:
 
 
 def check_name_free(path: Path, *, overwrite: bool) -> None:
-    """Raises `ResultsError` where `path` is not a plain file, or one that is not to be replaced. Before long work."""
+    """Raises `ResultsError` if `path` is no plain file or must not be replaced; before long work."""
     if path.is_dir():
         raise ResultsError(f"{path}: this is a folder. Name a file in it")
     if path.is_symlink():
@@ -215,22 +199,16 @@ def _as_results_error(path: Path) -> Iterator[None]:
         raise ResultsError(f"{path}: cannot be written ({error.strerror or error}). Choose another place") from error
 
 
-# A file that grows: what is appended is there whole or not at all, whoever reads it meanwhile.
-
-
 class GrowingFile:
-    """A new file, and its size in bytes."""
+    """A file whose appended blocks are complete or absent for any reader."""
 
     def __init__(self, path: Path) -> None:
-        """Raises `OSError` where it is there, or cannot be made."""
+        """Raises `OSError` if it exists or cannot be made."""
         self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         self.size = 0
 
     def append(self, data: bytes) -> None:
-        """Put all of it at the end.
-
-        Raises `OSError`: it does not fit, or the disk is gone; the file is then as before.
-        """
+        """Raises `OSError` if it does not fit; the file is then unchanged."""
         left = memoryview(data)
         try:
             while left:
@@ -242,13 +220,12 @@ class GrowingFile:
         self.size += len(data)
 
     def close(self) -> None:
-        """Nothing more is appended."""
         os.close(self._handle)
 
 
 def as_parquet(table: pa.Table) -> bytes:
-    """The content of the table's Parquet file."""
-    import pyarrow.parquet as pq  # here: Arrow takes a tenth of a second to load
+    """Content of a Parquet file."""
+    import pyarrow.parquet as pq  # here: Arrow loads slowly
 
     stream = io.BytesIO()
     pq.write_table(table, stream)
@@ -256,7 +233,7 @@ def as_parquet(table: pa.Table) -> bytes:
 
 
 def as_csv(table: pa.Table) -> bytes:
-    """The content of the table's CSV file."""
+    """Content of a CSV file."""
     import pyarrow.csv as pc
 
     stream = io.BytesIO()
@@ -264,7 +241,7 @@ def as_csv(table: pa.Table) -> bytes:
     return stream.getvalue()
 
 
-# Endings of file names by which a folder's film and force log are guessed.
+# Endings by which film and force log are guessed.
 
 FILMS = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".ts", ".wmv")
-LOGS = (".csv", ".parquet", ".pq")  # text of other endings may be anything
+LOGS = (".csv", ".parquet", ".pq")  # not .txt, which may be anything

@@ -1,4 +1,4 @@
-"""Effects of a real set-up beyond the ideal one; pushes; force sensors and tag detectors with errors."""
+"""Effects of a real bench; pushes; errors of force sensors and of tag detection."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ from onebend.errors import RecordingError
 from onebend.records import Array, ForceLog, IntArray
 
 SHEAR_FACTOR = 5.0 / 6.0  # of a rectangle
-PATCH_OVER_TAG = 1.25  # length of a stiff patch over the side of the tag's black square
+PATCH_OVER_TAG = 1.25  # patch length over the side of the tag's black square
 
 
 @dataclass(frozen=True)
 class RealBench:
-    """Effects of the beam, its holding and contact, of the force sensor, and of the picture (these in films alone)."""
+    """Departures of a real bench from the ideal one."""
 
     # The beam
-    thickness: float = 0.0  # m, mean, in the plane of bending; h(s) ~ k^(1/3). 0: neither stretch nor shear
+    thickness: float = 0.0  # m, mean, in the plane of bending; h(s) ~ k^(1/3). 0: no stretch or shear
     poisson: float = 0.45
-    relaxation: float = 0.0  # share of the stiffness that relaxes (standard linear solid)
+    relaxation: float = 0.0  # share of the stiffness (standard linear solid)
     relaxation_time: float = 3.0  # s
     patch_factor: float = 1.0  # of k under each tag
-    patch_length: float = PATCH_OVER_TAG * 0.012  # m, middle at the tag's; its edges are sharp
-    rest_turn: tuple[float, ...] = ()  # rad, of s^0, s^1, ...: curvature at rest on top of the beam's own
-    inertia: bool = False  # mass times acceleration, of the shapes that follow the push without swinging
+    patch_length: float = PATCH_OVER_TAG * 0.012  # m, centred on the tag
+    rest_turn: tuple[float, ...] = ()  # rad, coefficients of s^0, s^1, ...; added to the beam's rest curvature
+    inertia: bool = False  # quasi-static: the beam follows the push without swinging
     # How it is held and pushed
     clamp_compliance: float = 0.0  # rad/(N m)
-    slide: float = 0.0  # m per rad of the beam's turn where it is pushed, outwards: the contact's way along the beam
-    push_off: float = 0.0  # m, by which the contact begins further out than the push's place
-    length_off: float = 0.0  # share by which the stated length is too large
+    slide: float = 0.0  # m the contact moves outwards per rad of rotation there
+    push_off: float = 0.0  # m the first contact lies further out than stated
+    length_off: float = 0.0  # relative excess of the stated length
     # The sensor
-    posture_bias: float = 0.0  # share of the peak: largest size of an error that goes with the tool's place
-    # x, y, x^2, xy, y^2; twice
+    posture_bias: float = 0.0  # largest error as a share of the peak; depends on the tool's place
+    # coefficients of x, y, x^2, xy, y^2; two components
     posture_shape: tuple[float, ...] = (1.0, 0.5, -0.8, 0.3, 0.6, -0.4, 0.9, 0.5, -0.7, 0.2)
-    # The picture
-    base_height: float = 0.0  # m, of the base tag's face over the plane of the other tags, towards the camera
-    tag_heights: tuple[float, ...] = ()  # m, of the tags on the beam; one each, or none
-    tag_tilts: tuple[tuple[float, float], ...] = ()  # rad, of their faces: about the beam's direction, and across it
-    droop: float = 0.0  # m, by which the tip of the straight beam hangs out of the plane, away from the camera
-    shake: float = 0.0  # px RMS, on each axis
+    # The picture (films only)
+    base_height: float = 0.0  # m, base tag towards the camera, from the plane of the other tags
+    tag_heights: tuple[float, ...] = ()  # m, one per tag on the beam, or none
+    tag_tilts: tuple[tuple[float, float], ...] = ()  # rad, about the beam's direction and across it
+    droop: float = 0.0  # m the straight beam's tip hangs out of the plane, away from the camera
+    shake: float = 0.0  # px RMS per axis
     shake_band: tuple[float, float] = (3.0, 8.0)  # Hz
     drift: float = 0.0  # px, from first to last frame
-    readout: float = 0.0  # s, from the first row to the last (rolling shutter)
+    readout: float = 0.0  # s, first to last row (rolling shutter)
 
     def __post_init__(self) -> None:
         sizes = (self.thickness, self.clamp_compliance, self.posture_bias, self.shake, self.drift, self.readout)
@@ -67,14 +67,14 @@ class RealBench:
 
     @property
     def moves_otherwise(self) -> bool:
-        """Whether the beam moves in another way than an ideal beam of its own stiffness, or is pushed elsewhere."""
+        """Whether any effect changes the motion of the beam or the place of the push."""
         sizes = (self.thickness, self.relaxation, self.clamp_compliance, self.slide, self.push_off)
         return any(sizes) or any(self.rest_turn) or self.patch_factor != 1.0 or self.inertia
 
 
 def effects_named(named: Sequence[str], before: RealBench = RealBench()) -> RealBench:
-    """`before` with effects given as NAME=SIZE: those that are one number, in the units of `RealBench`. Raises
-    `RecordingError`: a name that is not known, or a size that is no number or cannot be."""
+    """`before` with effects set from NAME=SIZE (scalar fields of `RealBench`, its units). Raises `RecordingError`:
+    unknown name or invalid size."""
     known = [one.name for one in fields(RealBench) if one.type == "float"]
     sizes: dict[str, float] = {}
     for text in named:
@@ -89,7 +89,7 @@ def effects_named(named: Sequence[str], before: RealBench = RealBench()) -> Real
 
 
 def patch_ends(effects: RealBench, length: float, tags: Array) -> Array:
-    """(m, 2) s, first and last place of the stiff patch under each tag (m,), beyond the tip too; (0, 2) without."""
+    """(m, 2) s, ends of the stiff patch under each tag (m,), not clipped at the tip; (0, 2) without patches."""
     if effects.patch_factor == 1.0:
         return np.zeros((0, 2))
     half = 0.5 * effects.patch_length / length
@@ -97,14 +97,14 @@ def patch_ends(effects: RealBench, length: float, tags: Array) -> Array:
 
 
 def instant_stiffness(beam: Beam, effects: RealBench, tags: Array, s: Array) -> Array:
-    """k(s) [N m] before anything relaxes, with the patches under `tags` (m,)."""
+    """k(s) [N m] before relaxation, with the patches under `tags` (m,)."""
     patches = patch_ends(effects, beam.length, tags)
     under = np.any((s[:, None] > patches[:, 0]) & (s[:, None] < patches[:, 1]), axis=1)
     return np.asarray(beam.stiffness(s)) * np.where(under, effects.patch_factor, 1.0)
 
 
 def section_flexibility(beam: Beam, effects: RealBench, s: Array) -> tuple[Array, Array]:
-    """1/EA and 1/kGA [1/N] at `s` (S,): EA = 12 EI / h^2 and kGA = 5/6 EA / (2 (1 + nu)); zeros without thickness."""
+    """1/EA and 1/kGA [1/N] at `s` (S,): EA = 12 EI / h^2, kGA = 5/6 EA / (2 (1 + nu)); zeros without thickness."""
     if effects.thickness == 0.0:
         return np.zeros(len(s)), np.zeros(len(s))
     k = np.asarray(beam.stiffness(s))
@@ -115,18 +115,15 @@ def section_flexibility(beam: Beam, effects: RealBench, s: Array) -> tuple[Array
 
 
 def rest_curvature(beam: Beam, effects: RealBench, s: Array) -> Array:
-    """(S,) rad, the beam's own and the bench's."""
+    """(S,) rad, of beam and bench."""
     own = np.asarray(beam.rest_curvature(s))
     return own + np.asarray(Powers(effects.rest_turn)(s)) if effects.rest_turn else own
 
 
-# An error of a robot's force estimate that goes with its posture: smooth in the place of the tool.
-
-
 def posture_bias(effects: RealBench, tool: Array, length: float, peak: float) -> Array:
-    """(T, 2) N at the tool's places (T, 2) [m], first at rest: a polynomial of second degree, zero there.
+    """(T, 2) N at the tool's places (T, 2) [m], the first at rest: a quadratic polynomial, zero at rest.
 
-    Its largest size over these places is `posture_bias` of the peak [N].
+    Its largest size over these places is the `posture_bias` share of the peak [N].
     """
     x, y = ((tool - tool[0]) / length).T
     terms = np.stack([x, y, x**2, x * y, y**2], axis=-1)
@@ -135,22 +132,19 @@ def posture_bias(effects: RealBench, tool: Array, length: float, peak: float) ->
     return np.asarray(error * (effects.posture_bias * peak / largest if largest > 0.0 else 0.0))
 
 
-# A push as a tool makes it: rest, rise, hold, fall, rest; its direction may turn on the way.
-
-
 @dataclass(frozen=True)
 class PushProfile:
-    """The force on the beam over a film that begins at 0 s."""
+    """The force of a tool: rest, rise, hold, fall, rest. The film begins at 0 s."""
 
     peak: float  # N
-    direction: float = 1.75  # rad, against the beam's x axis, in the middle of the push
-    turn: float = 0.5  # rad, by which the direction turns from first to last contact
+    direction: float = 1.75  # rad from the beam's x axis, at mid-push
+    turn: float = 0.5  # rad the direction turns from first to last contact
     at_s: float = 1.0
     before: float = 1.5  # s, rest
     rise: float = 2.0  # s
     hold: float = 0.3  # s
     fall: float = 2.0  # s
-    after: float = 1.0  # s, rest; 0: held to the end
+    after: float = 1.0  # s, rest; 0: the push is held to the end
 
     def __post_init__(self) -> None:
         if not (self.rise > 0.0 and self.fall > 0.0 and min(self.before, self.hold, self.after) >= 0.0):
@@ -165,59 +159,54 @@ class PushProfile:
 
     @property
     def duration(self) -> float:
-        """s, of the film."""
         return self.contact[1] + self.after
 
     def force(self, time: Array) -> Array:
-        """(N, 2) N at `time` (N,) [s]."""
         begin, end = self.contact
         part = smooth((time - begin) / self.rise) - smooth((time - end + self.fall) / self.fall)
         angle = self.angle(time)
         return np.asarray(self.peak * part[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1))
 
     def angle(self, time: Array) -> Array:
-        """(N,) rad, the direction of the force at `time` (N,) [s], also before and after contact."""
+        """(N,) rad, the direction at `time` (N,) [s]; defined before and after contact too."""
         begin, end = self.contact
         return np.asarray(self.direction + self.turn * (np.clip((time - begin) / (end - begin), 0.0, 1.0) - 0.5))
 
 
 def turned(xy: Array, angle: float) -> Array:
-    """Vectors (..., 2), turned counter-clockwise by `angle` [rad]."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.asarray(xy @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def smooth(part: Array) -> Array:
-    """0 to 1 with no jump of velocity or acceleration."""
+    """0 to 1 with continuous velocity and acceleration."""
     u = np.clip(part, 0.0, 1.0)
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
 
-# Force sensors with their errors: the log that a known force gives.
-
-TURN = 0.05  # of the largest load: a load that comes back by less has not reversed
-FORGET = 0.05  # s: time constant with which the error of one direction of load gives way to the next one's
+TURN = 0.05  # of the largest load: a smaller drop is no reversal
+FORGET = 0.05  # s: time constant from one load direction's error to the next
 
 
 @dataclass(frozen=True)
 class ForceSensor:
-    """`log = gain F(t - lag) + bias + walk + reversal + coloured + white`, then rounded; some rows are lost.
+    """`log = gain F(t - lag) + bias + walk + reversal + coloured + white`, then rounded, with rows dropped.
 
-    `gain_sd`: the gain of one log is drawn around `gain` with this sd.
+    `gain_sd`: sd of one log's gain about `gain`.
     """
 
     rate: float = 200.0  # Hz
-    white_sd: float = 0.0  # N, of one sample
-    coloured_sd: float = 0.0  # N, Ornstein-Uhlenbeck: sd, exponential correlation
+    white_sd: float = 0.0  # N per sample
+    coloured_sd: float = 0.0  # N, sd of an Ornstein-Uhlenbeck process
     coloured_time: float = 0.3  # s
-    bias: tuple[float, float] = (0.0, 0.0)  # N, steady
-    drift: float = 0.0  # N per root second: random walk
-    reversal: float = 0.0  # N, sd of an error that is drawn anew whenever the load begins, grows again or falls again
+    bias: tuple[float, float] = (0.0, 0.0)
+    drift: float = 0.0  # N per root second (random walk)
+    reversal: float = 0.0  # N, sd of an error redrawn at every start and reversal of the load
     gain: float = 1.0
     gain_sd: float = 0.0
     lag: float = 0.0  # s
-    drops: float = 0.0  # share of rows that are missing
-    quantum: float = 0.0  # N, step of the numbers; 0: none
+    drops: float = 0.0  # share of rows lost
+    quantum: float = 0.0  # N, rounding step; 0: none
 
     def __post_init__(self) -> None:
         sizes = (self.white_sd, self.coloured_sd, self.drift, self.reversal, self.gain_sd, self.quantum)
@@ -227,10 +216,10 @@ class ForceSensor:
             raise RecordingError("a sensor needs a rate and a correlation time above zero, and drops in [0, 1)")
 
 
-# A Franka's own estimate of the external force. Figures from public logs of that robot: white noise and drops from
-# rayangdn/virtual_tactile_pad (12 logs beside an ATI Gamma at loads of 3 to 7 N; the error after the tare is 0.22 N RMS
-# along x and stays until the load reverses), scatter within a second from sebtiburzio/dlo_parameter_id, the steady bias
-# from frankarobotics/franka_ros issue 404; gain 0.93 to 1.43 (sd 0.13), lag 25 to 50 ms.
+# A Franka's own force estimate, from public logs of that robot. White noise and lost rows: rayangdn/virtual_tactile_pad
+# (12 logs beside an ATI Gamma at 3 to 7 N; the error after the tare is 0.22 N RMS along x and lasts until the load
+# reverses). Scatter within a second: sebtiburzio/dlo_parameter_id. Steady bias: frankarobotics/franka_ros issue 404.
+# Gain 0.93 to 1.43 (sd 0.13), lag 25 to 50 ms.
 FRANKA = ForceSensor(
     rate=80.0,
     white_sd=0.014,
@@ -242,8 +231,8 @@ FRANKA = ForceSensor(
     lag=0.035,
     drops=0.004,
 )
-# A small six-axis sensor at a wrist (10 to 30 N range). Typical figures of data sheets: resolution a few mN, noise
-# about as much, 1 % of scale; bias from the tool's weight; drift with temperature.
+# A small six-axis wrist sensor (range 10 to 30 N), after typical data sheets: resolution and noise of a few mN, 1 % of
+# scale, bias from the tool's weight, thermal drift.
 WRIST = ForceSensor(
     rate=500.0,
     white_sd=0.005,
@@ -260,10 +249,10 @@ WRIST = ForceSensor(
 def log_of(
     sensor: ForceSensor, time: Array, force: Array, rng: np.random.Generator, *, offset: float = 0.0
 ) -> ForceLog:
-    """The log of `sensor` for the force (N, 2) [N] at `time` (N,) [s], on a clock that is `offset` [s] ahead.
+    """The log for the force (N, 2) [N] at `time` (N,) [s]; its clock is `offset` [s] ahead.
 
-    The force runs straight between its samples, so that these should be at least as dense as the sensor's. Raises
-    `RecordingError`: times that do not rise, or shapes that do not fit.
+    The force is interpolated linearly: give it at least at the sensor's rate. Raises `RecordingError`: times that do
+    not rise, or mismatched shapes.
     """
     if force.shape != (len(time), 2) or len(time) < 2 or not np.all(np.diff(time) > 0.0):
         raise RecordingError(f"a log needs a force (N, 2) at rising times (N,), got {force.shape} at {time.shape}")
@@ -278,7 +267,7 @@ def log_of(
 
 
 def force_error(sensor: ForceSensor, time: Array, force: Array, rng: np.random.Generator) -> Array:
-    """(N, 2) N that the sensor adds to a force (N, 2) at even times (N,)."""
+    """(N, 2) N that the sensor adds to a force (N, 2) sampled evenly."""
     step = 1.0 / sensor.rate
     shape = (len(time), 2)
     white = sensor.white_sd * rng.standard_normal(shape)
@@ -300,7 +289,7 @@ def coloured(count: int, step: float, time_constant: float, rng: np.random.Gener
 
 
 def stages(force: Array) -> IntArray:
-    """(N,) number of the stage of the load: 0 before it, and one more each time it begins to grow or to fall."""
+    """(N,) stage of the load: 0 before it, then counting every start of growth or fall."""
     size = np.linalg.norm(force, axis=1)
     margin = TURN * float(size.max(initial=0.0))
     out = np.zeros(len(size), dtype=np.int64)
@@ -315,27 +304,24 @@ def stages(force: Array) -> IntArray:
     return out
 
 
-# Errors of filmed tags: noise of their poses, frames that are wrong, tags that are missing.
-
-
 @dataclass(frozen=True)
 class TagNoise:
-    """White noise plus noise that is correlated in time; the stated covariance may be wrong."""
+    """White and time-correlated noise of tag poses; the stated covariance may be wrong."""
 
     white_xy: float = 2e-5  # m
     white_angle: float = 1e-3  # rad
     slow_xy: float = 0.0  # m, Ornstein-Uhlenbeck
     slow_angle: float = 0.0  # rad
     slow_time: float = 0.5  # s
-    stated: float = 1.0  # the observer's sd over the true sd of one frame
-    outliers: float = 0.0  # share of poses that are wrong by `outlier_xy`, `outlier_angle` (sd)
+    stated: float = 1.0  # stated sd over the true sd of one frame
+    outliers: float = 0.0  # share of poses with an extra error of `outlier_xy`, `outlier_angle` (sd)
     outlier_xy: float = 2e-3  # m
     outlier_angle: float = 0.05  # rad
-    missing: float = 0.0  # share of poses that are not seen
+    missing: float = 0.0  # share of poses not seen
 
 
 def filmed(noise: TagNoise, pose: Array, step: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Poses (T, m, 3) [m, m, rad] as seen every `step` [s], NaN where missing, and their covariance (T, m, 3, 3)."""
+    """Observed poses (T, m, 3) [m, m, rad] every `step` [s], NaN where missing, and their covariance (T, m, 3, 3)."""
     count, tags = pose.shape[:2]
     white = np.array([noise.white_xy, noise.white_xy, noise.white_angle])
     slow = np.array([noise.slow_xy, noise.slow_xy, noise.slow_angle])

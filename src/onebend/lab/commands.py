@@ -34,31 +34,29 @@ from onebend.report.wording import significant
 from onebend.results.model import StoredModel, model_text
 from onebend.results.provenance import inputs_of
 
-# Commands that make recordings of beams that are known.
-
 Design = Annotated[
     str,
     typer.Argument(
-        metavar="DESIGN", help="A named design, a design.toml, or `random`: all but the seed is drawn then."
+        metavar="DESIGN", help="A named design, a design.toml, or `random`: everything is drawn from the seed."
     ),
 ]
 FilmFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder to make; default: DESIGN-PUSH.")
 ]
 Effects = Annotated[
-    bool, typer.Option("--effects", help="What real benches do beside bending, all drawn at random: stretch, creep ...")
+    bool, typer.Option("--effects", help="Effects of real benches, drawn at random: stretch, relaxation ...")
 ]
 Effect = Annotated[
     list[str] | None,
     typer.Option(
         "--effect",
         metavar="NAME=SIZE",
-        help="One effect of a real bench by its size in SI units, as relaxation=0.1. More than one can be given.",
+        help="One effect of a real bench with its size in SI units, as relaxation=0.1; may be repeated.",
     ),
 ]
 Markers = Annotated[
     bool,
-    typer.Option("--markers", help="Tracked markers in place of a film: no pixels, so it takes a second. Slow pushes."),
+    typer.Option("--markers", help="Tracked markers instead of a film; takes a second. Slow pushes only."),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="The same seed makes the same files.")]
 
@@ -78,7 +76,6 @@ def film(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Film a known beam that is pushed: a recording folder to learn from, with the truth beside it."""
     with common.clean_errors(), common.progress_of(quiet) as progress:
         filming, folder = _filming(design, request, seed, output, effects)
         if effect:
@@ -117,9 +114,6 @@ def _filming(design: str, request: FilmRequest, seed: int, output: Path | None, 
     folder = output or Path(f"{found.name}-{request.push}")
     filming = filming_of(found, request, folder.resolve().name)
     return design_with_effects(filming, np.random.default_rng([seed, 21])) if effects else filming, folder
-
-
-# The screens of `onebend design` and `onebend mould`.
 
 
 def show_design(console: Console, expected: designs.Expected) -> None:
@@ -209,14 +203,12 @@ Rim = Annotated[
 Paper = Annotated[Literal["a4", "letter"], typer.Option("--page", help="Size of the paper.")]
 NoCuts = Annotated[bool, typer.Option("--no-cut-marks", help="Leave the cut marks out.")]
 NoLabels = Annotated[bool, typer.Option("--no-labels", help="Leave the numbers out.")]
-SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or an .svg a page.")]
+SheetFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A .pdf, or one .svg per page.")]
 ReplaceFiles = Annotated[bool, typer.Option("--force", "--overwrite", help="Replace files that are there.")]
 
 
 @dataclass(frozen=True)
 class Casting:
-    """The material of a design: at most one field is given."""
-
     silicone: str | None = option("--silicone", None, 'Cast of this product, such as "Dragon Skin 30".', metavar="NAME")
     shore_a: float | None = option("--shore-a", None, "Cast of a silicone of this hardness, scale A.", metavar="A")
     shore_zero: float | None = option(
@@ -227,7 +219,7 @@ class Casting:
     )
 
     def of(self, design: designs.Design) -> designs.Design:
-        """The design, cast of this material. Raises `MechanicsError` where more than one is given."""
+        """The design in this material. Raises `MechanicsError`: more than one field is given."""
         if sum(value is not None for value in (self.silicone, self.shore_a, self.shore_zero, self.modulus)) > 1:
             raise MechanicsError("give one of --silicone, --shore-a, --shore-zero and --modulus-kPa")
         if self.silicone is not None:
@@ -255,7 +247,6 @@ def design(
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
-    """Say what a beam of a design will do on the bench: stiffness, mass, forces, buckling, vibration."""
     with common.clean_errors():
         if new is not None:
             common.say(f"Wrote {designs.write_design_template(new)}. Fill it in, then: onebend design {new}")
@@ -283,7 +274,6 @@ def mould(
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Make the mould of a design, the clamp and the carriers of its tags, as files to print."""
     with common.clean_errors(), common.workplace(output, fabrication.MOULD_FORMAT, overwrite) as place:
         if picture is not None:
             check_name_free(picture, overwrite=overwrite)
@@ -311,7 +301,6 @@ def tags(
     overwrite: ReplaceFiles = False,
     as_json: common.Json = False,
 ) -> None:
-    """Draw a sheet of tags at exact size, with rulers to check the printer by."""
     with common.clean_errors():
         known = None if recording is None else read_recording(recording)
         if (known is None) == (ids is None):
@@ -344,7 +333,7 @@ def tags(
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
-    """Numbers of tags from text such as `0-4,7`. Raises `MechanicsError` where it is something else."""
+    """Tag ids from text such as `0-4,7`. Raises `MechanicsError`: any other text."""
     found: list[int] = []
     for piece in text.split(","):
         match = RANGE.fullmatch(piece.strip())
@@ -378,7 +367,6 @@ def _picture(path: Path | None, make: Draw) -> dict[Path, str | bytes]:
 
 
 def _write_all(files: Mapping[Path, str | bytes], *, overwrite: bool) -> None:
-    """Each file whole; none where one of them must not be replaced."""
     for path in files:
         check_name_free(path, overwrite=overwrite)
     for path, data in files.items():

@@ -1,8 +1,8 @@
-"""Designs of beams to cast: a width along the beam and a material, and what they make as a `Beam`.
+"""Designs of beams to cast: a width along the beam and a material.
 
-A design is a flat bar, `depth` thick across the plane of bending and w(s) wide in it, so that
-`EI = E depth w^3 / 12` and `k = EI / L`. The three named ones follow Section IV-B of the paper: widths of first, second
-and third order, weakest at the base, in the middle and near the tip. The paper prints no sizes; these are our own.
+A design is a flat bar, `depth` thick across the plane of bending and w(s) wide in it: `EI = E depth w^3 / 12`,
+`k = EI / L`. The three named designs follow Section IV-B of the paper: widths of first, second and third order, weakest
+at the base, in the middle and near the tip. The paper prints no sizes; these are ours.
 """
 
 from __future__ import annotations
@@ -37,44 +37,39 @@ from onebend.recording.schema import Check, Mistakes, key, keys_of, number, one_
 from onebend.records import Array
 from onebend.text_files import read_toml
 
-# Young's modulus of castable silicones: from a hardness, or from what the maker measured.
-#
-# Neither is a measurement of the batch in the mould. Each way states how far off it is likely to be, as one standard
-# deviation of log E, from its scatter against the makers' figures listed here and from the usual tolerance of a
-# hardness.
+# Young's modulus of castable silicones, from hardness or from the maker's tensile data. Each estimate carries an sd of
+# log E: its scatter against the makers' figures below, and the usual tolerance of a hardness.
 
 PSI = 6894.757  # Pa
 HARDNESS_SD = 2.5  # points; makers allow +-5
-GENT_FIT, HERTZ_FIT, STRESS_FIT = 0.25, 0.5, 0.2  # sd of log E of the three relations where they hold
+GENT_FIT, HERTZ_FIT, STRESS_FIT = 0.25, 0.5, 0.2  # sd of log E of the three relations in their range
 GENT_RANGE, SHORE_A_RANGE, SHORE_00_RANGE = (20.0, 80.0), (5.0, 95.0), (5.0, 95.0)
 BEYOND_GENT = 0.5  # sd of log E outside GENT_RANGE
-TYPICAL_DENSITY = 1080.0  # kg/m^3 of unfilled castable silicone
-BALL_RADIUS, TRAVEL = 1.19e-3, 2.54e-3  # m, the indenter of type 00 and its way (ASTM D2240)
+TYPICAL_DENSITY = 1080.0  # kg/m^3, unfilled castable silicone
+BALL_RADIUS, TRAVEL = 1.19e-3, 2.54e-3  # m, indenter of type 00 and its travel (ASTM D2240)
 
 
 @dataclass(frozen=True)
 class ModulusEstimate:
-    """A modulus and how sure it is."""
-
-    modulus: float  # E at small strain, Pa
+    modulus: float  # Pa, at small strain
     log_sd: float  # sd of log E
-    source: str  # one line: where it comes from
+    source: str  # one line
 
 
 @dataclass(frozen=True)
 class Silicone:
-    """A product, by its maker's data sheet."""
+    """A product, from its maker's data sheet."""
 
     name: str
     shore: float
     scale: str  # "A" or "00"
-    stress_100: float  # Pa, stress over first area at 100 % stretch; NaN where the maker gives none
+    stress_100: float  # Pa, nominal stress at 100 % stretch; NaN: not given
     density: float  # kg/m^3
     maker: str
 
     @property
     def stiffness(self) -> ModulusEstimate:
-        """E from the stress at 100 % stretch where the maker gives it, else from the hardness."""
+        """From the stress at 100 % stretch if known, else from the hardness."""
         if math.isfinite(self.stress_100):
             return from_stress_100(self.stress_100, f"{self.name}, stress at 100 % stretch by {self.maker}")
         by = from_shore_a if self.scale == "A" else from_shore_00
@@ -86,7 +81,7 @@ def _silicone(name: str, shore: float, scale: str, psi: float, density: float, m
     return Silicone(name, shore, scale, psi * PSI, density, maker)
 
 
-# Makers' technical bulletins: hardness, "100 % modulus" [psi], specific gravity.
+# Makers' bulletins: hardness, "100 % modulus" [psi], specific gravity.
 SILICONES = {
     silicone.name: silicone
     for silicone in (
@@ -104,7 +99,7 @@ SILICONES = {
 
 
 def silicone(name: str) -> Silicone:
-    """A named silicone, whatever the case of the letters. Raises `MechanicsError` on an unknown one."""
+    """Case-insensitive. Raises `MechanicsError`: unknown name."""
     known = {each.lower(): each for each in SILICONES}
     if name.lower() not in known:
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
@@ -117,10 +112,9 @@ def silicone(name: str) -> Silicone:
 
 
 def from_shore_a(shore: float) -> ModulusEstimate:
-    """E from a Shore A hardness: A. N. Gent, Rubber Chem. Technol. 31 (1958) 896, a rigid flat punch on a half-space.
+    """E from Shore A: A. N. Gent, Rubber Chem. Technol. 31 (1958) 896, a rigid flat punch on a half-space.
 
-    Its derivation holds from 20 to 80; it is taken from 5 to 95 with a wider band. Raises `MechanicsError`: a hardness
-    outside 5 to 95.
+    Derived for 20 to 80; used from 5 to 95 with a wider band. Raises `MechanicsError`: a hardness outside 5 to 95.
     """
     _check(shore, SHORE_A_RANGE, "A")
     modulus = 0.0981e6 * (56.0 + 7.62336 * shore) / (0.137505 * (254.0 - 2.54 * shore))
@@ -130,9 +124,9 @@ def from_shore_a(shore: float) -> ModulusEstimate:
 
 
 def from_shore_00(shore: float) -> ModulusEstimate:
-    """E from a Shore 00 hardness: Hertz (1882), the ball and spring of ASTM D2240 on an incompressible half-space.
+    """E from Shore 00: Hertz (1882), the ball and spring of ASTM D2240 on an incompressible half-space.
 
-    The ball sinks in by more than Hertz's small depth, so that this is good to a factor of about 1.6 only. Raises
+    The ball sinks deeper than Hertz assumes, so the result is good to a factor of about 1.6 only. Raises
     `MechanicsError`: a hardness outside 5 to 95.
     """
     _check(shore, SHORE_00_RANGE, "00")
@@ -147,8 +141,8 @@ def from_shore_00(shore: float) -> ModulusEstimate:
 def from_stress_100(stress: float, source: str = "stress at 100 % stretch") -> ModulusEstimate:
     """E at small strain from the nominal stress at 100 % stretch ("100 % modulus") [Pa] of a neo-Hookean rubber.
 
-    `stress = E / 3 (stretch - stretch^-2)` at stretch 2, hence E = 12/7 of it (Treloar 1975). Raises `MechanicsError`:
-    a stress that is not positive.
+    `stress = E / 3 (stretch - stretch^-2)` at stretch 2, so E = 12/7 stress (Treloar 1975). Raises `MechanicsError`: a
+    stress that is not positive.
     """
     if not (math.isfinite(stress) and stress > 0.0):
         raise MechanicsError(f"a stress at 100 % stretch must be positive, got {stress} Pa")
@@ -163,23 +157,21 @@ def _check(shore: float, allowed: tuple[float, float], scale: str) -> None:
         )
 
 
-PLACES = 2001  # where a width is checked
+PLACES = 2001  # where the width is checked
 INTERVALS = 48  # of the spline of log k
-SLENDER = 5.0  # a bar shorter than this many widths also shears
+SLENDER = 5.0  # a bar shorter than this many widths shears noticeably
 
 
 @dataclass(frozen=True)
 class Design:
-    """A bar of one material, clamped at s = 0."""
-
     name: str
     length: float  # L, m
     depth: float  # m, across the plane of bending
     width: Profile  # w(s), m, in the plane of bending
     modulus: float  # E, Pa
-    modulus_log_sd: float  # sd of log E; 0 where E is taken as known
+    modulus_log_sd: float  # sd of log E; 0: known
     density: float  # kg/m^3
-    source: str = "given"  # where E comes from
+    source: str = "given"  # source of E
 
     def __post_init__(self) -> None:
         sizes = {"length": self.length, "depth": self.depth, "modulus": self.modulus, "density": self.density}
@@ -199,13 +191,12 @@ class Design:
 
     @cached_property
     def along(self) -> SectionProfiles:
-        """k(s), mass and rotary inertia per metre."""
         material = Material(self.modulus, self.density)
         return along((SectionPart(Rectangle(Uniform(self.depth), self.width), material),), self.length)
 
     @property
     def mass(self) -> float:
-        """kg, from clamp to tip."""
+        """kg, clamp to tip."""
         x, w = np.polynomial.legendre.leggauss(16)
         edges = np.asarray(self.along.mass_per_length.edges)
         s = edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (x + 1.0)
@@ -213,12 +204,11 @@ class Design:
 
     @property
     def remarks(self) -> tuple[Notice, ...]:
-        """Where the design leaves what a slender beam's mechanics cover."""
+        """Limits of slender-beam mechanics that the design exceeds."""
         widest = float(np.max(np.asarray(self.width(np.linspace(0.0, 1.0, PLACES)))))
         return (Notice("not slender", {"widths": self.length / widest}),) if self.length < SLENDER * widest else ()
 
     def bending(self, s: Array | float) -> Array:
-        """EI [N m^2] at `s`."""
         return np.asarray(self.modulus * self.depth * np.asarray(self.width(s)) ** 3 / 12.0)
 
     def beam(self) -> Beam:
@@ -226,7 +216,7 @@ class Design:
         return Beam(self.length, self.along.stiffness, mass_per_length=self.along.mass_per_length)
 
     def uncertain(self) -> UncertainStiffness:
-        """k(s) with the band that the modulus alone leaves: one common scale, the shape taken as cast."""
+        """k(s) with the band of the modulus alone: one common scale."""
         kinks = np.asarray(self.along.stiffness.jumps)
         even = np.linspace(0.0, 1.0, INTERVALS + 1)[1:-1]
         inner = np.concatenate([even[~np.isin(even, kinks)], np.repeat(kinks, 3)])
@@ -237,7 +227,7 @@ class Design:
         return UncertainStiffness(knots, np.asarray(spline.c), np.zeros((count, count)), self.modulus_log_sd)
 
     def of(self, stiffness: ModulusEstimate, density: float | None = None) -> Design:
-        """The same shape cast of another material."""
+        """The same shape in another material."""
         return replace(
             self,
             modulus=stiffness.modulus,
@@ -258,13 +248,13 @@ DESIGNS = {
         _named("uniform", (0.014,)),
         _named("linear", (0.010, 0.010)),
         _named("quadratic", (0.018, -0.032, 0.032)),  # 18, 10, 18 mm at s = 0, 0.5, 1
-        _named("cubic", (0.014, 0.0405, -0.1035, 0.060)),  # widest (18.6 mm) at s = 0.25, narrowest (10.4) at 0.9
+        _named("cubic", (0.014, 0.0405, -0.1035, 0.060)),  # widest (18.6 mm) at s = 0.25, narrowest (10.4 mm) at 0.9
     )
 }
 
 
 def design_named(name: str) -> Design:
-    """One of `DESIGNS`. Raises `MechanicsError` on an unknown name."""
+    """Raises `MechanicsError`: not one of `DESIGNS`."""
     if name not in DESIGNS:
         near = difflib.get_close_matches(name, DESIGNS, n=1)
         hint = f"Did you mean {near[0]!r}? " if near else ""
@@ -276,14 +266,12 @@ def design_named(name: str) -> Design:
 
 
 def width_table(s: tuple[float, ...], width: tuple[float, ...]) -> Table:
-    """A width given at places that run from 0 to 1, monotone cubic between them. Raises `MechanicsError`: places that
-    do not rise from 0 to 1, or not one width a place."""
+    """Widths at places from 0 to 1, monotone cubic between. Raises `MechanicsError`: places that do not rise from 0 to
+    1, or a different number of widths."""
     if not s or s[0] != 0.0 or s[-1] != 1.0:
         raise MechanicsError(f"the places of a width must run from 0 to 1, got {list(s)}")
     return Table(s, width)
 
-
-# A design of the user's own: a TOML file with sizes, a width along the beam, and a material.
 
 FORMAT = 1
 TABLES = ("beam", "width", "material")
@@ -304,7 +292,7 @@ def _numbers(least: int, item: Check) -> Check:
 
 @dataclass(frozen=True)
 class SizeEntry:
-    """[beam]: its outer sizes."""
+    """[beam]: outer sizes."""
 
     length: float = key("length_m = 0.15", number(above=0), "the beam's length from clamp to tip, m")
     depth: float = key("depth_m = 0.03", number(above=0), "its size across the plane of bending, m")
@@ -312,7 +300,7 @@ class SizeEntry:
 
 @dataclass(frozen=True)
 class WidthEntry:
-    """[width]: the size in the plane of bending, as a polynomial or a table."""
+    """[width]: the size in the plane of bending, a polynomial or a table."""
 
     polynomial: tuple[float, ...] = key(
         "polynomial_m = [0.010, 0.010]", _numbers(1, number()), "the width's coefficients of s^0, s^1, ..., m", ()
@@ -333,7 +321,7 @@ class WidthEntry:
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """[material]: one of a named silicone, a hardness, or a modulus."""
+    """[material]: a named silicone, a hardness, or a modulus."""
 
     silicone: str = key('silicone = "Dragon Skin 30"', text, "a named silicone", NO_NAME)
     shore_a: float = key("shore_a = 30", number(), "its hardness on scale A", math.nan)
@@ -349,8 +337,8 @@ class MaterialEntry:
 
 
 def read_design(path: Path | str) -> Design:
-    """The design in a TOML file (docs/lab.md lists its keys). Raises `MechanicsError`: the file cannot be read, or
-    everything that is wrong in it, each with its line."""
+    """The design in a TOML file (keys: docs/lab.md). Raises `MechanicsError`: unreadable file, or all its errors, each
+    with its line."""
     path = Path(path)
     content, data = _load(path)
     mistakes = Mistakes(str(path), content)
@@ -378,14 +366,13 @@ def read_design(path: Path | str) -> Design:
 
 
 def find_design(name_or_path: str) -> Design:
-    """A named design, or the one in a TOML file."""
     path = Path(name_or_path)
     return read_design(path) if path.suffix == ".toml" or path.is_file() else design_named(name_or_path)
 
 
 def write_design_template(path: Path | str) -> Path:
-    """Write a commented design to fill in, and return its path. Raises `MechanicsError`: the file exists already, or
-    cannot be written."""
+    """Write a commented design to fill in; returns its path. Raises `MechanicsError`: the file exists, or cannot be
+    written."""
     path = Path(path)
     if path.exists():
         raise MechanicsError(f"{path} exists already. Edit it, or name another file.")
@@ -397,7 +384,6 @@ def write_design_template(path: Path | str) -> Path:
 
 
 def template() -> str:
-    """The text of a design file; valid TOML that keeps the schema."""
     rows = [
         "# A beam to cast, for onebend. Fill in your own values; lines that start with # are another way to say it.",
         "# It bends in the plane of its width; its depth is the size across that plane.",
@@ -463,23 +449,21 @@ def _material(table: Any, mistakes: Mistakes) -> tuple[ModulusEstimate, float] |
     return ModulusEstimate(estimate.modulus, log_sd, estimate.source), density
 
 
-# Behaviour of a designed beam: forces, deflections, buckling, vibration, sag. Exact statics.
-
 TURNS_DEG = (30.0, 60.0, 90.0)
 GRAVITY = 9.81  # m/s^2
 FINE = Resolution(order=16, widest=0.25)
 DENSE = np.linspace(0.0, 1.0, 1001)
-MOST_FORCE, GROWTH = 8.0, 1.15  # times the small-angle one, and from try to try
+MOST_FORCE, GROWTH = 8.0, 1.15  # multiples of the small-angle force; growth per try
 
 
 @dataclass(frozen=True)
 class TipBend:
-    """The tip turned by a tool that presses squarely on the beam at its tip."""
+    """The tip bent by a tool that stays square to the beam there."""
 
     turn: float  # rad, of the tip
-    force: float  # N, perpendicular to the beam where it acts
+    force: float  # N, square to the beam
     tip: Array  # (2,) m
-    strain: float  # largest strain at the surface
+    strain: float  # largest surface strain
 
     def as_dict(self) -> dict[str, float]:
         return {
@@ -493,15 +477,15 @@ class TipBend:
 
 @dataclass(frozen=True)
 class Expected:
-    """Figures of one design. All forces and the stiffness scale with the modulus; shapes do not depend on it."""
+    """Expected behaviour. Forces and stiffness scale with the modulus; shapes do not depend on it."""
 
     design: Design
     bends: tuple[TipBend, ...]
-    compliance: float  # m/N, of the tip to a small force across
-    buckling: float  # N, on the tip along the beam
-    frequency: tuple[float, ...]  # Hz, the two slowest vibrations in the plane of bending
-    sag: float  # m, how far the weight lowers the tip where the plane of bending lies flat
-    droop: float  # m, the same where that plane is upright and the beam level
+    compliance: float  # m/N, of the tip to a small transverse force
+    buckling: float  # N, axial, at the tip
+    frequency: tuple[float, ...]  # Hz, the two lowest in-plane modes
+    sag: float  # m the tip sinks with the plane of bending flat
+    droop: float  # m the tip sinks with that plane upright and the beam level
 
     def as_dict(self) -> dict[str, Any]:
         design, bending = self.design, self.design.bending(DENSE)
@@ -526,7 +510,7 @@ class Expected:
 
 @one_blas_thread
 def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected:
-    """Behaviour of a designed beam. Raises `MechanicsError`: an equilibrium was not found."""
+    """Raises `MechanicsError`: no equilibrium found."""
     beam = design.beam()
     still = equilibrium(beam, push((0.0, 0.0)), resolution=FINE)
     slowest = vibration(beam, still, rotary_inertia=design.along.rotary_inertia, count=2).frequency
@@ -542,8 +526,8 @@ def expect(design: Design, turns_deg: tuple[float, ...] = TURNS_DEG) -> Expected
 
 
 def bend(design: Design, turn: float) -> TipBend:
-    """The force at the tip, square to the beam there, that turns the tip by `turn` [rad]. Raises `MechanicsError`: no
-    such force."""
+    """The force at the tip, square to the beam, that turns the tip by `turn` [rad]. Raises `MechanicsError`: there is
+    none."""
     beam = design.beam()
 
     def turned(force: float) -> float:
@@ -564,16 +548,16 @@ def bend(design: Design, turn: float) -> TipBend:
 
 
 def _compliance(beam: Beam, power: int) -> float:
-    """How far a small force across moves the tip (power 2, m/N) or turns it (1, rad/N): `int (L (1 - s))^p / k ds`."""
+    """Tip deflection (power 2, m/N) or rotation (1, rad/N) per small transverse force: `int (L (1 - s))^p / k ds`."""
     grid = make_problem(beam, push((0.0, 0.0)), FINE).grid
     arm = (1.0 - grid.nodes) ** power
     return float(beam.length**power * np.sum(grid.weights * arm / beam.stiffness(grid.nodes)))
 
 
 def buckling_force(beam: Beam) -> float:
-    """N: the least axial push on the tip under which the straight beam is no longer stable.
+    """N: the least axial force on the tip that makes the straight beam unstable.
 
-    The tangent of the straight shape is affine in that force: its root is an eigenvalue.
+    The tangent of the straight shape is affine in the force, so the root is an eigenvalue.
     """
     problem = make_problem(beam, push((-1.0, 0.0)), FINE)
     free, pushed = (tangent(problem, np.zeros((1, problem.k.shape[-1])), factor)[0] for factor in (0.0, 1.0))
@@ -582,7 +566,7 @@ def buckling_force(beam: Beam) -> float:
 
 
 def across_depth(design: Design) -> Beam:
-    """The same bar, bending across its depth: out of the plane that it is made to bend in."""
+    """The same bar, bending across its depth."""
     material = Material(design.modulus, design.density)
     turned = along((SectionPart(Rectangle(design.width, Uniform(design.depth)), material),), design.length)
     return Beam(design.length, turned.stiffness, mass_per_length=turned.mass_per_length)
@@ -593,17 +577,15 @@ def _lowered(beam: Beam) -> float:
     return float(solved.xy(np.array([1.0]))[0, 0, 1]) if solved.converged[0] else math.nan
 
 
-# Random beams whose stiffness is known: smooth, stepped, or with a soft joint.
-
 Kind = Literal["smooth", "stepped", "joint"]
 DRAWN_PLACES = 401
-RESOLUTION = Resolution(order=12, widest=0.1)  # carries a table of k(s) and a narrow joint to 1e-9 L
+RESOLUTION = Resolution(order=12, widest=0.1)  # resolves a table of k(s) and a narrow joint to 1e-9 L
 FORCE_GROWTH, BATCH, MOST_BATCHES = 1.12, 10, 10  # of the forces tried
-LARGEST_RATIO = 6.0  # of the stiffest to the softest place of a smooth beam
+LARGEST_RATIO = 6.0  # stiffest over softest place of a smooth beam
 
 
 def random_stiffness(kind: Kind, rng: np.random.Generator, *, level: float = 0.02) -> Profile:
-    """k(s) [N m] around `level`, of one kind."""
+    """k(s) [N m] around `level`."""
     s = np.linspace(0.0, 1.0, DRAWN_PLACES)
     size = level * np.exp(0.3 * rng.standard_normal())
     if kind == "stepped":
@@ -622,7 +604,7 @@ def random_stiffness(kind: Kind, rng: np.random.Generator, *, level: float = 0.0
 
 
 def smooth_log(s: Array, rng: np.random.Generator) -> Array:
-    """A taper plus up to three broad bumps, scaled to a range of 1:1 to 6:1; mean zero."""
+    """A taper and up to three broad bumps with a range of 1:1 to 6:1; mean zero."""
     taper, bow = rng.normal(0.0, 1.0), rng.normal(0.0, 1.5)
     log_k = taper * (s - 0.5) + bow * (s - rng.uniform(0.3, 0.7)) ** 2
     for _ in range(int(rng.integers(0, 4))):
@@ -635,9 +617,9 @@ def smooth_log(s: Array, rng: np.random.Generator) -> Array:
 
 @one_blas_thread
 def force_that_bends(beam: Beam, bend: float, direction: float, at_s: float = 1.0) -> float:
-    """N: the force at angle `direction` [rad] that turns the place where it acts by `bend` [rad].
+    """N: the force at angle `direction` [rad] that turns its place by `bend` [rad].
 
-    Where the beam would snap through before that, nine tenths of the largest force that it carries on this branch.
+    If the beam would snap through first: nine tenths of the largest force on this branch.
     """
     unit = np.array([np.cos(direction), np.sin(direction)])
     softest = float(np.min(np.asarray(beam.stiffness(np.linspace(0.0, 1.0, DRAWN_PLACES)))))

@@ -1,4 +1,4 @@
-"""Moulds, clamps and carriers of tags, as parts to print."""
+"""Moulds, clamps and tag carriers as parts to print."""
 
 from __future__ import annotations
 
@@ -27,19 +27,15 @@ if TYPE_CHECKING:
     from manifold3d import Manifold
 
 
-# Solids of the parts to print, in mm: prisms, cylinders, bodies between two outlines; their check and their files.
-
 FACETS = 48  # of a cylinder
 MESH_SUFFIXES = (".stl", ".3mf")
 
 
 def nothing() -> Manifold:
-    """The empty solid, to add others to."""
     return _manifold3d().Manifold()
 
 
 def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> Manifold:
-    """The box between two opposite corners."""
     size = tuple(b - a for a, b in zip(low, high, strict=True))
     return _manifold3d().Manifold.cube(size).translate(low)
 
@@ -55,8 +51,8 @@ def across(x: float, z: float, low: float, high: float, diameter: float) -> Mani
 
 
 def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
-    """A body that is symmetric about y = 0: stations (n, 2) of x and half width at its bottom and at its top. Raises
-    `MechanicsError`: stations whose x does not rise, or a width that is not positive."""
+    """A body symmetric about y = 0, from stations (n, 2) of x and half width at its bottom and top. Raises
+    `MechanicsError`: x does not rise, or a width is not positive."""
     for stations in (lower, upper):
         if np.any(np.diff(stations[:, 0]) <= 0.0) or np.any(stations[:, 1] <= 0.0):
             raise MechanicsError("the part has no thickness somewhere: take less draft, or a wider beam")
@@ -85,8 +81,7 @@ def strip(lower: Array, upper: Array, bottom: float, top: float) -> Manifold:
 
 
 def mesh_of(solid: Manifold) -> Any:
-    """The surface of a solid as a `trimesh.Trimesh`, checked. Raises `MechanicsError`: the solid is empty or its
-    surface is not watertight."""
+    """A checked `trimesh.Trimesh`. Raises `MechanicsError`: empty solid, or surface not watertight."""
     found = solid.to_mesh64()
     mesh = package("trimesh", "make").Trimesh(
         np.asarray(found.vert_properties)[:, :3], np.asarray(found.tri_verts, dtype=np.int64), process=False
@@ -97,7 +92,7 @@ def mesh_of(solid: Manifold) -> Any:
 
 
 def write_mesh(path: Path, mesh: Any) -> None:
-    """Write a `trimesh.Trimesh` as STL or 3MF, in mm. Raises `MechanicsError`: a file name that ends in neither."""
+    """Write STL or 3MF in mm. Raises `MechanicsError`: another file ending."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MechanicsError(f"{path}: parts are written as {' or '.join(MESH_SUFFIXES)}. Name the file so.")
     mesh.units = "mm"
@@ -113,38 +108,34 @@ def _manifold3d() -> Any:
     return package("manifold3d", "make")
 
 
-# The mould of a design, to print: its cavity is the beam, with a neck and a foot for the clamp behind s = 0.
-#
-# Lengths inside are mm, as meshes have them. x runs along the beam from the clamp line (s = 0), y across it in the
-# plane of bending, z along its depth. The cavity's floor makes the face that carries the tags; it is poured from
-# above.
+# The mould: its cavity is the beam, with a neck and a foot for the clamp behind s = 0. Lengths in mm. x runs along the
+# beam from the clamp line (s = 0), y across it in the plane of bending, z along its depth. The cavity's floor forms the
+# face that carries the tags; it is poured from above.
 
 MM = 1e3  # of a metre
 STATIONS = 301  # along the beam
-PEG, PEG_LENGTH, PEG_PLAY = 4.0, 4.0, 0.3  # mm, diameter and length of the halves' pegs; holes are wider by the play
+PEG, PEG_LENGTH, PEG_PLAY = 4.0, 4.0, 0.3  # mm; holes are wider by the play
 SCREW = 4.3  # mm, a hole for M4
-END = 13.0  # mm of solid beyond the cavity where pegs and screws sit
-ROOM = 4.0  # times the lean: how far from an end stations are moved along with it
-OVER = 1.0  # mm, by which the cavity is cut through the tray's upper face
-GROOVE_WIDE, GROOVE_DEEP = 0.4, 0.2  # mm, in the cast, at the tags' places
+END = 13.0  # mm of solid beyond the cavity for pegs and screws
+ROOM = 4.0  # in units of the lean: stations nearer than this to an end move with it
+OVER = 1.0  # mm the cavity is cut through the tray's upper face
+GROOVE_WIDE, GROOVE_DEEP = 0.4, 0.2  # mm, marks in the cast at the tags' places
 
 
 @dataclass(frozen=True)
 class MouldSettings:
-    """How a mould is made. Sizes in m, as everywhere outside the meshes."""
+    """Sizes in m."""
 
     kind: Literal["open", "halves"] = option("--kind", "open", "One open tray, or two halves.")
     wall: float = option("--wall-mm", 0.004, "Thickness of walls and floor.", metavar="MM", within=(0.4, 1e9))
-    draft: float = option(  # the width is the design's at half the depth
-        "--draft-deg", 0.0, "Lean of the walls.", metavar="DEG", within=(0.0, 10.0)
+    draft: float = option(  # the stated width is that at half depth
+        "--draft-deg", 0.0, "Draft angle of the walls.", metavar="DEG", within=(0.0, 10.0)
     )
-    foot: float = 0.020  # m, length of the foot that the clamp holds
-    shoulder: float = 0.004  # m, by which the foot is wider than the beam's base, on either side
-    neck: float = 0.003  # m, of the beam's base width, inside the clamp's front wall
-    shrinkage: float = option(  # a share
-        "--shrinkage-percent", 0.0, "How much the silicone shrinks.", metavar="P", within=(0.0, 9.9)
-    )
-    tag_places: tuple[float, ...] = option(  # fine grooves mark them; none: ()
+    foot: float = 0.020  # m the clamp holds
+    shoulder: float = 0.004  # m the foot is wider than the beam's base, per side
+    neck: float = 0.003  # m of base width inside the clamp's front wall
+    shrinkage: float = option("--shrinkage-percent", 0.0, "Shrinkage of the silicone.", metavar="P", within=(0.0, 9.9))
+    tag_places: tuple[float, ...] = option(  # marked by fine grooves; (): none
         "--tag-at",
         (1.0 / 3.0, 2.0 / 3.0, 1.0),
         "Place of a tag on the beam; may be repeated.",
@@ -166,34 +157,30 @@ class MouldSettings:
 
 @dataclass(frozen=True)
 class PrintedPart:
-    """One solid of a set."""
-
     name: str
     mesh: Any  # trimesh.Trimesh in mm, watertight
 
 
 @dataclass(frozen=True)
 class Mould:
-    """A mould, and the cast beam."""
-
     design: Design
     settings: MouldSettings
     parts: tuple[PrintedPart, ...]
-    cast: Any  # trimesh.Trimesh in mm, the cured beam with its foot, its neck and the grooves
+    cast: Any  # trimesh.Trimesh in mm: cured beam with foot, neck and grooves
 
     @property
     def volume(self) -> float:
-        """m^3 of silicone that fill it."""
+        """m^3 of silicone to fill it."""
         return float(self.cast.volume) * 1e-9 / (1.0 - self.settings.shrinkage) ** 3
 
     @property
     def pour(self) -> float:
-        """kg of silicone that fill it."""
+        """kg of silicone to fill it."""
         return self.volume * self.design.density
 
 
 def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
-    """The mould of a design. Raises `MechanicsError`: a draft closes the cavity, or walls are too thin."""
+    """Raises `MechanicsError`: a draft closes the cavity, or walls are too thin."""
     body, grow = cast_body(design, settings), (1.0 / (1.0 - settings.shrinkage),) * 3
     grown = body.scale(grow)
     tray = _block(grown, settings) - cast_body(design, settings, over=OVER).scale(grow)
@@ -206,9 +193,9 @@ def mould(design: Design, settings: MouldSettings = MouldSettings()) -> Mould:
 
 
 def cast_body(design: Design, settings: MouldSettings = MouldSettings(), over: float = 0.0) -> Manifold:
-    """The cast and cured body: the beam from x = 0 to L, behind it the neck and the foot.
+    """The cured body: the beam from x = 0 to L, with neck and foot behind.
 
-    `over`: mm by which it goes on above its upper face, to cut a mould open there.
+    `over`: mm it continues above its upper face, to cut a mould open there.
     """
     depth = MM * design.depth
     low, high = (height * math.tan(settings.draft) for height in (-0.5 * depth, 0.5 * depth + over))
@@ -223,7 +210,7 @@ def cast_body(design: Design, settings: MouldSettings = MouldSettings(), over: f
 
 
 def beam_stations(design: Design, settings: MouldSettings) -> Array:
-    """(n, 2) mm: x and half width of neck and beam; the neck's end lies inside the foot."""
+    """(n, 2) mm: x and half width of neck and beam; the neck ends inside the foot."""
     s = np.unique(np.concatenate([np.linspace(0.0, 1.0, STATIONS), np.asarray(design.along.stiffness.edges)]))
     half = 0.5 * MM * np.asarray(design.width(s), dtype=float)
     into_foot = -MM * (settings.neck + 0.5 * settings.foot)
@@ -231,20 +218,19 @@ def beam_stations(design: Design, settings: MouldSettings) -> Array:
 
 
 def foot_stations(design: Design, settings: MouldSettings) -> Array:
-    """(2, 2) mm: x and half width of the foot."""
     half = MM * (0.5 * float(design.width(0.0)) + settings.shoulder)
     return np.array([[-MM * (settings.neck + settings.foot), half], [-MM * settings.neck, half]])
 
 
 def _leaning(stations: Array, out: float) -> Array:
-    """The stations where all walls stand `out` mm further out; those near an end make room for it."""
+    """The stations with all walls `out` mm further out; those near an end make room."""
     x, half = stations.T
     near = np.maximum(0.0, 1.0 - np.stack([x - x[0], x[-1] - x]) / (ROOM * max(abs(out), 1e-9)))
     return np.column_stack([x + out * (near[1] - near[0]), half + out])
 
 
 def _block(cavity: Manifold, settings: MouldSettings) -> Manifold:
-    """The tray before the cavity is taken out; thicker at the ends of two halves, for pegs and screws."""
+    """The tray before the cavity is cut; thicker at the ends of a split mould, for pegs and screws."""
     low_x, low_y, _, high_x, high_y, top = cavity.bounding_box()
     wall = MM * settings.wall
     end = max(wall, END) if settings.kind == "halves" else wall
@@ -263,28 +249,27 @@ def _fastened(left: Manifold, right: Manifold, cavity: Manifold) -> tuple[Manifo
     return left, right
 
 
-# The clamp that holds a cast beam at s = 0, and carriers for its tags; all tags come to lie in one plane.
-#
-# In use the tags' face is up: z = 0 is the beam's lower face here, z = depth the one that carries the tags. The base
-# tag sits right over s = 0 on a ledge of the clamp that reaches out over the beam without touching it.
+# The clamp at s = 0 and carriers that bring all tags into one plane. In use the tags' face is up: z = 0 is the beam's
+# lower face, z = depth the tags' face. The base tag sits over s = 0 on a ledge of the clamp that does not touch the
+# beam.
 
-CAP, FREE = 3.0, 0.6  # mm, the cap's thickness and the gap between its ledge and the beam
-RECESS, PLAY, LIP = 0.3, 0.2, 0.8  # mm, a tag's recess: depth, wider than the tag by, and the plate around it
+CAP, FREE = 3.0, 0.6  # mm, the cap's thickness; gap between its ledge and the beam
+RECESS, PLAY, LIP = 0.3, 0.2, 0.8  # mm, a tag's recess: depth, clearance, and plate around it
 TAG_PLANE = CAP - RECESS  # mm above the beam's face
 STEM = 1.2  # mm, height of a carrier's foot
-STEM_LONG, STEM_WIDE = 3.0, 0.8  # mm along the beam, and part of the beam's width
+STEM_LONG, STEM_WIDE = 3.0, 0.8  # mm along the beam; share of the beam's width
 BESIDE = 10.0  # mm beside the foot, for the screws
 FLOOR = 6.0  # mm under the foot
-SQUEEZE, LOOSE = 0.4, 0.3  # mm by which the cap presses into the foot's pocket, and its clearance there
-BETWEEN = 4.0  # mm between carriers on the print bed
+SQUEEZE, LOOSE = 0.4, 0.3  # mm the cap presses into the foot's pocket; its clearance
+BETWEEN = 4.0  # mm between carriers when printed
 
 
 @dataclass(frozen=True)
 class TagSeat:
-    """The tags as they are cut out."""
+    """The cut-out tags."""
 
     size: float = option("--size-mm", 0.012, "Side of a tag's black square.", metavar="MM", within=(0.5, 1e9))
-    cells: float = 10.0 / 8.0  # side of what is cut out, as a multiple of it (with one cell of white: 10/8)
+    cells: float = 10.0 / 8.0  # cut-out side over the tag's side (10/8: one cell of white)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.size) and self.size > 0.0 and self.cells >= 1.0):
@@ -292,14 +277,13 @@ class TagSeat:
 
     @property
     def recess(self) -> float:
-        """mm, side of the recess."""
         return MM * self.size * self.cells + PLAY
 
 
 def clamp(
     design: Design, settings: MouldSettings = MouldSettings(), seat: TagSeat = TagSeat()
 ) -> tuple[PrintedPart, ...]:
-    """The clamp's lower part with the foot's pocket, and its cap with the base tag's seat."""
+    """The clamp's base with the foot's pocket, and its cap with the base tag's seat."""
     depth, wall = MM * design.depth, MM * settings.wall
     foot, neck = foot_stations(design, settings), beam_stations(design, settings)[:2]
     reach = 0.5 * seat.recess
@@ -319,11 +303,10 @@ def clamp(
 
 
 def carriers(design: Design, settings: MouldSettings = MouldSettings(), seat: TagSeat = TagSeat()) -> PrintedPart:
-    """A plate for every tag on the beam, in a row as they are printed: on their faces' backs, stems up.
+    """One plate per tag on the beam, in a row for printing: face down, stem up.
 
-    A stem is glued across the beam at the tag's place; the plate above touches nothing, so that a tag does not stiffen
-    the beam over its own length. Raises `MechanicsError`: tags so near to each other that their plates meet, or no tag
-    at all.
+    A stem is glued across the beam at the tag's place. The plate does not touch the beam, so a tag does not stiffen it
+    over the tag's length. Raises `MechanicsError`: plates overlap, or there is no tag.
     """
     if not settings.tag_places:
         raise MechanicsError("there are no tags to carry: give their places along the beam")
@@ -342,7 +325,7 @@ def carriers(design: Design, settings: MouldSettings = MouldSettings(), seat: Ta
 
 
 def _carrier(design: Design, s: float, seat: TagSeat) -> Manifold:
-    """One plate with its stem; z = 0 is the beam's face, the origin the tag's centre."""
+    """One plate and stem; z = 0 is the beam's face, the origin the tag's centre."""
     reach = 0.5 * seat.recess
     plate = box((-reach - LIP, -reach - LIP, STEM), (reach + LIP, reach + LIP, CAP))
     plate -= box((-reach, -reach, TAG_PLANE), (reach, reach, CAP + 1.0))
@@ -356,8 +339,6 @@ def _screws(back: float, half: float, depth: float) -> list[Manifold]:
     aside, fore, aft = half - 0.5 * BESIDE, -0.5 * BESIDE, back + 0.5 * BESIDE
     return [upright(x, y, -FLOOR - 1.0, depth + CAP + 1.0, SCREW) for x in (aft, fore) for y in (-aside, aside)]
 
-
-# Files of `onebend design` and `onebend mould`.
 
 DESIGN_FORMAT = "onebend-design-1"
 MOULD_FORMAT = "onebend-mould-1"
@@ -375,7 +356,7 @@ def design_csv(design: Design) -> str:
 
 
 def parts_summary(made: Mould, parts: tuple[PrintedPart, ...], *, written_by: str) -> dict[str, Any]:
-    """Contents of `onebend mould --json` and of `summary.json` (there with `files`)."""
+    """Contents of `onebend mould --json` and `summary.json` (which adds `files`)."""
     return {
         "format": MOULD_FORMAT,
         "written_by": written_by,
@@ -388,22 +369,20 @@ def parts_summary(made: Mould, parts: tuple[PrintedPart, ...], *, written_by: st
 
 
 def write_parts(folder: Path, parts: tuple[PrintedPart, ...], shape: str) -> None:
-    """Write each part as a file of the ending `shape`."""
+    """Write each part as a file with the ending `shape`."""
     for part in parts:
         write_mesh(folder / f"{part.name}.{shape}", part.mesh)
 
 
-# Pictures of designs and of the parts to print.
-
 S = np.linspace(0.0, 1.0, 401)
-PIXELS = 420  # of a part's longer side
+PIXELS = 420  # longer side of a part
 VIEW = np.array([-0.45, -0.62, 0.64])  # towards the eye
 LIGHT = np.array([-0.2, -0.55, 0.81])
 
 
 @styled
 def design_figure(design: Design) -> Figure:
-    """The outline that is cast, to scale, and k(s) with the band that the modulus leaves."""
+    """The cast outline to scale, and k(s) with the band of the modulus."""
     figure, (outline, stiffness) = blank(4.2, rows=2, height_ratios=(1.0, 2.2))
     x, half = MM * design.length * S, 0.5 * MM * np.asarray(design.width(S))
     outline.fill_between(x, -half, half, color=BLUE, alpha=0.25, linewidth=0.0)
@@ -425,7 +404,7 @@ def design_figure(design: Design) -> Figure:
 
 @styled
 def parts_figure(parts: Sequence[PrintedPart]) -> Figure:
-    """Every part of a set, seen from above at an angle, each on its own scale."""
+    """Each part from above at an angle, each at its own scale."""
     rows = (len(parts) + 1) // 2
     figure, places = blank(2.6 * rows, rows, 2)
     for axes in places:
@@ -438,7 +417,7 @@ def parts_figure(parts: Sequence[PrintedPart]) -> Figure:
 
 
 def rendered(part: PrintedPart, pixels: int = PIXELS) -> NDArray[np.uint8]:
-    """(H, W, 3) the part by parallel light and projection, the nearest surface in each pixel."""
+    """(H, W, 3): parallel light and projection, depth-buffered."""
     right = np.cross([0.0, 0.0, 1.0], VIEW)
     right /= np.linalg.norm(right)
     toward = VIEW / np.linalg.norm(VIEW)
@@ -459,7 +438,6 @@ def rendered(part: PrintedPart, pixels: int = PIXELS) -> NDArray[np.uint8]:
 
 
 def _fill(triangle: Array, grey: float, depth: Array, level: Array) -> None:
-    """Draw one triangle (3, 3) where it is nearer than what is drawn."""
     (x0, y0), (x1, y1) = np.floor(triangle[:, :2].min(axis=0)), np.ceil(triangle[:, :2].max(axis=0))
     rows, columns = slice(int(y0), int(y1) + 1), slice(int(x0), int(x1) + 1)
     x, y = np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop)[:, None]

@@ -1,4 +1,4 @@
-"""The virtual film: scene, camera, rendering, and the recording folder with its truth."""
+"""The virtual film: scene, camera, rendering, recording folder and its truth."""
 
 from __future__ import annotations
 
@@ -67,12 +67,9 @@ from onebend.recording.tag_finder import printed_tag
 from onebend.records import Array, ForceLog, View
 from onebend.text_files import plain
 
-# The force log as a file, on its own clock and in its own axes.
-
 
 def in_log_axes(force: Array, rotation: float, acts_on: str) -> Array:
-    """(N, 2) N in the axes of a log whose x axis is turned by `rotation` [rad] against the beam's; the reaction where
-    it `acts_on` the "robot"."""
+    """(N, 2) N in axes turned by `rotation` [rad] from the beam's; the reaction if it `acts_on` the "robot"."""
     return turned(-force if acts_on == "robot" else force, -rotation)
 
 
@@ -82,19 +79,19 @@ def write_log(path: Path, log: ForceLog) -> None:
     np.savetxt(path, rows, fmt=("%.4f", "%.5f", "%.5f"), delimiter=",", header="time_s,fx_N,fy_N", comments="")
 
 
-# How a known beam moves under a push: exact equilibria where it is slow, the equation of motion where it is fast.
+# Motion of a known beam under a push: equilibria if slow, the equation of motion if fast.
 
 PLACES = np.linspace(0.0, 1.0, 121)
 BATCH = 400  # equilibria at a time
-STEP, TOLERANCE = 4e-3, 1e-5  # s, the first step tried; m, of the markers
-ORDER = 12  # curvature nodes of a moving beam
+STEP, TOLERANCE = 4e-3, 1e-5  # s, first step; m, error at the markers
+ORDER = 12  # curvature nodes
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """Causes of motion apart from the push: weight and, if the beam `swings`, inertia."""
+    """Weight, and inertia if the beam `swings`."""
 
-    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2 in the clamp's frame
+    gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2, clamp's frame
     swings: bool = False
     damping: float = 0.006  # s, internal (Kelvin-Voigt) damping over stiffness
     rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m
@@ -102,22 +99,22 @@ class MotionSettings:
 
 @dataclass(frozen=True)
 class BeamShapes:
-    """The beam at T times, in the clamp's frame, at `PLACES`."""
+    """The beam at T times, clamp's frame, at `PLACES`."""
 
     time: Array  # (T,) s
-    force: Array  # (T, 2) N on the beam
+    force: Array  # (T, 2) N
     xy: Array  # (T, 121, 2) m
     angle: Array  # (T, 121) rad
 
     def at(self, s: Array) -> tuple[Array, Array]:
-        """(T, m, 2) m and (T, m) rad at places `s` (m,), by cubic interpolation between `PLACES`."""
+        """(T, m, 2) m and (T, m) rad at `s` (m,), cubic between `PLACES`."""
         from_left = np.clip(s, 0.0, 1.0)
         xy = np.stack([cubic(self.xy[..., i], from_left) for i in range(2)], axis=-1)
         return xy, cubic(self.angle, from_left)
 
 
 def cubic(values: Array, s: Array) -> Array:
-    """(T, m) at `s` (m,) of (T, 121) at `PLACES`: Lagrange's cubic through the four nearest."""
+    """(T, m) at `s` (m,) from (T, 121) at `PLACES`: Lagrange cubic of the four nearest."""
     spacing = PLACES[1] - PLACES[0]
     first = np.clip(np.floor(s / spacing).astype(int) - 1, 0, len(PLACES) - 4)
     u = s / spacing - first
@@ -132,8 +129,8 @@ def cubic(values: Array, s: Array) -> Array:
 
 
 def shapes_at(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings = MotionSettings()) -> BeamShapes:
-    """The beam under `pushing` at times (T,) [s] that rise; before 0 it is at rest. Raises `MechanicsError`: the beam
-    snaps through, or weight or inertia are asked for and its mass is not known."""
+    """The beam at rising times (T,) [s]; at rest before 0. Raises `MechanicsError`: snap-through, or weight or inertia
+    with an unknown mass."""
     if (motive.swings or any(motive.gravity)) and not float(np.min(beam.mass_per_length(PLACES))) > 0.0:
         raise MechanicsError("a beam without mass has neither weight nor inertia. Give it a mass per length")
     return swinging(beam, pushing, time, motive) if motive.swings else standing(beam, pushing, time, motive)
@@ -157,7 +154,7 @@ def standing(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettin
 
 
 def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettings) -> BeamShapes:
-    """The equation of motion, from rest under the weight."""
+    """The equation of motion, from rest under weight."""
     damping = Scaled(motive.damping, beam.stiffness)
     moving = body(beam, rotary_inertia=motive.rotary_inertia, damping=damping, resolution=Resolution(ORDER))
     breaks = tuple(sorted({pushing.before, pushing.before + pushing.rise, *pushing.contact}))
@@ -174,37 +171,35 @@ def swinging(beam: Beam, pushing: PushProfile, time: Array, motive: MotionSettin
     return BeamShapes(time, pushing.force(time), xy, angle)
 
 
-# The set-up of a film.
-
-DOWN = -0.5 * pi  # rad, of gravity in the room
+DOWN = -0.5 * pi  # rad, gravity in the room
 
 
 @dataclass(frozen=True)
 class Filming:
-    """A bench and all that a film shows of it. The bench's own camera (noise of poses) has no part in it."""
+    """A bench and its film. The bench's own camera (pose noise) is not used."""
 
     bench: VirtualBench
-    width: Profile = field(default_factory=lambda: Uniform(0.014))  # m, of the beam as drawn
-    rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m, where it swings
+    width: Profile = field(default_factory=lambda: Uniform(0.014))  # m, of the drawn beam
+    rotary_inertia: Profile = field(default_factory=lambda: Uniform(0.0))  # kg m; used if it swings
     camera: Camera = field(default_factory=Camera)
     scene: Scene = field(default_factory=Scene)
-    swings: bool = False  # the equation of motion instead of equilibria
+    swings: bool = False  # equation of motion instead of equilibria
     damping: float = 0.006  # s, internal damping over stiffness
-    gravity: float = 0.0  # m/s^2, in the plane of bending, downwards in the picture; 0: across the plane
-    base_angle: float = 0.0  # rad, of the beam's x axis in the room
+    gravity: float = 0.0  # m/s^2, downwards in the picture; 0: across the plane of bending
+    base_angle: float = 0.0  # rad, the beam's x axis in the room
     tag_size: float = 0.012  # m
-    log_rotation: float = 0.0  # rad, of the log's x axis against the beam's
+    log_rotation: float = 0.0  # rad, the log's x axis from the beam's
     log_of_robot: bool = False  # the log shows the reaction
-    log_before: float = 1.0  # s, and as long after the film
+    log_before: float = 1.0  # s, before and after the film
     sensor_name: str = ""
     zeroed: bool = False
-    calibrated: bool = True  # whether the camera's calibration is told
+    calibrated: bool = True  # whether the calibration is given
     mass_told: bool = True
-    lost: float = 0.0  # share of frames that the camera drops
+    lost: float = 0.0  # share of dropped frames
 
 
 def check(filming: Filming, folder: Path) -> None:
-    """Checks that need several parts of the setup."""
+    """Checks across parts of the setup."""
     bench = filming.bench
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise RecordingError(f"{folder} is not an empty folder. Name another one.")
@@ -226,7 +221,7 @@ def check(filming: Filming, folder: Path) -> None:
 
 
 def frame_times(filming: Filming, rng: np.random.Generator) -> Array:
-    """(T,) s, the middle of each exposure since that of the first; dropped frames are missing."""
+    """(T,) s, mid-exposures from that of the first frame; dropped frames are missing."""
     count = int(np.ceil(filming.bench.push.duration * filming.bench.fps))
     kept = rng.random(count) >= filming.lost
     kept[0] = True
@@ -234,26 +229,22 @@ def frame_times(filming: Filming, rng: np.random.Generator) -> Array:
 
 
 def motive_of(filming: Filming) -> MotionSettings:
-    """Causes of motion apart from the push, in the clamp's frame."""
     pull = filming.gravity * np.array([np.cos(DOWN - filming.base_angle), np.sin(DOWN - filming.base_angle)])
     return MotionSettings((float(pull[0]), float(pull[1])), filming.swings, filming.damping, filming.rotary_inertia)
 
 
-# A printed tag as polygons.
-
-
 @dataclass(frozen=True)
 class TagOutlines:
-    """In the tag's own frame, in sides of its detected square: origin in its middle, x to the print's right, y up."""
+    """Polygons of a tag, in sides of its detected square: origin in its middle, x to the print's right, y up."""
 
     paper: Array  # (1, 4, 2)
-    ink: Array  # (K, 4, 2): black cells that are neighbours in a row make one patch
+    ink: Array  # (K, 4, 2): neighbouring black cells of a row are one patch
 
 
 @cache
 def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> TagOutlines:
-    """Outlines of a tag on paper that is at least `margin` cells wider on every side than the detected square.
-    Raises `RecordingError`: a family that is not known, or a number that it does not have."""
+    """Outlines on paper at least `margin` cells wider per side than the detected square. Raises `RecordingError`:
+    unknown family or id."""
     tag = printed_tag(tag_id, family)
     count = len(tag.cells)
     beyond = max(margin - tag.margin, 0.0)
@@ -263,10 +254,10 @@ def outlines(tag_id: int, family: str = FAMILIES[0], margin: float = 1.0) -> Tag
 
 
 def as_printed(made: TagOutlines, size: float, dot: float, phase: Array) -> TagOutlines:
-    """In metres, of a tag whose square measures `size`: a printer sets every edge on its grid of dots.
+    """In metres, for a square of `size`, with every edge rounded to the printer's dots.
 
-    `dot` [m] is the grid's step (0: print without error), `phase` (2,) in [0, 1) where on it the tag's middle falls.
-    Half the dots of a tag are so on either side of where they should be: each edge is up to `dot` / 2 off, evenly.
+    `dot` [m] is the grid's step (0: exact), `phase` (2,) in [0, 1) the tag's middle on it. Edges are off by up to `dot`
+    / 2, evenly distributed.
     """
     if dot == 0.0:
         return TagOutlines(size * made.paper, size * made.ink)
@@ -275,35 +266,32 @@ def as_printed(made: TagOutlines, size: float, dot: float, phase: Array) -> TagO
 
 
 def rectangle(left: float, right: float, top: float, bottom: float) -> Array:
-    """Corners (4, 2)."""
     return np.array([[left, top], [right, top], [right, bottom], [left, bottom]], dtype=float)
 
 
 def placed(loops: Array, pose: Array) -> Array:
-    """Polygons (..., corners, 2) [m] of a thing that sits at `pose` (3,) x, y [m], angle [rad]."""
+    """Polygons (..., corners, 2) [m] at the pose (3,) x, y [m], angle [rad]."""
     return np.asarray(turned(loops, pose[2]) + pose[:2])
 
 
-# Moving things as polygons on the table: beam, tags, the tool that pushes, a hand.
-
-SHADOW = np.array([0.0025, -0.003])  # m, from the thing that casts it
-STRIPS = ((1.0, 0.92), (0.75, 1.0))  # of the beam: share of its width, brightness
-PIECE = 30  # nodes of the beam
+SHADOW = np.array([0.0025, -0.003])  # m, offset of a shadow
+STRIPS = ((1.0, 0.92), (0.75, 1.0))  # of the beam: share of width, brightness
+PIECE = 30  # beam nodes per piece
 TOOL_LENGTH = 0.25  # m
-RETREAT, APPROACH = 0.04, 0.8  # m, s: how far the tool waits, and how long it takes to come
+RETREAT, APPROACH = 0.04, 0.8  # m the tool waits away; s it takes to come
 HAND = (0.035, 0.022)  # m, half axes
-HAND_SPEED, HAND_TIME = 0.12, 1.2  # m/s; s before and after its passing
-CLAMP = (0.046, 0.05)  # m, length and width
+HAND_SPEED, HAND_TIME = 0.12, 1.2  # m/s; s before and after it passes
+CLAMP = (0.046, 0.05)  # m
 
 
 @dataclass(frozen=True)
 class MovingScene:
-    """The moving things of a scene: their shapes and colours, which do not change."""
+    """The unchanging shapes and colours of all that moves."""
 
     scene: Scene
     push: PushProfile
-    half_width: Array  # (S,) m, of the drawn beam
-    tags: tuple[TagOutlines, ...]  # m, as printed; base tags first
+    half_width: Array  # (S,) m
+    tags: tuple[TagOutlines, ...]  # m, as printed; base tag first
     base_angle: float  # rad: the clamp's frame in the room
 
 
@@ -315,12 +303,12 @@ class BeamPose:
     xy: Array  # (S, 2) m
     angle: Array  # (S,) rad
     tags: Array  # (m, 6) x, y, angle, z, tilts
-    height: Array  # (S,) m, of the beam over the table's plane
-    contact: float  # s, where the tool pushes
+    height: Array  # (S,) m over the table's plane
+    contact: float  # s, the tool's place
 
 
 def clamp_block(scene: Scene, base_angle: float) -> Drawing:
-    """The block that holds the beam: it ends at the base."""
+    """The clamp block, which ends at the base."""
     length, width = CLAMP
     block = np.array([[-length, -width / 2], [0.004, -width / 2], [0.004, width / 2], [-length, width / 2]])
     inner = 0.92 * (block - block.mean(axis=0)) + block.mean(axis=0)
@@ -331,9 +319,8 @@ def clamp_block(scene: Scene, base_angle: float) -> Drawing:
 
 
 def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
-    """Everything that moves."""
     scene, tool = cast.scene, tool_outline(cast, pose)
-    above = scene.overlap > 0.0  # else it pushes the beam's flank, below the tags
+    above = scene.overlap > 0.0  # otherwise it pushes the flank, below the tags
     layers = [] if above else [ColourLayer(tool, scene.tool)]
     layers += [
         ColourLayer(strip(part, share * width), dimmed(scene.beam, bright))
@@ -352,9 +339,9 @@ def moment_of(cast: MovingScene, pose: BeamPose) -> Drawing:
 
 
 def over_rows(drawings: Sequence[Drawing], shift: Array, rows: int) -> Drawing:
-    """One picture of drawings of the same things, as its first, its middle and its last row is exposed.
+    """Merge drawings of the same things as exposed in the first, middle and last row.
 
-    `shift` (3, 2) px: of the camera's picture at these rows. A hand that comes or goes meanwhile is as at the first.
+    `shift` (3, 2) px: the camera's shift at these rows. A hand that appears or leaves meanwhile is as in the first.
     """
     first, *later = drawings
     if any(len(one.layers) != len(first.layers) for one in later):
@@ -365,7 +352,7 @@ def over_rows(drawings: Sequence[Drawing], shift: Array, rows: int) -> Drawing:
 
 
 def pieces(pose: BeamPose, half_width: Array) -> list[tuple[BeamPose, Array]]:
-    """The beam cut along its length. Pieces overlap, so that no seam shows."""
+    """The beam in overlapping pieces, so that no seam shows."""
     out = []
     for first in range(0, len(half_width) - 1, PIECE):
         part = slice(first, first + PIECE + 2)
@@ -383,14 +370,14 @@ def dimmed(colour: Colour, share: float) -> Colour:
 
 
 def strip(pose: BeamPose, half_width: Array) -> Array:
-    """Outline (2 S, 2) m of the beam, or (2 S, 3)."""
+    """Outline (2 S, 2) m, or (2 S, 3)."""
     left = half_width[:, None] * np.stack([-np.sin(pose.angle), np.cos(pose.angle)], axis=-1)
     outline = np.concatenate([pose.xy - left, (pose.xy + left)[::-1]])
     return lifted(outline, np.concatenate([pose.height, pose.height[::-1]]))
 
 
 def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
-    """A bar with a chamfered end that touches the beam's edge where it pushes, and waits aside before and after."""
+    """A chamfered bar touching the beam's edge at the push; it waits aside before and after."""
     push, places = cast.push, np.linspace(0.0, 1.0, len(pose.xy))
     angle = float(push.angle(np.array([pose.time]))[0]) + cast.base_angle
     along = np.array([np.cos(angle), np.sin(angle)])
@@ -408,7 +395,7 @@ def tool_outline(cast: MovingScene, pose: BeamPose) -> Array:
 
 
 def hand_outline(pose: BeamPose, at: float) -> Array:
-    """A blunt shape that crosses the beam's middle."""
+    """A blunt shape crossing the beam's middle."""
     turn = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
     bump = 1.0 + 0.12 * np.cos(5.0 * turn)
     shape = bump[:, None] * np.stack([HAND[0] * np.cos(turn), HAND[1] * np.sin(turn)], axis=-1)
@@ -416,11 +403,8 @@ def hand_outline(pose: BeamPose, at: float) -> Array:
     return placed(shape, np.array([middle[0], middle[1], 1.2]))
 
 
-# `recording.toml` from the entries that reading it gives: the inverse of `recording.folder.read_recording`.
-
-
 def recording_toml(recording: Recording) -> str:
-    """The text of a `recording.toml` that says what `recording` holds; what is not known is left out."""
+    """The text of a `recording.toml` for `recording`, the inverse of `read_recording`; unknown values are left out."""
     parts = [f"format = {FORMAT}\nname = {json.dumps(recording.name)}\n"]
     tags = recording.tags
     parts += [table("[beam]", recording.beam), table("[tags]", tags)]
@@ -432,7 +416,7 @@ def recording_toml(recording: Recording) -> str:
 
 
 def table(header: str, entry: Any) -> str:
-    """One table with every key whose value is known; those of bags only where a bag is meant."""
+    """One table with its known keys; those of bags only for a bag."""
     lines = [header]
     bagged = bool(getattr(entry, "topic", ""))
     for name, (key, _) in keys_of(type(entry)).items():
@@ -446,7 +430,7 @@ def table(header: str, entry: Any) -> str:
 
 
 def as_toml(value: Any, key: Key) -> str:
-    """A value in the file's units."""
+    """In the file's units."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, Path):
@@ -462,7 +446,7 @@ def as_toml(value: Any, key: Key) -> str:
     return str(value)
 
 
-# Pictures into an MP4 file: H.264, yuv420p, each frame with its own time.
+# MP4 files: H.264, yuv420p, one timestamp per frame.
 
 TIME_BASE = Fraction(1, 90_000)
 PRESET = "veryfast"
@@ -471,8 +455,7 @@ PRESET = "veryfast"
 def write_video(
     path: Path, frames: Iterable[tuple[float, YuvFrame]], size: tuple[int, int], fps: float, crf: int
 ) -> None:
-    """Write frames (time [s], 8 bit planes) that come in order. Raises `RecordingError`: the encoder is missing or
-    refuses."""
+    """Write frames (time [s], 8 bit planes) in order. Raises `RecordingError`: encoder missing or failing."""
     try:
         with av.open(str(path), "w") as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
@@ -490,20 +473,17 @@ def write_video(
 
 
 def video_frame(picture: YuvFrame) -> av.VideoFrame:
-    """The planes as the encoder takes them."""
     rows, columns = picture.y.shape
     stacked = np.concatenate([picture.y.ravel(), picture.u.ravel(), picture.v.ravel()])
     return av.VideoFrame.from_ndarray(stacked.reshape(rows * 3 // 2, columns), format="yuv420p")
 
 
-# A camera that does not stand still: a tripod that shakes in a band of frequencies, and drifts.
-
-WAVES = 24  # of a shake, on each axis
+WAVES = 24  # of a shake, per axis
 
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """Shift of the picture: waves of one amplitude, and a drift that is even in time. Without waves it stands still."""
+    """Shift of the picture of a shaking, drifting camera: waves of equal amplitude plus linear drift."""
 
     frequency: Array  # (W, 2) Hz
     phase: Array  # (W, 2) rad
@@ -512,17 +492,16 @@ class CameraMotion:
 
     @property
     def still(self) -> bool:
-        """Whether it does not move."""
         return self.amplitude == 0.0 and not np.any(self.rate)
 
     def shift(self, time: Array) -> Array:
-        """(T, 2) px at `time` (T,) [s], from where the camera stood at 0 s but for the shake."""
+        """(T, 2) px at `time` (T,) [s]; the drift begins at 0 s."""
         waves = np.sin(2.0 * np.pi * time[:, None, None] * self.frequency + self.phase)
         return np.asarray(self.amplitude * waves.sum(axis=1) + time[:, None] * self.rate)
 
 
 def camera_motion(effects: RealBench, until: float, rng: np.random.Generator) -> CameraMotion:
-    """A motion of the sizes of `effects` over a film of `until` [s]; its direction and its waves are drawn."""
+    """Random motion of the sizes in `effects` over `until` [s]."""
     low, high = effects.shake_band
     turn = rng.uniform(0.0, 2.0 * np.pi)
     return CameraMotion(
@@ -533,15 +512,12 @@ def camera_motion(effects: RealBench, until: float, rng: np.random.Generator) ->
     )
 
 
-# A beam that hangs out of its plane of bending under its own weight.
-
-
 def droop(beam: Beam, tip: float, s: Array, xy: Array, angle: Array) -> tuple[Array, Array]:
-    """(T, S) m and (T, S) rad: heights of shapes xy (T, S, 2), angle (T, S) at `s` (S,), and slopes along the beam.
+    """Heights (T, S) [m] and slopes along the beam (T, S) [rad] of shapes xy (T, S, 2), angle (T, S) at `s` (S,) that
+    sag out of the plane.
 
-    The weight across the plane bends each piece by its moment about the piece's normal, z'' = -m / (E I across) with
-    I across ~ k^(1/3), that of a bar of even depth; twist is left out. Scaled so that the tip of the straight beam
-    hangs by `tip` [m].
+    Weight bends each piece by its moment about the piece's normal: z'' = -m / (E I across), I across ~ k^(1/3) (a bar
+    of even depth); twist is neglected. Scaled so that the straight beam's tip hangs by `tip` [m].
     """
     if tip == 0.0:
         return np.zeros(angle.shape), np.zeros(angle.shape)
@@ -555,9 +531,9 @@ def droop(beam: Beam, tip: float, s: Array, xy: Array, angle: Array) -> tuple[Ar
 
 
 def heights(xy: Array, angle: Array, s: Array, mass: Array, softness: Array) -> tuple[Array, Array]:
-    """(T, S) height and its derivative with s, up to a factor that all shapes share."""
+    """(T, S) height and its derivative with s, up to a common factor."""
 
-    def beyond(values: Array) -> Array:  # integral from s to the tip, along axis 1
+    def beyond(values: Array) -> Array:  # integral from s to the tip along axis 1
         whole = cumulative_trapezoid(values, s, axis=1, initial=0.0)
         return np.asarray(whole[:, -1:] - whole)
 
@@ -568,33 +544,29 @@ def heights(xy: Array, angle: Array, s: Array, mass: Array, softness: Array) -> 
     return cumulative_trapezoid(slope, s, axis=1, initial=0.0), slope
 
 
-# Beam, tags and contact of a bench at the moments that a film shows.
-
-
 @dataclass(frozen=True)
 class Filmed:
     """Beam, tags and contact at T moments."""
 
     shapes: BeamShapes  # clamp's frame
-    beam: Array  # (T, 121, 4) x, y, angle, z at `PLACES`, in the room
-    tags: Array  # (T, m + 1, 6) x, y, angle, z and the face's tilts, in the room; the base tag first
-    contact: Array  # (T,) s, where the tool pushes
+    beam: Array  # (T, 121, 4) x, y, angle, z at `PLACES`, room
+    tags: Array  # (T, m + 1, 6) x, y, angle, z and tilts, room; base tag first
+    contact: Array  # (T,) s, place of the tool
 
     def part(self, which: slice) -> Filmed:
-        """Some of them."""
         shapes = self.shapes
         few = BeamShapes(shapes.time[which], shapes.force[which], shapes.xy[which], shapes.angle[which])
         return Filmed(few, self.beam[which], self.tags[which], self.contact[which])
 
 
 def followed(filming: Filming, until: float) -> RodMotion | None:
-    """The beam through the whole film where its bench has effects that move it; None: it moves as without them."""
+    """The beam through the whole film if effects change its motion, else None."""
     return motion_of(filming.bench, until, at=PLACES, gravity=motive_of(filming).gravity)
 
 
 def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filmed:
-    """Everything at times (T,) [s] that rise; before 0 the beam is at rest. Raises `MechanicsError`: the beam snaps
-    through, or its mass is needed and not known."""
+    """The state at rising times (T,) [s]; at rest before 0. Raises `MechanicsError`: snap-through, or the mass is
+    needed and unknown."""
     bench = filming.bench
     if motion is None:
         shapes = shapes_at(bench.beam, bench.push, time, motive_of(filming))
@@ -610,7 +582,7 @@ def moments_at(filming: Filming, motion: RodMotion | None, time: Array) -> Filme
 
 
 def tag_faces(filming: Filming, shapes: BeamShapes, z: Array, slope: Array) -> Array:
-    """(T, m + 1, 6) the base tag and those on the beam, clamp's frame: x, y, angle, z and tilts about and along it."""
+    """(T, m + 1, 6) base tag and beam tags, clamp's frame: x, y, angle, z, tilts about and along it."""
     bench, count = filming.bench, len(shapes.time)
     effects, s = bench.effects, np.clip(tag_places(bench), 0.0, 1.0)
     xy, angle = shapes.at(s)
@@ -625,11 +597,9 @@ def tag_faces(filming: Filming, shapes: BeamShapes, z: Array, slope: Array) -> A
 
 
 def in_room(pose: Array, base_angle: float) -> Array:
-    """Poses (..., 3 or more) in the room, from the clamp's frame."""
+    """Poses (..., 3 or more) from the clamp's frame into the room."""
     return np.concatenate([turned(pose[..., :2], base_angle), pose[..., 2:3] + base_angle, pose[..., 3:]], axis=-1)
 
-
-# The truth beside a filmed recording: `truth.npz` and `truth.json`.
 
 S = np.linspace(0.0, 1.0, 401)
 MEANING = (
@@ -643,20 +613,18 @@ MEANING = (
 
 @dataclass(frozen=True)
 class FilmTruth:
-    """The truth of a film."""
-
     filming: Filming
-    shown: Filmed  # at the frames, as their first rows are exposed
+    shown: Filmed  # at the frames' first rows
     motion: RodMotion | None
-    moved: Array  # (T, 2) px, of the camera's picture
+    moved: Array  # (T, 2) px, shift of the picture
     view: View
     log: ForceLog  # as written
-    clean: ForceLog  # the same without any error of the sensor
+    clean: ForceLog  # without sensor errors
     seed: int
 
 
 def write_truth(folder: Path, made: FilmTruth) -> None:
-    """Write both files into `folder`, which is made; they are to compare with, nothing that learns reads them."""
+    """Write `truth.npz` and `truth.json` into the new `folder`. For comparison only: learning never reads them."""
     folder.mkdir(parents=True, exist_ok=True)
     filming, shapes = made.filming, made.shown.shapes
     beam = filming.bench.beam
@@ -727,30 +695,31 @@ def facts_of(made: FilmTruth) -> dict[str, Any]:
     }
 
 
-# A recording folder of a known beam: the film as pixels, the force log, `recording.toml`, and the truth.
-
-STEPS = 0.7  # px: how far the picture may move from one drawn moment of an exposure to the next
+STEPS = 0.7  # px: largest motion between two drawn moments of an exposure
 MOST_MOMENTS = 8
 INCH = 0.0254  # m
-SHARPEST = 0.8  # half widths a radius
+SHARPEST = 0.8  # least bend radius in half widths
 
 
 @dataclass(frozen=True)
 class Shot:
-    """All that the frames are made of: three moments of each exposure, at its begin, middle and end."""
+    """Data of all frames: three moments of each exposure, at its begin, middle and end."""
 
     staged: StaticScene
     cast: MovingScene
-    at_rows: tuple[Filmed, ...]  # (3 T,) each: as the first, the middle, the last row is exposed; one: all at once
+    # (3 T,) each: as the first, middle and last row is exposed; one if all rows are at once
+    at_rows: tuple[Filmed, ...]
     camera: CameraMotion
-    readout: float  # s, from the first to the last row
+    readout: float  # s, first to last row
 
 
 @one_blas_thread
 def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress = Silent()) -> Path:
-    """Make the recording in `folder`, which must not hold one; return the folder. The same `seed` makes the same files.
-    Raises `MechanicsError`: the beam snaps through, or its mass is needed and not known. Raises `RecordingError`: the
-    folder holds something, the camera cannot show the push, or the film cannot be encoded."""
+    """Make the recording in `folder`; returns the folder. Equal seeds give equal files.
+
+    Raises `MechanicsError`: snap-through, or the mass is needed and unknown. Raises `RecordingError`: the folder is not
+    empty, the camera cannot show the push, or encoding fails.
+    """
     folder, bench = Path(folder), filming.bench
     check(filming, folder)
     time = frame_times(filming, np.random.default_rng([seed, 2]))
@@ -785,7 +754,7 @@ def film(filming: Filming, folder: Path | str, *, seed: int, progress: Progress 
 
 
 def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
-    """An error where a bend's inner side would fold: no beam of this width bends so."""
+    """Raises where a bend is so sharp that its inner side would fold."""
     turn = np.abs(np.diff(shapes.angle, axis=1)) / np.diff(PLACES) / filming.bench.beam.length
     half = 0.5 * np.asarray(filming.width(0.5 * (PLACES[1:] + PLACES[:-1])))
     tightest = float(np.max(turn * half))
@@ -798,7 +767,7 @@ def refuse_sharp_bends(filming: Filming, shapes: BeamShapes) -> None:
 
 
 def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
-    """Shapes and colours of the moving things. Where each tag falls on the printer's dots is drawn."""
+    """Shapes and colours; each tag's position on the printer's dots is random."""
     told = declared_recording(filming.bench).tags
     ids = [tag.id for tag in (*told.on_base, *told.on_beam)]
     made = [outlines(tag, told.family) for tag in ids]
@@ -813,7 +782,7 @@ def cast_of(filming: Filming, rng: np.random.Generator) -> MovingScene:
 
 
 def to_be_seen(cast: MovingScene, moments: Filmed) -> Array:
-    """(N, 2) m: the paper of every tag at every time, and the beam."""
+    """(N, 2) m: the beam, and the paper of every tag at every time."""
     tags = moments.tags[..., :3]
     corners = [
         placed(tag.paper[0], pose) for i, tag in enumerate(cast.tags) for pose in tags[:: max(1, len(tags) // 200), i]
@@ -822,7 +791,6 @@ def to_be_seen(cast: MovingScene, moments: Filmed) -> Array:
 
 
 def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed: int) -> StaticScene:
-    """The table with the clamp on it."""
     reach = 0.03 + float(np.max(cast.half_width)) + filming.tag_size
     xy = beam[:: max(1, len(beam) // 100), :, :2].reshape(-1, 2)
     corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * reach
@@ -832,7 +800,6 @@ def stage_of(filming: Filming, cast: MovingScene, view: View, beam: Array, seed:
 
 
 def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tuple[float, YuvFrame]]:
-    """Frames in order with their times."""
     for i, now in enumerate(time.tolist()):
         part = slice(3 * i, 3 * i + 3)
         exposure = replace(shot, at_rows=tuple(one.part(part) for one in shot.at_rows))
@@ -840,7 +807,7 @@ def pictures(shot: Shot, time: Array, rng: np.random.Generator) -> Iterator[tupl
 
 
 def moments_of(shot: Shot) -> list[float]:
-    """Filmed of one exposure that are drawn, -1 at its beginning and 1 at its end."""
+    """Moments of one exposure that are drawn, -1 at its begin and 1 at its end."""
     tags, beam = shot.at_rows[0].tags, shot.at_rows[0].beam
     ends = project(shot.staged.view, np.concatenate([tags[[0, 2], :, :2], beam[[0, 2], ::30, :2]], axis=1))
     moved = float(np.max(np.abs(ends[1] - ends[0])))
@@ -849,7 +816,7 @@ def moments_of(shot: Shot) -> list[float]:
 
 
 def drawn(shot: Shot, time: float, u: float) -> Drawing:
-    """All that moves at moment `u` of an exposure, by a parabola through its begin, middle and end."""
+    """The drawing at moment `u` of an exposure, by a parabola through its begin, middle and end."""
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
     now = time + 0.5 * u * shot.cast.scene.exposure
 
@@ -866,7 +833,7 @@ def drawn(shot: Shot, time: float, u: float) -> Drawing:
 
 
 def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generator) -> tuple[ForceLog, ForceLog]:
-    """The sensor's log, and the true force on the log's clock; both in the log's axes and with its sign."""
+    """The sensor's log and the true force on its clock, both in the log's axes and sign."""
     bench, margin = filming.bench, filming.log_before
     step = min(DENSE, 0.5 / bench.sensor.rate)
     dense = np.arange(-margin, bench.push.duration + margin, step)
@@ -879,7 +846,6 @@ def force_log(filming: Filming, motion: RodMotion | None, rng: np.random.Generat
 
 
 def entries(filming: Filming, folder: Path) -> Recording:
-    """The entries of `recording.toml`."""
     bench, told = filming.bench, declared_recording(filming.bench)
     assert told.video is not None
     assert told.force is not None
@@ -907,14 +873,12 @@ def entries(filming: Filming, folder: Path) -> Recording:
     )
 
 
-# A virtual recording as a folder of marker tracks: as a motion capture would leave it, with the truth beside it.
-
 TABLE = "markers.csv"
 TRUTH_PLACES = np.linspace(0.0, 1.0, 201)  # s
 
 
 def check_trackable(filming: Filming) -> None:
-    """Raises `RecordingError` where what is to be filmed needs more than the markers of a beam in equilibrium."""
+    """Raises `RecordingError`: the film needs more than marker tracks of a beam in equilibrium."""
     refused = {"a push that swings the beam": filming.swings, "gravity in the plane of bending": filming.gravity > 0.0}
     for what, wrong in refused.items():
         if wrong:
@@ -922,9 +886,11 @@ def check_trackable(filming: Filming) -> None:
 
 
 def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> Path:
-    """Push the bench's beam and write `recording.toml`, `markers.csv`, `force.csv` and `truth/` into `folder`, which
-    must not hold a recording; return the folder. The same `seed` makes the same files. Raises `MechanicsError`: the
-    beam snaps through under the push. Raises `RecordingError`: the folder holds a recording."""
+    """Push the bench's beam; write `recording.toml`, `markers.csv`, `force.csv` and `truth/`, as from motion capture.
+
+    Returns the folder. Equal seeds give equal files. Raises `MechanicsError`: snap-through. Raises `RecordingError`:
+    the folder holds a recording.
+    """
     folder = Path(folder)
     if (folder / FILE_NAME).exists():
         raise RecordingError(f"{folder} holds a recording. Name another folder.")
@@ -957,7 +923,7 @@ def marker_recording(bench: VirtualBench, folder: Path | str, *, seed: int) -> P
 
 
 def _write_tracks(path: Path, made: VirtualRecording) -> None:
-    """`time_s, id, x_m, y_m, angle_rad`, a row a marker that is seen."""
+    """`time_s, id, x_m, y_m, angle_rad`, one row per visible marker."""
     seen = made.markers
     lines = ["time_s,id,x_m,y_m,angle_rad"]
     for t, time in enumerate(seen.time):
@@ -969,7 +935,7 @@ def _write_tracks(path: Path, made: VirtualRecording) -> None:
 
 
 def _write_truth(folder: Path, made: VirtualRecording, seed: int) -> None:
-    """`truth.npz` with s and k [N m], and `truth.json`; to compare with, nothing that learns reads them."""
+    """`truth.npz` with s and k [N m], and `truth.json`; for comparison only."""
     folder.mkdir(exist_ok=True)
     truth = true_stiffness(made.bench, made.motion, TRUTH_PLACES)
     length = made.bench.beam.length

@@ -1,9 +1,9 @@
-"""How well k(s) would come out, from the Fisher information and the fit's own prior.
+"""Expected accuracy of k(s), from the Fisher information and the fit's prior.
 
-Let I be the data's information on the coefficients c of log k, all nuisances marginalised. Data without noise say
-`-2 log p = x' I x - 2 x' I c` of the coefficients x. The fit's own posterior of log k (`stiffness_mixture`) under
-these data gives the band, its covariance C, and the bias, its mean less c. Noise of covariance I on `I c` moves the
-mean by C times the noise, so that the scatter from one recording to the next is `C I C`.
+Let I be the data's information on the coefficients c of log k, all nuisances marginalised. Noise-free data give
+`-2 log p = x' I x - 2 x' I c` for the coefficients x. The fit's posterior of log k (`stiffness_mixture`) under these
+data gives the band, its covariance C, and the bias, its mean minus c. Noise of covariance I on `I c` moves the mean by
+C times the noise, so the scatter between recordings is `C I C`.
 """
 
 from __future__ import annotations
@@ -52,33 +52,27 @@ from onebend.records import CLAMP_SD, CURVATURE_SD, DIRECTION_SD, PLACE_SD, TURN
 from onebend.report.wording import direction_words
 from onebend.results.model import FILE_NAME, read_model
 
-# The setup: a beam, pushes, tags and instruments, and their tolerances.
-
 THIRDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
-CORNER_SD = 0.1  # px, of a tag's corner: the centre is good to half of it
-TAG_SHARE = 0.08  # of the length: a tag's side
-NEAREST_TAGS = 0.02  # in s: nearer tags would overlap
-LEAST_TURN_DEG, MOST_TURN_DEG = 3.0, 150.0  # of the pushed place
-FEWEST_FRAMES = 20  # of a push
+CORNER_SD = 0.1  # px, of a tag's corner; the centre is known to half of it
+TAG_SHARE = 0.08  # a tag's side over the length
+NEAREST_TAGS = 0.02  # in s: closer tags would overlap
+LEAST_TURN_DEG, MOST_TURN_DEG = 3.0, 150.0  # at the place of the push
+FEWEST_FRAMES = 20  # per push
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How well a setup is known; one sd each."""
+    """One sd each."""
 
     gain_sd: float = option(
-        "--gain-sd", nan, "Of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
+        "--gain-sd", nan, "sd of the force's scale; default: the sensor's.", metavar="SD", within=(0.0, 0.5)
     )
-    placement_sd: float = option(
-        "--placement-mm", 5e-4, "How well the tags are placed, one sd.", metavar="MM", within=(1e-3, 1e9)
-    )
-    turn_sd: float = option(
-        "--turn-deg", TURN_SD, "How well the tags are turned, one sd.", metavar="DEG", within=(1e-3, 1e9)
-    )
+    placement_sd: float = option("--placement-mm", 5e-4, "sd of the tags' places.", metavar="MM", within=(1e-3, 1e9))
+    turn_sd: float = option("--turn-deg", TURN_SD, "sd of the tags' turns.", metavar="DEG", within=(1e-3, 1e9))
     clock_sd: float = option(
         "--clock-sd-s",
         nan,
-        "How well the clocks agree; 0: one clock; default: found from the data.",
+        "sd of the clock offset; 0: one clock; default: the offset is found from the data.",
         metavar="S",
         within=NOT_NEGATIVE,
     )
@@ -86,7 +80,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class Setup:
-    """One or more pushes of a known beam, as they would be filmed and logged. Errors are one sd."""
+    """One or more pushes of a known beam. Errors are one sd."""
 
     name: str
     beam: Beam
@@ -95,27 +89,26 @@ class Setup:
     sensor: ForceSensor = FRANKA
     noise: TagNoise = field(default_factory=TagNoise)
     fps: float = 30.0
-    placement_sd: float = Tolerances.placement_sd  # m, a tag's place along and across
-    turn_sd: float = Tolerances.turn_sd  # rad, a tag's turn on the beam
-    clock_sd: float = nan  # s, how well the two clocks are known; 0: one clock; NaN: found from the data
+    placement_sd: float = Tolerances.placement_sd  # m, along and across
+    turn_sd: float = Tolerances.turn_sd  # rad
+    clock_sd: float = nan  # s; 0: one clock; NaN: found from the data
 
     def __post_init__(self) -> None:
         check(self)
 
     @property
     def gain_sd(self) -> float:
-        """Of the force's scale, as it would be declared."""
+        """Of the force's scale, as declared."""
         return self.sensor.gain_sd
 
     @property
     def rest(self) -> Rest:
-        """The shape at rest as `recording.toml` states it."""
         s = np.linspace(0.0, 1.0, 101)
         return "unknown" if np.any(np.asarray(self.beam.rest_curvature(s)) != 0.0) else "straight"
 
 
 def check(setup: Setup) -> None:
-    """Raises `RecordingError` where a setup makes no sense, with what to change."""
+    """Raises `RecordingError`: an impossible setup, with the remedy."""
     _check_tags(setup.tags)
     if not setup.pushes:
         raise RecordingError("a rehearsal needs at least one push")
@@ -161,7 +154,7 @@ def _check_push(setup: Setup, push: PushProfile) -> None:
 
 @dataclass(frozen=True)
 class KnownBeam:
-    """A known beam, and the places of its tags where it was learned from tags."""
+    """A known beam, with its tags' places if it was learned from tags."""
 
     name: str
     beam: Beam
@@ -169,8 +162,8 @@ class KnownBeam:
 
 
 def known_beam(name_or_path: str) -> KnownBeam:
-    """A named design, a design's TOML, or a learned beam: a model.json or the folder that holds one. Raises
-    `MechanicsError`, `ResultsError`: there is none, or it cannot be read."""
+    """A named design, a design's TOML, or a learned beam (model.json or its folder). Raises `MechanicsError`,
+    `ResultsError`: missing or unreadable."""
     path = Path(name_or_path)
     if path.suffix == ".json" or (path.is_dir() and (path / FILE_NAME).is_file()):
         stored = read_model(path)
@@ -191,9 +184,8 @@ def setup_of(
     tags: Sequence[float] = (),
     known_to: Tolerances = Tolerances(),
 ) -> Setup:
-    """The setup that is asked for; camera, frame rate and sensor are those of the first request. Raises
-    `RecordingError`: a number that cannot be, or a push in which the beam swings. Raises `MechanicsError`: the beam
-    snaps through under a push."""
+    """The requested setup; camera, frame rate and sensor are those of the first request. Raises `RecordingError`: an
+    invalid number, or a push that makes the beam swing. Raises `MechanicsError`: snap-through."""
     first = requests[0]
     for request in requests:
         if request.push in SWINGING:
@@ -214,7 +206,7 @@ def setup_of(
 
 
 def check_bending(setup: Setup) -> None:
-    """Raises `MechanicsError` where a push does not bend the beam, or bends it beyond what a tool can follow."""
+    """Raises `MechanicsError`: a push bends the beam too little, or more than a tool can follow."""
     rest = VirtualBench(setup.beam, setup.pushes[0], tags=(VirtualTag(0, 1.0),))
     for push in setup.pushes:
         bench = replace(rest, push=push, tags=(VirtualTag(0, push.at_s),))
@@ -230,12 +222,12 @@ def check_bending(setup: Setup) -> None:
 
 
 def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
-    """Noise of a tag's pose for a camera that shows the whole push: `CORNER_SD` in its pixels.
+    """Noise of tag poses for a camera that shows the whole push: `CORNER_SD` in its pixels.
 
-    A square's centre is known to half of a corner's sd, its angle to the sd over the diagonal. Raises `MechanicsError`:
-    the beam snaps through under a push.
+    A square's centre is known to half a corner's sd, its angle to that sd over the diagonal. Raises `MechanicsError`:
+    snap-through.
     """
-    edge = 0.75 * TAG_SHARE * setup.beam.length  # from a tag's middle to the edge of its paper
+    edge = 0.75 * TAG_SHARE * setup.beam.length  # middle of a tag to the edge of its paper
     places = [np.zeros((1, 2))]
     for push in setup.pushes:
         bench = VirtualBench(setup.beam, push, tags=tuple(VirtualTag(i, s) for i, s in enumerate(setup.tags)))
@@ -246,46 +238,43 @@ def tag_noise(camera: Camera, setup: Setup) -> TagNoise:
     middle = np.mean(np.concatenate(places), axis=0)
     step = 1e-3 * setup.beam.length
     px = project(view, middle + step * np.array([[-1.0, 0.0], [1.0, 0.0]]))
-    size = 2.0 * step / float(np.hypot(*(px[1] - px[0])))  # m a pixel
+    size = 2.0 * step / float(np.hypot(*(px[1] - px[0])))  # m per px
     diagonal = np.sqrt(2.0) * TAG_SHARE * setup.beam.length / size
     return TagNoise(white_xy=0.5 * CORNER_SD * size, white_angle=CORNER_SD / float(diagonal))
 
 
-# The instruments of a setup before the first push, as the fit would describe them, for the Fisher information.
-#
-# The force's noise is the sensor's own, in the parts that the fit models. Every push has its own errors: of its
-# place, of the force's axes, and of the force as the load begins and reverses. Where the clock offset is found from
-# the data, its sd follows a rule of thumb, within a factor of two for pushes of 4 to 13 s: a share of the push's
-# duration that is in proportion to the relative error of the force, with 3 % for what a linear relation misses
-# (docs/plan.md).
+# Instruments before the first push, as the fit describes them. The force's noise is the sensor's, in the parts that the
+# fit models. Every push has its own errors of place, of force axes, and of force at onset and reversal. A clock offset
+# found from the data has an sd by a rule of thumb, good to a factor of two for pushes of 4 to 13 s: a share of the
+# push's duration, proportional to the relative force error plus 3 % for the misfit of a linear relation (docs/plan.md).
 
 FUNCTIONS = FitSettings.functions  # of log k
-MOST_FRAMES = 200  # of a push that prediction and fit use
-_CUTOFF_CYCLES = 11.0  # over the seconds of contact, Hz: what the filter's choice comes to for a smooth push
-_LEAST_WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit takes no log as better
-# Share of the sensor's reversal error that acts as one constant error over the push. The error is drawn anew as the
-# load begins and as it reverses; the difference between both halves shows, as one force gives one shape.
+MOST_FRAMES = 200  # per push, for prediction and fit
+_CUTOFF_CYCLES = 11.0  # over the seconds of contact, Hz: the usual choice for a smooth push
+_LEAST_WALK = 1.5e-3  # of the peak, N / sqrt(s): the fit assumes no better log
+# Share of the sensor's reversal error that acts as a constant over the push. That error is redrawn at onset and
+# reversal; the difference between both halves is visible, since one force gives one shape.
 _REVERSAL_SHARE = 0.75
 _CLOCK_SHARE, _RELATION_MISFIT = 0.28, 0.03  # of the push's time; of the peak
 
 
 @dataclass(frozen=True)
 class RehearsalInstruments:
-    """The instruments of a rehearsal, and the errors that every push has of its own; one sd."""
+    """Instruments, and every push's own errors; one sd."""
 
     bench: Instruments
-    load: float  # N, each axis: error of the force that comes with the load
+    load: float  # N per axis: error that comes with the load
     place: float = PLACE_SD  # m, along the beam
-    direction: float = DIRECTION_SD  # rad, of the force log's axes
+    direction: float = DIRECTION_SD  # rad, of the log's axes
 
 
 def even_push(push: PushProfile) -> PlannedPush:
-    """The push as one that grows evenly from nothing, in its middle direction."""
+    """The same push growing evenly from zero, in its middle direction."""
     return PlannedPush(push.at_s, push.direction, push.peak)
 
 
 def instruments(setup: Setup) -> RehearsalInstruments:
-    """Instruments and errors before any push; where pushes differ, those of the longest."""
+    """Before any push; if pushes differ, those of the longest."""
     push = max(setup.pushes, key=_seconds)
     seconds, tags = _seconds(push), len(setup.tags)
     shared = ("along", "across", "turn") if setup.rest == "straight" else ("curvature", "along", "across", "turn")
@@ -317,14 +306,14 @@ def instruments(setup: Setup) -> RehearsalInstruments:
         shared=shared,
         shared_slope=np.zeros((len(prior), FUNCTIONS)),
         shared_covariance=np.diag(prior**2),
-        place_sd=0.0,  # what a push is off by stands in `RehearsalInstruments`
+        place_sd=0.0,  # the error of the place is in `RehearsalInstruments`
         direction_sd=0.0,
     )
     return RehearsalInstruments(bench, load=_REVERSAL_SHARE * setup.sensor.reversal)
 
 
 def clamp_sd(setup: Setup, own: float) -> float:
-    """rad, as the fit takes it (`learning.parameters.clamp_sd`) from a beam whose tags are all seen at rest."""
+    """rad, as in `learning.parameters.clamp_sd`, with all tags seen at rest."""
     if setup.rest == "unknown":
         return float(np.hypot(own, MOUNTING_SD))
     reach = setup.beam.length * float(np.linalg.norm(setup.tags))
@@ -332,13 +321,13 @@ def clamp_sd(setup: Setup, own: float) -> float:
 
 
 def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
-    """A sensor's errors behind the low-pass filter."""
+    """A sensor's errors after the low-pass filter."""
     seconds = _seconds(push)
     cutoff = _CUTOFF_CYCLES / seconds
     white = sensor.white_sd * np.sqrt(min(2.0 * cutoff / sensor.rate, 1.0))
     walk = np.hypot(sensor.drift, _LEAST_WALK * push.peak)
     coloured, tau = sensor.coloured_sd, sensor.coloured_time
-    if coloured == 0.0:  # a process of next to no size
+    if coloured == 0.0:  # negligible process
         coloured, tau = 1e-4 * push.peak, 0.3
     return ForceDoubt(
         level=max(float(np.hypot(*sensor.bias)), push.peak),
@@ -351,7 +340,7 @@ def force_doubt(sensor: ForceSensor, push: PushProfile) -> ForceDoubt:
 
 
 def clock_sd(sensor: ForceSensor, push: PushProfile) -> float:
-    """s, sd of the clock offset that the clock search would give, as the fit takes it."""
+    """s, expected sd of the clock search."""
     error = float(np.sqrt(2.0 * sensor.reversal**2 + sensor.drift**2 * _seconds(push) + sensor.coloured_sd**2))
     return _CLOCK_SHARE * 0.5 * _seconds(push) * float(np.hypot(error / push.peak, _RELATION_MISFIT))
 
@@ -363,54 +352,54 @@ def _seconds(push: PushProfile) -> float:
 
 SPLINE = Spline(FUNCTIONS)
 BASIS = SPLINE.basis(PLACES)
-_KNOWN_SHARE = 1e-3  # share of its sd that is left of a nuisance that is known
-_LEAST_SD = 1e-9  # sd of what is known
+_KNOWN_SHARE = 1e-3  # share of its sd left of a known nuisance
+_LEAST_SD = 1e-9  # sd of a known quantity
 _DRAWS = Draws(chains=36, burn=150, kept=100)  # of the prior's sizes: the band's sd is good to about 3 %
 
 
 @dataclass(frozen=True)
 class PredictedBand:
-    """Sizes of log k at the 101 places of `PLACES`; one sd, the force's gain included where not said otherwise."""
+    """Sizes of log k at the 101 `PLACES`; one sd, including the force's gain unless stated."""
 
-    k: Array  # N m, the truth
+    k: Array  # N m, truth
     sd: Array  # of the band
-    own_sd: Array  # of the band, the gain's error left out
-    scatter: Array  # of the estimate, from one recording to the next
-    bias: Array  # of the estimate, by the prior
-    prior: Array  # (p, p) precision of the normal prior under which these data would give this band
+    own_sd: Array  # of the band without the gain's error
+    scatter: Array  # of the estimate between recordings
+    bias: Array  # of the estimate, from the prior
+    prior: Array  # (p, p) precision of the equivalent normal prior
     quality: Quality
 
     @property
     def identified(self) -> BoolArray:
-        """Where data rather than the prior set the band."""
+        """Where the data rather than the prior set the band."""
         return np.asarray(self.own_sd < IDENTIFIED_SD)
 
     @property
     def error(self) -> Array:
-        """Root mean square error over recordings."""
+        """RMS over recordings."""
         return np.asarray(np.hypot(self.scatter, self.bias))
 
 
 @dataclass(frozen=True)
 class BudgetEntry:
-    """One nuisance, and what the band would be if it were known exactly."""
+    """One nuisance, and the band if it were known exactly."""
 
     name: str
-    mean_width: float  # of the 95 % band of log k, with this known exactly
-    share: float  # of the band's mean width that this removes
+    mean_width: float  # of the 95 % band of log k
+    share: float  # reduction of the band's mean width
 
 
 @one_blas_thread
 def predict(setup: Setup) -> PredictedBand:
-    """The band and the errors to expect. Raises `MechanicsError`: the beam buckles or snaps through under a push."""
+    """Raises `MechanicsError`: the beam buckles or snaps through."""
     used = instruments(setup)
     return posterior_of(setup, used, information_of(setup, used, derivatives(setup, used)))
 
 
 @one_blas_thread
 def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEntry, ...]:
-    """For every nuisance the band with it known exactly and all else as it is; the most costly first. Raises
-    `MechanicsError`: as `predict`."""
+    """The band with each nuisance known exactly in turn; the most costly first. Raises `MechanicsError`: as
+    `predict`."""
     used = instruments(setup)
     along_pushes = derivatives(setup, used)
     now = predicted.quality.mean_width
@@ -422,7 +411,7 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
 
 
 def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]:
-    """The instruments with one nuisance each known almost exactly, by the nuisance's name."""
+    """By the name of the nuisance that is known."""
     bench, e = used.bench, _KNOWN_SHARE
     force = bench.force
     steady = replace(force.times(e), frame=force.frame)
@@ -449,9 +438,9 @@ def known_exactly(used: RehearsalInstruments) -> dict[str, RehearsalInstruments]
 
 
 def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivatives, ...]:
-    """Derivatives of the tags' poses along every push with all that is not known.
+    """Derivatives of the tags' poses along every push with all unknowns.
 
-    Behind the coefficients of log k stand those with the push's own place [m], direction [rad] and force [N].
+    After the coefficients of log k: the push's place [m], direction [rad] and force [N].
     """
     bench, mass, out = used.bench, mass_of(setup.beam), []
     for push in setup.pushes:
@@ -465,7 +454,7 @@ def derivatives(setup: Setup, used: RehearsalInstruments) -> tuple[TagDerivative
 
 
 def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple[TagDerivatives, ...]) -> Array:
-    """(p, p) information of all pushes together on the coefficients of log k; tags and rest shape are shared by all."""
+    """(p, p) information of all pushes on the coefficients of log k; they share tags and rest shape."""
     bench = used.bench
     chosen = np.arange(len(bench.tags), dtype=np.int64)
     sd = np.maximum([used.place, used.direction, used.load, used.load], _LEAST_SD)
@@ -480,7 +469,7 @@ def information_of(setup: Setup, used: RehearsalInstruments, along_pushes: tuple
 
 
 def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -> PredictedBand:
-    """The posterior for data with this information (p, p) that show the setup's k without noise."""
+    """The posterior for noise-free data with this information (p, p)."""
     k = np.asarray(setup.beam.stiffness(PLACES))
     truth = np.linalg.lstsq(BASIS, np.log(k), rcond=None)[0]
     posterior = stiffness_mixture(
@@ -492,15 +481,15 @@ def posterior_of(setup: Setup, used: RehearsalInstruments, information: Array) -
 
 
 def with_information(now: PredictedBand, used: RehearsalInstruments, information: Array) -> PredictedBand:
-    """The same beam with other data: the equivalent prior and the bias are kept, so that only the data differ."""
+    """The same beam with other data; equivalent prior and bias are kept."""
     return _band(now.k, now.bias, now.prior, information, used.bench.gain_sd)
 
 
 def equivalent_prior(covariance: Array, information: Array) -> Array:
-    """(p, p) precision P of a normal prior with `(I + P)^-1 = covariance`.
+    """(p, p) precision P of the normal prior with `(I + P)^-1 = covariance`.
 
-    With covariance = L L', P = L^-T (1 - L' I L) L^-1. Where the draws make the covariance larger than the data alone
-    allow, by chance, that part of P is zero.
+    With covariance = L L', P = L^-T (1 - L' I L) L^-1. Where random draws make the covariance larger than the data
+    allow, that part of P is zero.
     """
     root = np.linalg.cholesky(covariance)
     values, vectors = np.linalg.eigh(root.T @ information @ root)
@@ -522,34 +511,32 @@ def _sd_along(covariance: Array) -> Array:
 
 
 def ranges(known: BoolArray) -> list[tuple[float, float]]:
-    """Stretches of s where `known` (101,) holds."""
+    """Ranges of s where `known` (101,) holds."""
     return [(float(PLACES[first]), float(PLACES[end - 1])) for first, end in runs(known)]
 
-
-# Changes before filming: each gives another setup; they are ranked by how much they narrow the band.
 
 AT_S = (0.5, 0.65, 0.8, 1.0)
 DIRECTIONS_DEG = (70.0, 100.0, 130.0)
 SIZES = (1.0, 0.6)  # of the largest force within the limits
-LIMITS = Limits()  # the tip turns by no more than 90 deg, and nothing bends by more than 1.25 times what is planned
-BETTER = 5.0  # times: a placement or a sensor that much better
-GAIN_SD = 0.01  # after a calibration with a weight
+LIMITS = Limits()  # tip turn at most 90 deg; bending at most 1.25 times the planned one
+BETTER = 5.0  # factor of improvement of a placement or sensor
+GAIN_SD = 0.01  # after calibration with a weight
 SYNCHRONISED = 0.005  # s
-GAP = 0.1  # in s: wider ones get a tag in the middle
-APART = 0.15  # in s: nearer pushes are the same advice
-LEAST_SHARE = 0.01  # of the band: what removes less is not worth saying
+GAP = 0.1  # in s: a wider gap gets a tag in its middle
+APART = 0.15  # in s: closer pushes count as one
+LEAST_SHARE = 0.01  # smallest reduction worth advising
 _SENSOR_SIZES = ("white_sd", "coloured_sd", "drift", "reversal", "gain_sd", "quantum")
 
 
 @dataclass(frozen=True)
 class SetupChange:
-    """One change of the setup, and the band it would leave."""
+    """One change of the setup, and the resulting band."""
 
     kind: str  # tag, push, second push, gain, sensor, placement, clock, camera
     text: str
     setup: Setup
     quality: Quality
-    share: float  # of the mean width of the band that it removes; negative: it adds
+    share: float  # reduction of the band's mean width; negative: growth
 
     def as_dict(self) -> dict[str, object]:
         pushes = [{"at_s": p.at_s, "direction_rad": p.direction, "peak_N": p.peak} for p in self.setup.pushes]
@@ -561,8 +548,8 @@ class SetupChange:
 def advise(
     setup: Setup, now: PredictedBand, *, count: int = 8, progress: Progress = Silent()
 ) -> tuple[SetupChange, ...]:
-    """The changes that narrow the band most, best first; at most two of each kind. Raises `MechanicsError`: the setup's
-    own push has no stable equilibrium."""
+    """The changes that narrow the band most, best first; at most two per kind. Raises `MechanicsError`: the setup's own
+    push has no stable equilibrium."""
     if count < 1:
         return ()
     thoughts = [*_tags(setup), *_pushes(setup), *_instruments(setup)]
@@ -572,7 +559,7 @@ def advise(
             used = instruments(changed)
             information = information_of(changed, used, derivatives(changed, used))
         except MechanicsError:
-            continue  # stable at the sampled sizes, but not on the way there
+            continue  # stable at the sampled sizes, but not between them
         quality = with_information(now, used, information).quality
         changes.append(SetupChange(kind, text, changed, quality, 1.0 - quality.mean_width / now.quality.mean_width))
     return _distinct(sorted(changes, key=lambda change: -change.share))[:count]
@@ -609,7 +596,7 @@ def _pushes(setup: Setup) -> Iterator[Candidate]:
 
 
 def sharpest(setup: Setup) -> float:
-    """rad: the largest |q - q0| of the pushes that are planned."""
+    """rad: largest |q - q0| of the planned pushes."""
     bench, bent = instruments(setup).bench, []
     for push in setup.pushes:
         solved = solve_push(setup.beam, bench, even_push(push))
@@ -637,7 +624,6 @@ def _instruments(setup: Setup) -> Iterator[Candidate]:
 
 
 def better(sensor: ForceSensor) -> ForceSensor:
-    """A sensor whose every error is `BETTER` times smaller."""
     return replace(sensor, **{name: getattr(sensor, name) / BETTER for name in _SENSOR_SIZES})
 
 

@@ -1,4 +1,4 @@
-"""Benches drawn at random: beams, tags, mounting, cameras, scenes, sensors and clocks as laboratories have them."""
+"""Random benches: beams, tags, mounting, cameras, scenes, sensors and clocks."""
 
 from __future__ import annotations
 
@@ -20,14 +20,12 @@ from onebend.options import NOT_NEGATIVE, POSITIVE, option
 from onebend.progress import one_blas_thread
 from onebend.records import Array
 
-# Effects of real benches drawn at random: each with a probability and a range of sizes, as laboratories have them.
-
-TIP = 0.97  # pushes further out slide and begin inwards alone: beyond the tip there is no beam
+TIP = 0.97  # pushes further out slide and begin inwards only: there is no beam beyond the tip
 
 
 @dataclass(frozen=True)
 class Chance:
-    """An effect is there with this probability, with a size between `low` and `high`."""
+    """Probability of an effect, and the range of its size."""
 
     probability: float
     low: float
@@ -36,18 +34,18 @@ class Chance:
 
 @dataclass(frozen=True)
 class EffectRanges:
-    """Of every effect. Sizes are uniform between their ends, those of `EVEN_IN_LOG` in their logarithm."""
+    """Sizes are uniform, or log-uniform for those in `EVEN_IN_LOG`."""
 
     stretch: Chance = Chance(0.7, 0.04, 0.12)  # thickness over length: stretch and shear
     relaxation: Chance = Chance(0.6, 0.02, 0.15)  # share; its time is 0.3 to 30 s
-    patches: Chance = Chance(0.5, 1.2, 3.0)  # factor of k under the tags
-    rest: Chance = Chance(0.5, 0.2, 6.0)  # deg, turn at rest from clamp to tip; half as much of it bows
+    patches: Chance = Chance(0.5, 1.2, 3.0)  # factor on k under the tags
+    rest: Chance = Chance(0.5, 0.2, 6.0)  # deg, rest turn from clamp to tip; half of it is bow
     inertia: Chance = Chance(0.5, 1.0, 1.0)  # where the mass is known
     clamp: Chance = Chance(0.4, 0.1, 1.0)  # deg at the largest moment
     slide: Chance = Chance(0.5, 0.0003, 0.003)  # m/rad
     push_off: Chance = Chance(0.6, 0.0, 0.003)  # m
     length: Chance = Chance(0.6, 0.0, 0.01)  # share
-    tags: Chance = Chance(0.6, 0.0002, 0.001)  # m, sd along and across the beam, none of it stated
+    tags: Chance = Chance(0.6, 0.0002, 0.001)  # m, sd along and across; not stated
     gain: Chance = Chance(0.6, 0.0, 0.04)  # share
     posture: Chance = Chance(0.5, 0.01, 0.05)  # share of the peak
     base_height: Chance = Chance(0.5, 0.0003, 0.004)  # m
@@ -69,7 +67,7 @@ RELAXATION_TIME = Chance(1.0, 0.3, 30.0)  # s
 
 
 def only(*names: str, ranges: EffectRanges = LABORATORY) -> EffectRanges:
-    """The effects `names` for certain, and no other. Raises `RecordingError`: a name that is not one of `EFFECTS`."""
+    """Only the named effects, with certainty. Raises `RecordingError`: a name that is not in `EFFECTS`."""
     unknown = [name for name in names if name not in EFFECTS]
     if unknown:
         raise RecordingError(f"there is no effect {unknown[0]!r}. Take of {', '.join(EFFECTS)}.")
@@ -80,7 +78,7 @@ def only(*names: str, ranges: EffectRanges = LABORATORY) -> EffectRanges:
 def with_random_effects(
     bench: VirtualBench, rng: np.random.Generator, ranges: EffectRanges = LABORATORY, *, tag_size: float = 0.012
 ) -> VirtualBench:
-    """`bench` with effects that are drawn. Each draws from a stream of its own: to leave one out changes no other."""
+    """`bench` with random effects. Each has a random stream of its own: removing one changes no other."""
     seed = int(rng.integers(2**32))
     streams = {name: np.random.default_rng([seed, i]) for i, name in enumerate(EFFECTS)}
     size = {name: drawn(streams[name], getattr(ranges, name), log=name in EVEN_IN_LOG) for name in EFFECTS}
@@ -124,10 +122,10 @@ def with_random_effects(
 
 
 def _is_slow(bench: VirtualBench) -> bool:
-    """Whether accelerations of the beam without inertia are those with it, but for less than tags scatter by.
+    """Whether quasi-static accelerations are good to within the tags' scatter.
 
-    `rod_march` takes the first for the second. What it leaves out is about the square of the push's frequency over the
-    beam's first one, squared once more.
+    `rod_march` uses them. Their relative error is about the fourth power of the push's frequency over the beam's first
+    one.
     """
     middle = (np.arange(200) + 0.5) / 200
     compliance = 3.0 * float(np.mean((1.0 - middle) ** 2 / np.asarray(bench.beam.stiffness(middle))))
@@ -137,7 +135,7 @@ def _is_slow(bench: VirtualBench) -> bool:
 
 
 def drawn(rng: np.random.Generator, chance: Chance, *, log: bool = False) -> float:
-    """A size; 0 where the effect is not there."""
+    """A size; 0 if the effect is absent."""
     there = float(rng.random()) < chance.probability
     share = float(rng.random())
     if not there:
@@ -146,8 +144,6 @@ def drawn(rng: np.random.Generator, chance: Chance, *, log: bool = False) -> flo
         return float(chance.low * (chance.high / chance.low) ** share)
     return chance.low + (chance.high - chance.low) * share
 
-
-# Pushes, cameras and sensors that have a name: what `onebend film` offers.
 
 PushName = Literal["slow", "fast", "s08", "s06", "free"]
 CameraName = Literal["hd", "full-hd", "phone", "webcam", "wide", "tilted"]
@@ -162,7 +158,7 @@ PUSHES: dict[str, PushProfile] = {
     "s06": replace(SLOW_PUSH, at_s=0.6, rise=3.5, fall=3.0),
     "free": replace(FAST, hold=0.8, fall=0.03, after=4.0),
 }
-SWINGING = ("fast", "free")  # those that need the equation of motion
+SWINGING = ("fast", "free")  # need the equation of motion
 CAMERAS: dict[str, tuple[Camera, float]] = {  # and frames/s
     "hd": (Camera(), 30.0),
     "full-hd": (Camera(1920, 1080, 1750.0), 30.0),
@@ -171,7 +167,7 @@ CAMERAS: dict[str, tuple[Camera, float]] = {  # and frames/s
     "wide": (Camera(focal=700.0, dist=(-0.22, 0.06, 0.0004, -0.0003, 0.0)), 30.0),
     "tilted": (Camera(tilt=(0.25, -0.12), roll=0.1), 30.0),
 }
-SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls it
+SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and the name in recording.toml
     "franka": (FRANKA, "franka-estimate"),
     "wrist": (WRIST, "wrist six-axis"),
     "ideal": (ForceSensor(rate=500.0), "without errors"),
@@ -180,25 +176,31 @@ SENSORS: dict[str, tuple[ForceSensor, str]] = {  # and what recording.toml calls
 
 @dataclass(frozen=True)
 class FilmRequest:
-    """A film as requested. NaN: the value of the named push or camera."""
+    """A requested film. NaN: the value of the named push or camera."""
 
     push: PushName = option(
-        "--push", "slow", "slow: at the tip. s08, s06: slow, there. fast: the beam swings. free: released at once."
+        "--push",
+        "slow",
+        "slow: at the tip. s08, s06: slow, at s = 0.8, 0.6. fast: the beam swings. free: sudden release.",
     )
-    at_s: float = option("--push-at", nan, "Where it pushes, along the beam.", metavar="S", within=(0.05, 1.0))
-    force: float = option("--force-N", nan, "Peak; default: by --bend-deg.", metavar="N", within=POSITIVE)
+    at_s: float = option("--push-at", nan, "Place of the push.", metavar="S", within=(0.05, 1.0))
+    force: float = option("--force-N", nan, "Largest force; default: from --bend-deg.", metavar="N", within=POSITIVE)
     bend: float = option(
-        "--bend-deg", radians(65.0), "How far the pushed place turns.", metavar="DEG", within=(1.0, 150.0)
+        "--bend-deg", radians(65.0), "Largest turn of the pushed place.", metavar="DEG", within=(1.0, 150.0)
     )
     direction: float = option(
-        "--direction-deg", nan, "Of the push against the beam's x axis; default: 100.", metavar="DEG"
+        "--direction-deg", nan, "Direction of the push against the beam's x axis; default: 100.", metavar="DEG"
     )
     seconds: float = option("--seconds", nan, "From first to last contact.", metavar="S", within=(0.05, 600.0))
-    camera: CameraName = option("--camera", "hd", "Its picture, rate, lens and tilt.")
+    camera: CameraName = option("--camera", "hd", "Camera with its picture size, frame rate, lens and tilt.")
     fps: float = option("--fps", nan, "Default: the camera's.", metavar="HZ", within=(1.0, 240.0))
     tilt: float = option("--tilt-deg", nan, "Default: the camera's.", metavar="DEG", within=(-45.0, 45.0))
     distance: float = option(
-        "--distance-m", nan, "Of the camera; default: as near as shows the push.", metavar="M", within=(0.05, 1e9)
+        "--distance-m",
+        nan,
+        "Distance of the camera; default: the smallest that shows the push.",
+        metavar="M",
+        within=(0.05, 1e9),
     )
     sensor: SensorName = option(
         "--sensor", "franka", "A robot's own estimate, a six-axis sensor, or one without errors."
@@ -207,12 +209,12 @@ class FilmRequest:
         "--gravity-m-s2", 0.0, "In the plane of bending; 0: across it.", metavar="G", within=NOT_NEGATIVE
     )
     base_angle: float = option("--base-angle-deg", 0.0, "The beam's x axis in the room; -90: it hangs.", metavar="DEG")
-    calibrated: bool = option("--uncalibrated", True, "Do not tell the camera's calibration.")
+    calibrated: bool = option("--uncalibrated", True, "Leave the camera's calibration out of recording.toml.")
 
 
 def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
-    """The push that is asked for, with a peak that bends this beam as far. Raises `RecordingError`: a time, place or
-    force that cannot be."""
+    """The requested push; its peak gives the named push's bending on this beam. Raises `RecordingError`: invalid time,
+    place or force."""
     asked = {"at_s": request.at_s, "direction": request.direction}
     known = {name: value for name, value in asked.items() if not isnan(value)}
     push = replace(PUSHES[check_name(request.push, PushName, "push")], **known)
@@ -231,7 +233,7 @@ def push_of(request: FilmRequest, beam: Beam) -> PushProfile:
 
 
 def camera_of(request: FilmRequest) -> tuple[Camera, float]:
-    """The camera that is asked for, and its frames/s."""
+    """With its frames/s."""
     camera, fps = CAMERAS[check_name(request.camera, CameraName, "camera")]
     if not isnan(request.tilt):
         camera = replace(camera, tilt=(request.tilt, 0.0))
@@ -239,8 +241,8 @@ def camera_of(request: FilmRequest) -> tuple[Camera, float]:
 
 
 def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
-    """A design filmed as asked for: tags at thirds, mounted well; a clock that is 0.4 s off what is written down.
-    Raises `RecordingError`: a name that is not known, or a number that cannot be."""
+    """A design filmed as requested: well-mounted tags at thirds, and a stated clock offset that is 0.4 s off. Raises
+    `RecordingError`: unknown name or invalid number."""
     beam = design.beam()
     camera, fps = camera_of(request)
     sensor, called = SENSORS[check_name(request.sensor, SensorName, "sensor")]
@@ -268,13 +270,11 @@ def filming_of(design: Design, request: FilmRequest, name: str) -> Filming:
 
 PLACES = np.linspace(0.0, 1.0, 401)
 DENSITY, DEPTH = 1070.0, 0.03  # kg/m^3, m
-SLENDERNESS = 11.0  # lengths over mean widths
+SLENDERNESS = 11.0  # length over mean width
 
 
 @dataclass(frozen=True)
 class BenchRanges:
-    """The ranges to draw from."""
-
     kinds: tuple[Kind, ...] = ("smooth", "smooth", "smooth", "stepped", "joint")
     sensors: tuple[SensorName, ...] = get_args(SensorName)
     pushed_at: tuple[float, ...] = (1.0, 1.0, 1.0, 0.8, 0.6)
@@ -282,15 +282,15 @@ class BenchRanges:
     sides: tuple[tuple[int, int], ...] = ((1280, 720), (1280, 720), (1920, 1080))  # px
     fps: tuple[float, ...] = (15.0, 24.0, 30.0)
     calibrated: float = 0.7  # share of films
-    effects: EffectRanges | None = None  # of real benches; None: no effects
+    effects: EffectRanges | None = None  # None: no effects
 
 
 @one_blas_thread
 def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), *, name: str = "drawn") -> Filming:
-    """A slow push of an unknown beam. The declared tolerances are those that errors were drawn from.
+    """A slow push of an unknown beam. The declared tolerances are those the errors were drawn with; so is the gain's
+    sd.
 
-    The force's gain is declared with its sd, as the maker of a sensor would. The same state of `rng` gives the same
-    bench.
+    Equal states of `rng` give equal benches.
     """
     beam, width = random_beam(rng, chance)
     sensor, called, gain_sd = random_sensor(rng, chance.sensors[int(rng.integers(len(chance.sensors)))])
@@ -329,7 +329,7 @@ def random_bench(rng: np.random.Generator, chance: BenchRanges = BenchRanges(), 
 
 
 def as_thick(filming: Filming) -> Filming:
-    """With a beam drawn as wide as it is thick, where it stretches and shears."""
+    """With the drawn width equal to the thickness, if it stretches and shears."""
     thickness, k = filming.bench.effects.thickness, np.asarray(filming.bench.beam.stiffness(PLACES))
     if thickness == 0.0:
         return filming
@@ -338,7 +338,7 @@ def as_thick(filming: Filming) -> Filming:
 
 
 def design_with_effects(filming: Filming, rng: np.random.Generator, ranges: EffectRanges = LABORATORY) -> Filming:
-    """A filmed design with effects that are drawn; where it stretches and shears, it is as thick as its width says."""
+    """A filmed design with random effects; its thickness for stretch and shear follows from its width."""
     bench = with_random_effects(filming.bench, rng, ranges, tag_size=filming.tag_size)
     if bench.effects.thickness:
         thickness = float(np.cbrt(np.mean(np.asarray(filming.width(PLACES)) ** 3)))  # that of the mean k
@@ -347,7 +347,7 @@ def design_with_effects(filming: Filming, rng: np.random.Generator, ranges: Effe
 
 
 def random_beam(rng: np.random.Generator, chance: BenchRanges) -> tuple[Beam, Table]:
-    """A beam, and its width [m] as drawn: that of a flat bar of one material with this k(s)."""
+    """A beam and its width [m]: a flat bar of one material with this k(s)."""
     length = round(float(rng.uniform(0.12, 0.30)), 3)
     kind = chance.kinds[int(rng.integers(len(chance.kinds)))]
     level = float(np.exp(rng.uniform(np.log(0.015), np.log(0.15))))
@@ -359,7 +359,7 @@ def random_beam(rng: np.random.Generator, chance: BenchRanges) -> tuple[Beam, Ta
 
 
 def random_push(rng: np.random.Generator, beam: Beam, chance: BenchRanges) -> PushProfile:
-    """Slow, across the beam from either side; it turns the pushed place by 45 to 80 degrees."""
+    """Slow, across the beam from either side; turns the pushed place by 45 to 80 degrees."""
     at_s = float(rng.choice(chance.pushed_at))
     seconds, side = float(rng.uniform(*chance.seconds)), float(rng.choice([-1.0, 1.0]))
     direction = side * float(rng.uniform(1.45, 1.95))
@@ -378,7 +378,7 @@ def random_push(rng: np.random.Generator, beam: Beam, chance: BenchRanges) -> Pu
 
 
 def random_tags(rng: np.random.Generator, placement: float) -> tuple[VirtualTag, ...]:
-    """Three to five tags, the last at the tip, put on by hand with a ruler."""
+    """Three to five tags, the last at the tip, placed by hand with a ruler."""
     count = int(rng.integers(3, 6))
     first = int(rng.integers(1, 20))
     errors: Array = rng.normal(0.0, placement, (count, 2))
@@ -390,7 +390,7 @@ def random_tags(rng: np.random.Generator, placement: float) -> tuple[VirtualTag,
 
 
 def random_sensor(rng: np.random.Generator, name: SensorName) -> tuple[ForceSensor, str, float]:
-    """A sensor of one kind, what it is called, and the sd of its gain as told."""
+    """A sensor, its name, and the stated sd of its gain."""
     sensor, called = SENSORS[name]
     if name == "ideal":
         return sensor, called, 0.0
@@ -410,7 +410,7 @@ def random_sensor(rng: np.random.Generator, name: SensorName) -> tuple[ForceSens
 
 
 def random_camera(rng: np.random.Generator, chance: BenchRanges) -> Camera:
-    """From straight above to 12 degrees tilted, lenses from a phone's to a cheap wide one's."""
+    """Tilted by 0 to 12 degrees; lenses from a phone's to a cheap wide one's."""
     width, height = chance.sides[int(rng.integers(len(chance.sides)))]
     k1 = float(rng.uniform(-0.15, 0.08))
     tangential = rng.normal(0.0, 5e-4, 2).tolist()
@@ -427,7 +427,6 @@ def random_camera(rng: np.random.Generator, chance: BenchRanges) -> Camera:
 
 
 def random_scene(rng: np.random.Generator, bench: VirtualBench) -> Scene:
-    """Table, light, tool, hand and noise."""
     begin, end = bench.push.contact
     backdrops = get_args(Backdrop)
     return Scene(

@@ -1,4 +1,4 @@
-"""A rehearsal: the predicted band, what simulated recordings give, the uncertainty budget, what to change."""
+"""A rehearsal: predicted band, simulated recordings, uncertainty budget, advice."""
 
 from __future__ import annotations
 
@@ -42,27 +42,25 @@ from onebend.report.wording import direction_words
 from onebend.results.tables import write_csv
 from onebend.text_files import figure_text
 
-# Simulated recordings of a setup, each fitted like a real one: k(s) is the same in all, every error is drawn anew.
-
-BASE_TURN = np.deg2rad(1.0)  # one sd of the base tag's turn on the clamp
-OFFSET = 250.0  # s, of the log's clock against the film's
-CLOCK_SAID = 1.5  # s, largest error of the film's start as written down, where the clock is found from the data
+BASE_TURN = np.deg2rad(1.0)  # sd of the base tag's turn on the clamp
+OFFSET = 250.0  # s, log clock minus film clock
+CLOCK_SAID = 1.5  # s, largest error of the stated start of the film, if the clock is found from the data
 
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """One recording and its fit, at the 101 places of `PLACES`."""
+    """One recording and its fit, at the 101 `PLACES`."""
 
     seed: int
     failure: str = ""
     error: tuple[float, ...] = ()  # of log k
-    sd: tuple[float, ...] = ()  # of log k as the band has it, the gain included
+    sd: tuple[float, ...] = ()  # of log k by the band, including the gain
     identified: tuple[bool, ...] = ()
-    clock_error: float = 0.0  # s, of the worst recording
+    clock_error: float = 0.0  # s, worst recording
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, sizes to five digits."""
+        """For JSON, to five digits."""
         numbers = {name: [float(f"{v:.5g}") for v in getattr(self, name)] for name in ("error", "sd")}
         return asdict(self) | numbers | {"identified": "".join("01"[v] for v in self.identified)}
 
@@ -73,7 +71,7 @@ class SimulatedRun:
 
 
 def benches(setup: forecast.Setup, seed: int) -> tuple[VirtualBench, ...]:
-    """One virtual bench per push: all have the same tags with the same errors, and one sensor with one gain."""
+    """One virtual bench per push; they share tags and their errors, sensor and gain."""
     rng = np.random.default_rng([seed, 30])
     m = len(setup.tags)
     off = rng.standard_normal((m, 3)) * np.array([setup.placement_sd, setup.placement_sd, setup.turn_sd])
@@ -103,13 +101,13 @@ def benches(setup: forecast.Setup, seed: int) -> tuple[VirtualBench, ...]:
 
 @one_blas_thread
 def simulate_run(setup: forecast.Setup, seed: int) -> SimulatedRun:
-    """Film, log, observe and fit once. A fit that fails is a run with its reason, not an error."""
+    """Film, log, observe and fit once. A failed fit is a run with its reason, not an error."""
     began = time.perf_counter()
     try:
         recordings = [_observed(setup, bench, seed * 100 + i) for i, bench in enumerate(benches(setup, seed))]
         settings = FitSettings(
             functions=forecast.FUNCTIONS, most_frames=forecast.MOST_FRAMES, allowances=frozenset()
-        )  # the bench is ideal
+        )  # ideal bench
         posterior = fit(recordings, start_of(recordings, None), settings=settings, gain_sd=setup.gain_sd)
     except (LearningError, MechanicsError, ObservationError) as wrong:
         return SimulatedRun(seed, failure=str(wrong), seconds=time.perf_counter() - began)
@@ -135,7 +133,7 @@ def _observed(setup: forecast.Setup, bench: VirtualBench, seed: int) -> Observat
     error = setup.clock_sd * float(np.random.default_rng([seed, 31]).standard_normal())
     return observe_from_truth(
         virtual, clock_error=error, clock_sd=0.5 * setup.clock_sd
-    )  # the fit doubles what is stated
+    )  # the fit doubles the stated value
 
 
 def simulate(
@@ -146,8 +144,8 @@ def simulate(
     keep: Path | None = None,
     progress: Progress = Silent(),
 ) -> tuple[SimulatedRun, ...]:
-    """A run for every seed, in that order; `jobs` processes. Those in the folder `keep` are taken from there, and each
-    new one is added as it ends, so that work that was interrupted goes on."""
+    """One run per seed, in order, in `jobs` processes. Runs in the folder `keep` are reused, and new ones added at
+    once."""
     wanted = list(seeds)
     file = None if keep is None else keep / f"runs-{key_of(setup)}.jsonl"
     done = {} if file is None else read_runs(file)
@@ -161,7 +159,7 @@ def simulate(
 
 
 def read_runs(file: Path) -> dict[int, SimulatedRun]:
-    """Runs done before. A line that was cut off is left out, and done again."""
+    """Earlier runs; a truncated line is skipped."""
     found: dict[int, SimulatedRun] = {}
     if file.is_file():
         for line in file.read_text(encoding="utf-8").splitlines():
@@ -174,7 +172,7 @@ def read_runs(file: Path) -> dict[int, SimulatedRun]:
 
 
 def key_of(setup: forecast.Setup) -> str:
-    """A name for all that a run depends on, but for its seed."""
+    """Hash of all that a run depends on except its seed."""
     return hashlib.sha256(repr(setup).encode()).hexdigest()[:16]
 
 
@@ -198,47 +196,45 @@ def _each(setup: forecast.Setup, seeds: list[int], jobs: int) -> Iterator[Simula
 
 
 def errors_of(runs: Iterable[SimulatedRun]) -> tuple[Array, Array, BoolArray]:
-    """(R, 101) of the runs that came out: error and sd of log k, and where k was identified."""
+    """(R, 101) for the successful runs: error and sd of log k, and where k was identified."""
     good = [run for run in runs if not run.failure]
     shape = (len(good), len(PLACES))
     error, sd = (np.array([getattr(run, name) for run in good], dtype=float).reshape(shape) for name in ("error", "sd"))
     return error, sd, np.array([run.identified for run in good], dtype=bool).reshape(shape)
 
 
-MEDIAN, NINETY = 0.674490, 1.644854  # of |z|, z normal
+MEDIAN, NINETY = 0.674490, 1.644854  # of |z| for a normal z
 
 
 @dataclass(frozen=True)
 class Obtained:
-    """Statistics of the R successful fits, along the 101 places of `PLACES`."""
+    """Statistics of the R successful fits at the 101 `PLACES`."""
 
     runs: int
     failed: int
-    why_failed: tuple[str, ...]  # the reasons, each once
-    rms: Array  # of the error of log k
+    why_failed: tuple[str, ...]  # each once
+    rms: Array  # error of log k
     median: Array  # of its size
-    ninety: Array  # nine in ten are no larger
-    sd: Array  # median, of the bands
-    identified: Array  # share of the runs that call k identified here
-    coverage: Array  # share of the 95 % bands that hold the truth here
-    covered: float  # the same over the places that the fits call identified; NaN where there are none
-    covered_error: float  # its standard error, from run to run; NaN with fewer than two runs
+    ninety: Array  # 90 % quantile of its size
+    sd: Array  # median of the bands
+    identified: Array  # share of runs that call k identified
+    coverage: Array  # share of 95 % bands that hold the truth
+    covered: float  # the same over identified places; NaN without any
+    covered_error: float  # its standard error over runs; NaN with fewer than two
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """How well k(s) of a setup would come out."""
-
     setup: forecast.Setup
     seed: int
     predicted: forecast.PredictedBand
-    budget: tuple[forecast.BudgetEntry, ...]  # the most costly nuisance first
-    advice: tuple[forecast.SetupChange, ...]  # the most helpful change first
+    budget: tuple[forecast.BudgetEntry, ...]  # most costly first
+    advice: tuple[forecast.SetupChange, ...]  # best first
     runs: tuple[SimulatedRun, ...]
 
     @property
     def obtained(self) -> Obtained | None:
-        """None where nothing was simulated, or no fit came out."""
+        """None without simulation or successful fits."""
         return obtained_of(self.runs)
 
     def as_dict(self) -> dict[str, Any]:
@@ -270,12 +266,11 @@ def rehearse(
     count: int = 8,
     progress: Progress = Silent(),
 ) -> Rehearsal:
-    """How well k(s) would be known from a setup: by its Fisher information, and from `runs` simulated recordings.
+    """Expected accuracy of k(s) for a setup: by Fisher information, and from `runs` simulated recordings.
 
-    Run i has the seed `seed` + i. With `jobs` > 1 the runs are shared between processes. With a folder `keep` each run
-    is kept there as it ends, and work that was interrupted goes on from it. Raises `LearningError`: a number of runs or
-    processes that cannot be. Raises `MechanicsError`: the beam buckles or snaps through under a push, hardly bends, or
-    bends too far.
+    Run i has seed `seed` + i. `jobs` > 1 uses that many processes. A folder `keep` stores each run, so interrupted work
+    continues. Raises `LearningError`: invalid number of runs or processes. Raises `MechanicsError`: the beam buckles,
+    snaps through, hardly bends, or bends too far.
     """
     if runs < 0 or jobs < 1 or seed < 0:
         raise LearningError(f"a rehearsal needs runs >= 0, jobs >= 1 and seed >= 0, got {runs}, {jobs} and {seed}")
@@ -288,7 +283,7 @@ def rehearse(
 
 
 def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
-    """Statistics of the fits; None where all failed."""
+    """None if all failed."""
     error, sd, known = errors_of(runs)
     failures = [run.failure for run in runs if run.failure]
     if not len(error):
@@ -311,7 +306,7 @@ def obtained_of(runs: tuple[SimulatedRun, ...]) -> Obtained | None:
 
 
 def _share(hits: Array, counts: Array) -> tuple[float, float]:
-    """Sum of hits (R,) over sum of counts (R,), and its standard error: linearised, runs are independent."""
+    """Sum of hits (R,) over sum of counts (R,), and its linearised standard error."""
     total = float(np.sum(counts))
     if total == 0.0:
         return nan, nan
@@ -325,14 +320,12 @@ def setup_words(setup: forecast.Setup) -> str:
     return f"{setup.name}: tags at s = {', '.join(f'{s:.3g}' for s in setup.tags)}; pushed at {pushes}"
 
 
-# The figure of a rehearsal: the band predicted and obtained, and the errors along the beam.
-
 SHOWN = 40  # fits drawn as lines
 
 
 @styled
 def rehearsal_figure(rehearsal: Rehearsal) -> Figure:
-    """k(s) with the bands above, the size of its error below."""
+    """k(s) with the predicted and obtained bands, and the size of the error."""
     figure, (stiffness, error) = blank(6.4, rows=2, sharex=True)
     _bands(stiffness, rehearsal)
     _errors(error, rehearsal)
@@ -381,7 +374,7 @@ def _errors(axes: Axes, rehearsal: Rehearsal) -> None:
 
 
 def _best_known(predicted: forecast.PredictedBand) -> BoolArray:
-    """(S,) the places that set the axes: where k would be known; where it is nowhere, the best quarter of them."""
+    """(S,) the places that set the axes: where k is known, or else its best quarter."""
     known = predicted.identified
     return np.asarray(known if np.any(known) else predicted.sd <= np.quantile(predicted.sd, 0.25))
 
@@ -398,8 +391,6 @@ def _marks(axes: Axes, rehearsal: Rehearsal) -> None:
         axes.plot([push.at_s], [0.06], "^", color=ORANGE, markersize=7, clip_on=False, transform=across, zorder=5)
 
 
-# The files of a rehearsal: a figure, a table along the beam, and all of it as JSON.
-
 REHEARSE_FORMAT = "onebend-rehearse-1"
 COLUMNS = (
     *("s", "k_N_m", "predicted_sd", "predicted_median", "predicted_90", "predicted_identified"),
@@ -412,7 +403,7 @@ def summary_of(rehearsal: Rehearsal, *, written_by: str) -> dict[str, Any]:
 
 
 def write_table(folder: Path, rehearsal: Rehearsal) -> None:
-    """`rehearsal.csv`, a row a place; sizes are of log k, empty where nothing was simulated."""
+    """`rehearsal.csv`, one row per place; sizes of log k, empty without simulation."""
     p, o = rehearsal.predicted, rehearsal.obtained
     columns = [PLACES, p.k, p.sd, MEDIAN * p.error, NINETY * p.error, p.identified]
     unknown = np.full(len(PLACES), np.nan)

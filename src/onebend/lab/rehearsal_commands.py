@@ -1,4 +1,4 @@
-"""The command that rehearses a push before it is filmed."""
+"""Commands `loop`, `rehearse` and `reproduce`."""
 
 from __future__ import annotations
 
@@ -49,42 +49,40 @@ from onebend.results.control_files import loop_summary, write_loop
 from onebend.results.model import model_file
 from onebend.results.provenance import inputs_of
 
-# Commands that bend a learned beam, or rehearse to.
-
 
 @dataclass(frozen=True)
-class LoopRehearsal:
-    """The beams, the robot and the sensor that a loop is rehearsed with."""
+class SimulatedLoop:
+    """Beams, robot and sensor of a simulated loop."""
 
     k_error: float = option(
         "--k-error",
         0.3,
-        "Rehearse on beams this share softer and stiffer, for which the gains are chosen too.",
+        "Simulate beams that are softer and stiffer by this share; the gains are chosen for them.",
         metavar="SHARE",
         within=(0.0, 0.95),
     )
     draws: int | None = option(
         "--draws",
         None,
-        "Rehearse on N beams drawn from the band of k(s) instead.",
+        "Simulate N beams drawn from the band of k(s) instead.",
         metavar="N",
         within=(1, loop_simulation.MOST_DRAWN),
     )
-    max_force: float = option("--max-force-N", math.inf, "No larger force.", metavar="N", within=POSITIVE)
+    max_force: float = option("--max-force-N", math.inf, "Largest force.", metavar="N", within=POSITIVE)
     felt: FeltBy = option(
         "--felt",
         "nothing",
-        "What tells the loop the force on the beam. log: a sensor. shape: the tags, as `onebend sense` does.",
+        "Source of the force on the beam. log: a sensor. shape: the tags, as in `onebend sense`.",
     )
     force_off: float = option(
         "--force-off-N",
         0.0,
-        "By so much the robot's force is off, across it, and the log of --felt log, along it.",
+        "Error of the robot's force, across it, and of the log of --felt log, along it.",
         metavar="N",
         within=(0.0, 1000.0),
     )
     hidden: bool = option("--hidden", False, "The camera never sees the point, nor a tag on it.")
-    duration: float = option("--duration-s", 8.0, "Of each rehearsal; at least two.", metavar="S", within=(2.0, 600.0))
+    duration: float = option("--duration-s", 8.0, "Duration of each simulation.", metavar="S", within=(2.0, 600.0))
 
 
 def loop(
@@ -95,12 +93,11 @@ def loop(
     point: common.Point = 1.0,
     gravity: common.Gravity = (0.0, 0.0),
     camera: loop_simulation.LoopCamera,
-    asked: LoopRehearsal,
+    asked: SimulatedLoop,
     output: common.Output = None,
     overwrite: common.Overwrite = False,
     as_json: common.Json = False,
 ) -> None:
-    """Rehearse a closed loop: force for a goal, corrected by a camera, on beams that are not the model."""
     with common.clean_errors():
         stored = read_trusted(model)
         beam = stored.beam
@@ -128,22 +125,18 @@ def loop(
             )
         )
         known = control.margins()
-        rehearsed = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
-        summary = loop_summary(str(model), control, known, trials, rehearsed, written_by=BY)
+        further = {"felt": asked.felt, "force_off_N": asked.force_off, "hidden": asked.hidden}
+        summary = loop_summary(str(model), control, known, trials, further, written_by=BY)
         if output is not None:
-            from onebend.report.control_figures import looping  # here: Matplotlib is for pictures alone
+            from onebend.report.control_figures import looping  # here: it loads Matplotlib
 
             tables, figures = partial(write_loop, trials=trials), {"loop": lambda: looping(control, trials)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(
-        as_json, summary, lambda console: show_loop(console, control, known, trials, output, rehearsed), output
-    )
+    common.answer(as_json, summary, lambda console: show_loop(console, control, known, trials, output, further), output)
 
-
-# The screen of `onebend rehearse`.
 
 EVERY = 10  # of the 101 places
-FEW = 12  # runs: with fewer, nine in ten mean little
+FEW = 12  # runs: with fewer, the 90 % quantile means little
 
 
 def show_rehearsal(console: Console, rehearsal: Rehearsal) -> None:
@@ -180,7 +173,7 @@ def errors_table(rehearsal: Rehearsal) -> Table:
 
 
 def budget_table(budget: Sequence[BudgetEntry]) -> Table:
-    title = "What costs most: how well k(s) would be known if one thing were known exactly"
+    title = "Largest causes: how well k(s) would be known if one thing were known exactly"
     table = common.listing(title, "<known exactly", "k(s) then", "removes")
     for entry in budget:
         table.add_row(escape(entry.name), width_words(entry.mean_width), share_words(entry.share))
@@ -188,7 +181,7 @@ def budget_table(budget: Sequence[BudgetEntry]) -> Table:
 
 
 def advice_table(rehearsal: Rehearsal) -> Table:
-    title = "What to change, by how much it narrows the band"
+    title = "Changes, by how much each narrows the band"
     table = common.listing(title, "", "<change", "k(s) then", "removes")
     for i, change in enumerate(rehearsal.advice, 1):
         table.add_row(str(i), escape(change.text), width_words(change.quality.mean_width), share_words(change.share))
@@ -217,41 +210,42 @@ def _percent(log_error: float) -> str:
     return f"{100.0 * np.expm1(log_error):.2g}" if log_error < 1.0 else f"x {np.exp(log_error):.2g}"
 
 
-SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # by all pushes
+SHARED = Only(("push", "bend", "seconds", "camera", "fps", "tilt", "distance", "sensor"))  # shared by all pushes
 
 Rehearsed = Annotated[
     str, typer.Argument(metavar="DESIGN", help="A named design, a design.toml, or a learned model.json.")
 ]
 TagPlaces = Annotated[
     str | None,
-    typer.Option(
-        "--tags", metavar="S,S,...", help="Where the tags sit along the beam; default: thirds, or the model's."
-    ),
+    typer.Option("--tags", metavar="S,S,...", help="Places of the tags; default: thirds, or the model's."),
 ]
 PushesAt = Annotated[
     list[float] | None,
-    typer.Option(
-        "--push-at", min=0.05, max=1.0, metavar="S", help="Where it pushes, along the beam; once for each push."
-    ),
+    typer.Option("--push-at", min=0.05, max=1.0, metavar="S", help="Place of the push; once per push."),
 ]
 Forces = Annotated[
-    list[float] | None, typer.Option("--force-N", metavar="N", help="Peak; default: by --bend-deg. One, or one a push.")
+    list[float] | None,
+    typer.Option("--force-N", metavar="N", help="Largest force; default: from --bend-deg. One, or one per push."),
 ]
 Directions = Annotated[
     list[float] | None,
-    typer.Option("--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one a push."),
+    typer.Option(
+        "--direction-deg", metavar="DEG", help="Against the beam's x axis; default: 100. One, or one per push."
+    ),
 ]
 Runs = Annotated[
-    int, typer.Option(min=0, max=10_000, metavar="N", help="Simulated recordings; 0: the prediction alone, at once.")
+    int, typer.Option(min=0, max=10_000, metavar="N", help="Number of simulated recordings; 0: only the prediction.")
 ]
 Jobs = Annotated[
-    int | None, typer.Option(min=1, max=1024, metavar="N", help="Processes that simulate; default: all cores.")
+    int | None, typer.Option(min=1, max=1024, metavar="N", help="Number of processes; default: all cores.")
 ]
-Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="How many changes to name.")]
+Advices = Annotated[int, typer.Option("--count", min=0, metavar="N", help="Number of changes to list.")]
 RehearsalFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="OUT", help="Folder for figure, table and JSON.")
 ]
-RunSeed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Of the first run; the next ones count up.")]
+RunSeed = Annotated[
+    int, typer.Option("--seed", min=0, metavar="N", help="Seed of the first run; the next ones count up.")
+]
 
 
 def rehearse(
@@ -272,7 +266,6 @@ def rehearse(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Say how well k(s) would come out of a push before it is filmed, what costs most, and what to change."""
     with common.clean_errors():
         setup = setup_of(
             known_beam(design),
@@ -282,7 +275,7 @@ def rehearse(
         )
         with common.place_for(output, REHEARSE_FORMAT, overwrite) as place, common.progress_of(quiet) as progress:
             inputs = () if place is None else inputs_of([Path(design)])
-            keep = None if place is None else place.work  # runs are kept there as they end
+            keep = None if place is None else place.work  # runs are stored there as they end
             settings = {"runs": runs, "seed": seed, "jobs": jobs or available_cores(), "count": count}
             found = make_rehearsal(setup, **settings, keep=keep, progress=progress)
             if place is not None:
@@ -298,7 +291,7 @@ def rehearse(
 
 
 def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction: list[float]) -> list[FilmRequest]:
-    """One wish a push. Raises `RecordingError` where the counts do not fit, or a place or force cannot be."""
+    """One request per push. Raises `RecordingError`: counts do not match, or invalid place or force."""
     given = {"--push-at": at, "--force-N": force, "--direction-deg": direction}
     count = max(1, *map(len, given.values()))
     for name, values in given.items():
@@ -320,7 +313,7 @@ def wishes_of(first: FilmRequest, at: list[float], force: list[float], direction
 
 
 def places_of(text: str | None) -> tuple[float, ...]:
-    """Numbers of `0.33,0.67,1`. Raises `RecordingError` where one is none."""
+    """Numbers of `0.33,0.67,1`. Raises `RecordingError`: not a number."""
     if text is None:
         return ()
     try:
@@ -330,9 +323,6 @@ def places_of(text: str | None) -> tuple[float, ...]:
     if not all(math.isfinite(s) for s in places):
         raise RecordingError(f"--tags {text!r}: every place must be a number in (0, 1]")
     return places
-
-
-# The screen of `onebend reproduce`.
 
 
 def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> None:
@@ -356,15 +346,13 @@ def show_reproduced(console: Console, outcome: StudyOutcome, output: Path) -> No
     console.print(f"Wrote {output / 'report.html'}", markup=False)
 
 
-# Commands over many recordings: the paper's experiments made again, batches, populations.
-
 ReproduceOut = Annotated[
     Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for films, tables and report.")
 ]
 
 
 Processes = Annotated[
-    int | None, typer.Option("--processes", min=1, metavar="N", help="That work at once; default: one a core.")
+    int | None, typer.Option("--processes", min=1, metavar="N", help="Number of processes; default: one per core.")
 ]
 
 
@@ -377,7 +365,6 @@ def reproduce(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Make the paper's experiments again: films of three beams, its tables, figures and tasks, in one report."""
     with (
         common.clean_errors(),
         common.workplace(output, study_report.REPRODUCE_FORMAT, overwrite) as place,

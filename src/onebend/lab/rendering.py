@@ -1,4 +1,4 @@
-"""Frames of the scene: moving things are drawn at several moments of the exposure, and the frame is their mean."""
+"""Rendering: a frame is the mean of several moments of its exposure."""
 
 from __future__ import annotations
 
@@ -16,18 +16,17 @@ from onebend.recording.camera import FACING, distort, project
 from onebend.recording.entries import CameraEntry
 from onebend.records import Array, View
 
-# How much of each pixel polygons cover: exact along the rows of the picture, sampled finely across them.
-#
-# Every edge adds, in the lines that it crosses, what lies to its right; the sum along a row is the coverage. Polygons
-# that share an edge and have one orientation leave no seam between them.
+# Coverage of pixels by polygons: exact along rows, sampled finely across them. Every edge adds, in the lines it
+# crosses, the area to its right; the sum along a row is the coverage. Polygons of one orientation that share an edge
+# show no seam.
 
 Image = NDArray[np.float32]
-LINES = 8  # a row of pixels
+LINES = 8  # per row of pixels
 
 
 @dataclass(frozen=True)
 class PixelBox:
-    """Pixels from (left, top) up to but not including (right, bottom)."""
+    """Pixels from (left, top) to (right, bottom), exclusive."""
 
     left: int
     top: int
@@ -41,22 +40,21 @@ class PixelBox:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """Rows and columns of the whole picture."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     @property
     def halved(self) -> PixelBox:
-        """The same box in a picture of half the size; the edges are even."""
+        """In a picture of half the size; edges are even."""
         return PixelBox(self.left // 2, self.top // 2, self.right // 2, self.bottom // 2)
 
     def within(self, outer: PixelBox) -> tuple[slice, slice]:
-        """Rows and columns of `outer`, which holds this box."""
+        """Rows and columns in `outer`."""
         down, across = self.top - outer.top, self.left - outer.left
         return slice(down, down + self.shape[0]), slice(across, across + self.shape[1])
 
 
 def box_around(points: Array, width: int, height: int, margin: float = 2.0) -> PixelBox:
-    """The box with even edges around pixels (..., 2), within a picture with even sides."""
+    """The box with even edges around pixels (..., 2), clipped to the picture."""
     flat = points.reshape(-1, 2)
     low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
     left, top = (int(np.clip(2 * np.floor(v / 2), 0, side)) for v, side in zip(low, (width, height), strict=True))
@@ -71,11 +69,11 @@ def edges_of(loops: Array) -> Array:
 
 
 def coverage(loops: Array, box: PixelBox) -> Image:
-    """Share of each pixel of `box` (rows, columns) that polygons (..., corners, 2) [px] of one orientation cover."""
+    """Covered share of each pixel of `box` (rows, columns), for polygons (..., corners, 2) [px] of one orientation."""
     rows, columns = box.shape
     if rows == 0 or columns == 0:
         return np.zeros((rows, columns), dtype=np.float32)
-    x0, y0, x1, y1 = (edges_of(loops) + 0.5 - np.array([box.left, box.top] * 2)).T  # a pixel's edges at whole numbers
+    x0, y0, x1, y1 = (edges_of(loops) + 0.5 - np.array([box.left, box.top] * 2)).T  # pixel edges at whole numbers
     low, high = np.minimum(y0, y1) * LINES, np.maximum(y0, y1) * LINES
     first = np.clip(np.ceil(low - 0.5), 0, rows * LINES).astype(np.int64)
     count = np.clip(np.ceil(high - 0.5), 0, rows * LINES).astype(np.int64) - first
@@ -93,11 +91,9 @@ def coverage(loops: Array, box: PixelBox) -> Image:
     return np.asarray(np.minimum(np.abs(sums), np.float32(1.0)))
 
 
-# The scene apart from beam and tags: table, light, tool, hand; and the camera's noise.
-
 Colour = tuple[float, float, float]  # 0 to 1
 Backdrop = Literal["wood", "mat", "cloth", "plain"]
-BACKDROPS: dict[Backdrop, tuple[tuple[int, int], Colour, float]] = {  # grain [px], colour, how much it varies
+BACKDROPS: dict[Backdrop, tuple[tuple[int, int], Colour, float]] = {  # grain [px], colour, variation
     "wood": ((3, 60), (0.55, 0.36, 0.19), 0.5),
     "mat": ((14, 14), (0.22, 0.40, 0.30), 0.35),
     "cloth": ((10, 10), (0.56, 0.57, 0.60), 0.35),
@@ -107,7 +103,7 @@ TO_YUV = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.
 
 
 def check_name(name: str, names: object, what: str) -> str:
-    """The name. Raises `RecordingError`: it is not one of the Literal's."""
+    """The name. Raises `RecordingError`: it is not one of `names`."""
     known = get_args(names)
     if name not in known:
         raise RecordingError(f"there is no {what} {name!r}. Take one of {', '.join(known)}.")
@@ -116,31 +112,31 @@ def check_name(name: str, names: object, what: str) -> str:
 
 @dataclass(frozen=True)
 class Scene:
-    """How the scene looks. Times are those of the film."""
+    """Appearance; times are those of the film."""
 
     backdrop: Backdrop = "wood"
     beam: Colour = (0.80, 0.77, 0.74)
     clamp: Colour = (0.28, 0.29, 0.30)
     tool: Colour = (0.28, 0.30, 0.31)
     hand: Colour = (0.36, 0.24, 0.21)
-    paper: float = 0.90  # brightness of the tags' paper
+    paper: float = 0.90  # brightness of the paper
     ink: float = 0.12
-    print_dpi: float = 2400.0  # dots per inch of the printer that made the tags; 0: edges without error
+    print_dpi: float = 2400.0  # of the tags' printer; 0: exact edges
     brightness: float = 1.0
-    falloff: float = 0.2  # of the light, from the brightest place to the farthest corner
-    brightest: tuple[float, float] = (0.6, 0.4)  # place in the picture, as parts of its width and height
-    flicker: float = 0.03  # of the light, largest change
-    flicker_time: float = 3.0  # s, its period
-    step: float = 0.0  # of the light: a cloud or a lamp, at `step_at`
+    falloff: float = 0.2  # of the light, from brightest place to farthest corner
+    brightest: tuple[float, float] = (0.6, 0.4)  # as shares of width and height
+    flicker: float = 0.03  # largest relative change of the light
+    flicker_time: float = 3.0  # s, period
+    step: float = 0.0  # jump of the light at `step_at`
     step_at: float = inf  # s
     exposure: float = 0.01  # s
-    blur: float = 0.7  # px, sd of the lens's point image
-    noise: float = 1.5  # of 255, sd of the sensor's noise in a pixel of middle brightness
-    overlap: float = 0.0  # m, how far the tool reaches over the beam's edge, and over tags there
+    blur: float = 0.7  # px, sd of the lens's point spread
+    noise: float = 1.5  # of 255, sd per pixel at middle brightness
+    overlap: float = 0.0  # m the tool reaches over the beam's edge and its tags
     tool_width: float = 0.007  # m
-    slant: float = 0.3  # rad, of the tool against the push
-    hand_at: float = inf  # s, when a hand passes before the beam's middle
-    crf: int = 20  # of H.264: 0 is lossless, 51 the worst
+    slant: float = 0.3  # rad, tool against push
+    hand_at: float = inf  # s, when a hand passes over the beam
+    crf: int = 20  # H.264 quality: 0 lossless, 51 worst
 
     def __post_init__(self) -> None:
         check_name(self.backdrop, Backdrop, "backdrop")
@@ -155,7 +151,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Picture:
-    """Reflectance of the table: brightness (H, W), and the two colour differences at half the size."""
+    """Brightness (H, W), and two colour differences at half the size."""
 
     y: Image
     u: Image
@@ -170,13 +166,13 @@ class Picture:
 
 
 def yuv(colour: Colour) -> tuple[float, float, float]:
-    """Brightness 0 to 1 and the two colour differences -0.5 to 0.5."""
+    """Brightness 0 to 1 and two colour differences -0.5 to 0.5."""
     y, u, v = (TO_YUV @ np.array(colour)).tolist()
     return y, u, v
 
 
 def backdrop(scene: Scene, view: View, shape: tuple[int, int], rng: np.random.Generator) -> Picture:
-    """The table (H, W), as sharp as the lens shows it."""
+    """The table (H, W), blurred by the lens."""
     height, width = shape
     grain, base, swing = BACKDROPS[scene.backdrop]
     field = octaves(shape, grain, rng)
@@ -195,7 +191,7 @@ def backdrop(scene: Scene, view: View, shape: tuple[int, int], rng: np.random.Ge
 
 
 def octaves(shape: tuple[int, int], grain: tuple[int, int], rng: np.random.Generator) -> Image:
-    """A random field, about -1 to 1, with structures of `grain` (rows, columns) px and larger."""
+    """A random field, about -1 to 1, with structures from `grain` (rows, columns) px up."""
     total = np.zeros(shape, dtype=np.float32)
     for octave in range(5):
         sides = zip(shape, grain, strict=True)
@@ -208,7 +204,7 @@ def octaves(shape: tuple[int, int], grain: tuple[int, int], rng: np.random.Gener
 
 
 def mat_lines(view: View, shape: tuple[int, int], spacing: float = 0.02, thick: float = 0.0004) -> Image:
-    """Coverage (H, W) of the printed lines of a cutting mat."""
+    """Coverage (H, W) by the lines of a cutting mat."""
     reach = np.arange(-15, 20) * spacing
     along = np.linspace(-0.3, 0.4, 60)
     loops = []
@@ -222,7 +218,6 @@ def mat_lines(view: View, shape: tuple[int, int], spacing: float = 0.02, thick: 
 
 
 def spot(picture: Picture, centre: Array, radius: float, colour: Colour) -> None:
-    """Draw a disc, in place."""
     turn = np.linspace(0.0, 2.0 * np.pi, 33)[:-1]
     loop = centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     height, width = picture.y.shape
@@ -237,7 +232,7 @@ def blend(
     full: tuple[slice, slice],
     half: tuple[slice, slice],
 ) -> None:
-    """Lay a colour over a part of `picture`, as densely as `cover` says, in place."""
+    """Lay a colour over `picture` in place, weighted by `cover`."""
     if cover.size == 0:
         return
     coarse = np.float32(0.25) * (cover[::2, ::2] + cover[1::2, ::2] + cover[::2, 1::2] + cover[1::2, 1::2])
@@ -250,7 +245,7 @@ def blend(
 
 
 def lamp(scene: Scene, shape: tuple[int, int]) -> Image:
-    """(H, W) the light that falls on each place, 1 at the brightest."""
+    """(H, W) relative light, 1 at the brightest."""
     height, width = shape
     x = (np.arange(width) / width - scene.brightest[0]) * width / height
     y = np.arange(height) / height - scene.brightest[1]
@@ -259,26 +254,24 @@ def lamp(scene: Scene, shape: tuple[int, int]) -> Image:
 
 
 def light_at(scene: Scene, time: float) -> float:
-    """The lamp's strength over its usual one."""
+    """The lamp's relative strength."""
     wave = scene.flicker * np.sin(2.0 * np.pi * time / scene.flicker_time)
     return float(1.0 + wave + (scene.step if time >= scene.step_at else 0.0))
 
 
-# Where the camera stands and what it is: a pinhole with a lens, tilted against the table.
-
-MARGIN = 0.06  # of the picture's shorter side: what has to be seen stays this far from the edges
-CLOSER, TRIES = 1.03, 200  # steps of the search for a distance
+MARGIN = 0.06  # of the shorter side: margin around what has to be seen
+CLOSER, TRIES = 1.03, 200  # search for a distance
 NEAREST = 0.05  # m
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera that stands still. Without a `distance` it stands as near as shows all that has to be seen."""
+    """A fixed pinhole camera with a lens, tilted. Without a `distance` it stands as near as the view allows."""
 
     width: int = 1280  # px
     height: int = 720  # px
     focal: float = 1200.0  # px
-    centre: tuple[float, float] = (0.0, 0.0)  # px, of the principal point from the picture's middle
+    centre: tuple[float, float] = (0.0, 0.0)  # px, principal point from the picture's middle
     dist: tuple[float, float, float, float, float] = (-0.06, 0.02, 0.0004, -0.0003, 0.0)  # k1 k2 p1 p2 k3
     tilt: tuple[float, float] = (0.03, 0.0)  # rad, about the picture's x and y axes
     roll: float = 0.0  # rad, counter-clockwise turn of the table in the picture
@@ -302,8 +295,7 @@ class Camera:
 
 
 def view_from(camera: Camera, points: Array) -> View:
-    """How `camera` sees the table when it looks at the middle of `points` (N, 2) [m]. Raises `RecordingError`: not all
-    of the points are in the picture."""
+    """The view towards the middle of `points` (N, 2) [m]. Raises `RecordingError`: some are outside the picture."""
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     distance = camera.distance
     if isfinite(distance):
@@ -323,7 +315,7 @@ def view_from(camera: Camera, points: Array) -> View:
 
 
 def looking(camera: Camera, middle: Array, distance: float) -> View:
-    """The view whose principal ray meets the table at `middle` (2,), `distance` [m] from the camera."""
+    """The view whose principal ray meets the table at `middle` (2,), at `distance` [m]."""
     tilt = Rotation.from_euler("xy", camera.tilt).as_matrix()
     turn = Rotation.from_euler("z", camera.roll).as_matrix()
     rotation = tilt @ FACING @ turn
@@ -338,7 +330,7 @@ def looking(camera: Camera, middle: Array, distance: float) -> View:
 
 
 def all_seen(camera: Camera, view: View, points: Array, margin: float) -> bool:
-    """Whether every point is in front of the camera and `margin` [px] inside the picture."""
+    """Whether all points are in front of the camera and `margin` [px] inside the picture."""
     depth = points @ view.rotation[2, :2] + view.translation[2]
     if np.any(depth < 0.2 * view.translation[2]) or np.any(depth <= 0.0):
         return False
@@ -347,7 +339,7 @@ def all_seen(camera: Camera, view: View, points: Array, margin: float) -> bool:
 
 
 def calibration(camera: Camera) -> CameraEntry:
-    """The camera's exact calibration, to the digits that are written."""
+    """The exact calibration, rounded as written."""
     matrix = camera.matrix
     return CameraEntry(
         width=camera.width,
@@ -360,15 +352,14 @@ def calibration(camera: Camera) -> CameraEntry:
     )
 
 
-# Polygons that stand out of the table's plane, pixels of them, and rows of a picture that are exposed one by one.
-
-ROW_ITERATIONS = 4  # things move by far less than a picture while it is read
+ROW_ITERATIONS = 4  # things move by far less than a picture during readout
 
 
 def placed_in_space(loops: Array, pose: Array) -> Array:
-    """Polygons (..., corners, 2) [m] of a flat thing at `pose` (6,): x, y, angle, z, and its face's tilts.
+    """Polygons (..., corners, 2) [m] at the pose (6,): x, y, angle, z, tilts [rad] about its x axis, then upwards along
+    it.
 
-    Tilts [rad]: about its own x axis, then upwards along it. (..., corners, 3); still (..., corners, 2) in the plane.
+    Returns (..., corners, 3), or (..., corners, 2) in the plane.
     """
     x, y, turn, height, roll, slope = pose.tolist()
     cos, sin = np.cos(turn), np.sin(turn)
@@ -384,12 +375,12 @@ def placed_in_space(loops: Array, pose: Array) -> Array:
 
 
 def lifted(xy: Array, z: Array) -> Array:
-    """(..., 3) m, points (..., 2) at heights (...,); as they are where all lie in the plane."""
+    """(..., 3) m from (..., 2) and heights (...,); unchanged if all lie in the plane."""
     return np.concatenate([xy, z[..., None]], axis=-1) if np.any(z) else xy
 
 
 def pixels(view: View, points: Array) -> Array:
-    """Pixels (..., 2) of points (..., 2) in the plane or (..., 3) in space [m]."""
+    """Pixels (..., 2) of points (..., 2) or (..., 3) [m]."""
     if points.shape[-1] == 2:
         return project(view, points)
     inside = points @ view.rotation.T + view.translation
@@ -398,9 +389,9 @@ def pixels(view: View, points: Array) -> Array:
 
 
 def rolled(at: Array, rows: int) -> Array:
-    """Pixels (..., 2) of what is seen at `at` (3, ..., 2) as the first, the middle and the last of the rows is exposed.
+    """Pixels (..., 2) of things seen at `at` (3, ..., 2) as the first, middle and last row is exposed.
 
-    Things move along a parabola meanwhile; each is seen when its own row is: v = v(share), share = v / rows.
+    Things move along a parabola; each is seen when its own row is: v = v(share), share = v / rows.
     """
     seen = at[0]
     for _ in range(ROW_ITERATIONS):
@@ -410,20 +401,20 @@ def rolled(at: Array, rows: int) -> Array:
 
 
 Bytes = NDArray[np.uint8]
-BLURRED = 4  # px: how far beyond what moves the lens blurs
+BLURRED = 4  # px of blur beyond what moves
 BLACK, RANGE = 16.0, 219.0  # luma of a video
 GREY, COLOUR_RANGE = 128.0, 224.0  # of its colour differences
-COLOUR_NOISE = 0.5  # of the brightness's
-GRAIN = 96  # px: the field of noise is so much larger than a picture
+COLOUR_NOISE = 0.5  # relative to the brightness's
+GRAIN = 96  # px by which the noise field exceeds the picture
 
 
 @dataclass(frozen=True)
 class ColourLayer:
-    """Polygons of one colour, neighbours on the table: their boxes together are hardly larger than they are."""
+    """Neighbouring polygons of one colour."""
 
     loops: Array  # (..., corners, 2) m, or (..., corners, 3)
     colour: Colour
-    late: tuple[Array, ...] = ()  # the same as the middle and the last row are exposed; none: all rows are at once
+    late: tuple[Array, ...] = ()  # the same at the middle and last row; (): all rows at once
 
 
 @dataclass(frozen=True)
@@ -438,17 +429,17 @@ class Shadow:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Shadows and layers of one moment, the layer nearest to the camera last."""
+    """Shadows and layers of one moment, nearest the camera last."""
 
     shadows: list[Shadow]
     layers: list[ColourLayer]
-    shift: Array = field(default_factory=lambda: np.zeros((3, 2)))  # px, of the picture at its first, middle, last row
+    shift: Array = field(default_factory=lambda: np.zeros((3, 2)))  # px, at the first, middle and last row
     rows: int = 1  # of the picture
 
 
 @dataclass(frozen=True)
 class YuvFrame:
-    """A frame as a video holds it: luma (H, W) and the two chroma planes at half the size."""
+    """Luma (H, W) and two chroma planes at half the size."""
 
     y: Bytes
     u: Bytes
@@ -457,21 +448,19 @@ class YuvFrame:
 
 @dataclass(frozen=True)
 class StaticScene:
-    """The parts of a film that do not change."""
-
     scene: Scene
     view: View
     table: Picture
     light: Image  # (H, W)
     half_light: Image
-    scope: PixelBox  # holds whatever moves
+    scope: PixelBox  # around all that moves
     grain: Image  # (H + GRAIN, W + GRAIN) of unit sd
 
 
 def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, moving: Array, seed: int) -> StaticScene:
-    """The table with what stands `still`, seen in `size` (width, height); all that moves is within `moving` (N, 2) m.
+    """The table with what stands `still`, `size` (width, height); all motion is within `moving` (N, 2) m.
 
-    Two stages of one seed look alike.
+    Equal seeds look alike.
     """
     width, height = size
     table = backdrop(scene, view, (height, width), np.random.default_rng([seed, 10]))
@@ -486,7 +475,7 @@ def stage(scene: Scene, view: View, size: tuple[int, int], still: Drawing, movin
 
 
 def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
-    """Pixels (..., corners, 2) of a thing in a drawing."""
+    """Pixels (..., corners, 2)."""
     first = pixels(view, thing.loops)
     if not thing.late and not np.any(drawing.shift):
         return first
@@ -496,7 +485,7 @@ def seen_at(view: View, thing: ColourLayer | Shadow, drawing: Drawing) -> Array:
 
 
 def draw(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
-    """Draw layers over `picture`, which shows the box `scope` of the whole, in place."""
+    """Draw layers in place; `picture` shows the box `scope`."""
     for layer in drawing.layers:
         px = seen_at(view, layer, drawing)
         box = clipped(box_around(px, scope.right, scope.bottom), scope)
@@ -505,7 +494,7 @@ def draw(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> Non
 
 
 def darken(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> None:
-    """Lay shadows over `picture` in place. They are soft: half the resolution is enough."""
+    """Lay soft shadows in place, at half the resolution."""
     for shadow in drawing.shadows:
         px = seen_at(view, shadow, drawing)
         box = clipped(box_around(px, scope.right, scope.bottom, margin=3.0 * shadow.soft), scope)
@@ -520,13 +509,13 @@ def darken(picture: Picture, drawing: Drawing, view: View, scope: PixelBox) -> N
 
 
 def clipped(box: PixelBox, scope: PixelBox) -> PixelBox:
-    """The part of a box that is inside another; without area where none is."""
+    """The intersection, without area if there is none."""
     left, top = max(box.left, scope.left), max(box.top, scope.top)
     return PixelBox(left, top, max(min(box.right, scope.right), left), max(min(box.bottom, scope.bottom), top))
 
 
 def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.random.Generator) -> YuvFrame:
-    """The frame around `time` [s] as 8 bit planes: the mean over `moments` of its exposure, light, blur and noise.
+    """The frame around `time` [s] as 8 bit planes: mean over `moments` of its exposure, light, blur and noise.
 
     Shadows are those of the middle moment.
     """
@@ -550,7 +539,7 @@ def frame_of(staged: StaticScene, moments: list[Drawing], time: float, rng: np.r
 
 
 def shifted(table: Picture, by: Array) -> Picture:
-    """A copy of a picture, moved by (2,) px to the right and down."""
+    """A copy moved by (2,) px right and down."""
     if not np.any(by):
         return table.copy()
     moved = (
@@ -561,7 +550,7 @@ def shifted(table: Picture, by: Array) -> Picture:
 
 
 def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.random.Generator) -> YuvFrame:
-    """Light, noise and rounding: planes of 8 bit; `seen` is used up. The noise is a part of one large field."""
+    """8 bit planes with light, noise and rounding; overwrites `seen`. The noise is cut from one large field."""
     scene = staged.scene
     size = np.float32(scene.noise / 255.0)
     out = []
@@ -570,7 +559,7 @@ def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.ra
         (seen.u, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
         (seen.v, staged.half_light, GREY, COLOUR_RANGE, COLOUR_NOISE),
     ):
-        level = np.multiply(plane, light, out=plane)  # in place: fresh memory costs more than the sums
+        level = np.multiply(plane, light, out=plane)  # in place: fresh memory costs more than the arithmetic
         level *= strength
         noise = np.multiply(grain_of(staged.grain, level.shape, rng), size * np.float32(share))
         if share == 1.0:
@@ -586,7 +575,7 @@ def exposed(staged: StaticScene, seen: Picture, strength: np.float32, rng: np.ra
 
 
 def grain_of(field: Image, shape: tuple[int, int], rng: np.random.Generator) -> Image:
-    """A part (rows, columns) of a field of noise from a random place, mirrored at random."""
+    """A random part (rows, columns) of a noise field, randomly mirrored."""
     down, across = rng.integers(0, GRAIN, 2).tolist()
     part = field[down : down + shape[0], across : across + shape[1]]
     turn = int(rng.integers(0, 4))

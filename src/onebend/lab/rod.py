@@ -1,15 +1,14 @@
-"""A beam that stretches, shears and relaxes, followed through a push in time; made apart from `beam.statics`.
+"""A beam that stretches, shears and relaxes, through a push in time; independent of `beam.statics`.
 
 The beam is cut into some 800 straight cells of angle a_j that turn against each other at joints:
 
     M_j = K_j (u_j - a v_j),   u_j = a_{j+1} - a_j - rest,   tau v_j' = u_j - v_j,   1/K_j = int ds / k between middles
     M_j - M_{j-1} = -L h_j (r' x n),   r' = (1 + N/EA) d1 + (Q/kGA) d2,   N = n . d1,   Q = n . d2
 
-(the rod of Simo and Reissner in a standard linear solid, the axial and shear flexibility elastic). The clamp is a
-joint of its own. v is integrated exactly for u that runs straight between two times. Newton's method on the tridiagonal
-equations, from one time to the next. Inertia is mass times the acceleration of the motion without it (first order in
-the square of the push's frequency over the beam's: it follows the push, and does not swing). Errors fall with the
-square of the cells' size.
+(the rod of Simo and Reissner in a standard linear solid, with elastic axial and shear flexibility). The clamp is a
+joint of its own. v is integrated exactly for u linear in time. Newton's method solves the tridiagonal equations at each
+time. Inertia is mass times the acceleration of the inertia-free motion: first order in the square of the push's
+frequency over the beam's, without swinging. Errors fall with the square of the cell size.
 """
 
 from __future__ import annotations
@@ -29,51 +28,51 @@ from onebend.lab.bench import RealBench, instant_stiffness, patch_ends, rest_cur
 from onebend.records import Array
 
 CELLS = 800
-STEP = 1.0 / 60.0  # s, the largest
+STEP = 1.0 / 60.0  # s, largest
 MOST_ITERATIONS = 40
 TOLERANCE = 1e-10  # rad
-LARGEST_TURN = 0.5  # rad, of a cell in one step of time: beyond it the beam has snapped through
-RIGID = 1e-9  # compliance of a rigid clamp over the beam's 1/k
+LARGEST_TURN = 0.5  # rad, of a cell per time step; more means snap-through
+RIGID = 1e-9  # compliance of a rigid clamp relative to the beam's 1/k
 WEIGHT_STEPS = 16
 
 
 @dataclass(frozen=True)
 class RodTask:
-    """The beam, its effects and its load through one push."""
+    """A beam, its effects and its load."""
 
     beam: Beam
     effects: RealBench
-    tags: Array  # (m,) s, where they really sit
+    tags: Array  # (m,) s, true places
     force: Callable[[Array], Array]  # (T,) s -> (T, 2) N
-    at_s: float  # where the push is said to act
+    at_s: float  # stated place of the push
     until: float  # s
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
 
 
 @dataclass(frozen=True)
 class RodMotion:
-    """The motion at T even times from 0 and at the N + 1 ends of the cells."""
+    """T even times from 0; N + 1 ends of cells."""
 
     time: Array  # (T,) s
     s: Array  # (N + 1,)
     pose: Array  # (T, N + 1, 3) m, m, rad
-    contact: Array  # (T,) s, place where the push acts
-    secant: float  # secant modulus over the instantaneous one: least squares of M on the turns of the whole push
+    contact: Array  # (T,) s, place of the push
+    secant: float  # secant over instantaneous modulus: least squares of M on the turns of the whole push
 
     def poses(self, time: Array, s: Array) -> Array:
-        """(T', S, 3) at any times, by a cubic spline; `s` (S,) where cells end, else by cubics along the beam."""
+        """(T', S, 3) at any times by a cubic spline; `s` (S,) at cell ends, else by cubics."""
         node = np.clip(np.searchsorted(self.s, s - 1e-9), 0, len(self.s) - 1)
         exact = bool(np.all(np.abs(self.s[node] - s) < 1e-9))
         at_s = self.pose[:, node] if exact else CubicSpline(self.s, self.pose, axis=1)(s)
         return np.asarray(CubicSpline(self.time, at_s)(np.clip(time, 0.0, self.time[-1])))
 
     def contacts(self, time: Array) -> Array:
-        """(T',) s, place where the push acts."""
+        """(T',) s, place of the push."""
         return np.interp(time, self.time, self.contact)
 
     @property
     def tool(self) -> Array:
-        """(T, 2) m, the beam's places where the push acts."""
+        """(T, 2) m, the place of the push."""
         cell = np.clip(np.searchsorted(self.s, self.contact, side="right") - 1, 0, len(self.s) - 2)
         share = (self.contact - self.s[cell]) / (self.s[cell + 1] - self.s[cell])
         frame, xy = np.arange(len(self.time)), self.pose[..., :2]
@@ -82,23 +81,23 @@ class RodMotion:
 
 @dataclass(frozen=True)
 class _Cells:
-    """The beam as cells and joints; joint 0 is at the clamp, joint j after cell j."""
+    """Cells and joints; joint 0 is at the clamp, joint j after cell j."""
 
     length: float  # m
     edges: Array  # (N + 1,)
     size: Array  # (N,) in s
-    joint: Array  # (N,) N m/rad, of joints 0 to N - 1
-    rest: Array  # (N,) rad, turn at rest of these
+    joint: Array  # (N,) N m/rad, joints 0 to N - 1
+    rest: Array  # (N,) rad, their turn at rest
     to_edge: Array  # (N,) share of a joint's turn before its edge
     clamp: float  # N m/rad
     stretch: Array  # (N,) 1/N
     shear: Array  # (N,) 1/N
-    mass: Array  # (N,) kg, of each
+    mass: Array  # (N,) kg
 
 
 def march(task: RodTask, step: float = STEP, *, at: Array | None = None) -> RodMotion:
-    """Follow the push from rest at even times, at most `step` [s] apart; cells end at places `at` too. Raises
-    `MechanicsError`: the beam snaps through, or inertia or weight are asked for and its mass is not known."""
+    """Follow the push from rest in even steps of at most `step` [s]; cells end at `at` too. Raises `MechanicsError`:
+    snap-through, or inertia or weight with an unknown mass."""
     count = int(np.ceil(task.until / step - 1e-9))
     time: Array = step * np.arange(count + 1, dtype=float)
     cells = cells_of(task, at)
@@ -115,7 +114,7 @@ def march(task: RodTask, step: float = STEP, *, at: Array | None = None) -> RodM
 
 
 def cells_of(task: RodTask, at: Array | None) -> _Cells:
-    """Cells that end at every jump of k, every patch's ends, every tag and the push's place."""
+    """Cells that end at every jump of k, patch end, tag, and the place of the push."""
     beam, effects = task.beam, task.effects
     patches = patch_ends(effects, beam.length, task.tags)
     even = np.linspace(0.0, 1.0, CELLS + 1)
@@ -154,7 +153,7 @@ def follow(task: RodTask, cells: _Cells, time: Array, carried: Array) -> RodMoti
     effects, force = task.effects, task.force(time)
     share, decay = effects.relaxation, np.exp(-(time[1] - time[0]) / effects.relaxation_time)
     contact = contact_of(task, cells)
-    beyond = np.cumsum(carried[:, ::-1], axis=1)[:, ::-1] - 0.5 * carried  # what each cell's middle holds
+    beyond = np.cumsum(carried[:, ::-1], axis=1)[:, ::-1] - 0.5 * carried  # force held at each cell's middle
     ramp = (1.0 - decay) * effects.relaxation_time / (time[1] - time[0])
     new, old = 1.0 - ramp, ramp - decay  # v' = decay v + old u + new u'
     angle = contact.rest
@@ -163,7 +162,7 @@ def follow(task: RodTask, cells: _Cells, time: Array, carried: Array) -> RodMoti
     turned = lagged = np.zeros(len(cells.size))
     pose, places, work = [], [], np.zeros(2)
     for i in range(len(time)):
-        held, now = (decay * lagged + old * turned, new) if i else (lagged, 1.0)  # relaxed at the beginning
+        held, now = (decay * lagged + old * turned, new) if i else (lagged, 1.0)  # relaxed at first
         angle, place = balanced(cells, contact, angle, force[i], beyond[i], share * held, share * now)
         turned = np.diff(angle) - cells.rest
         lagged = held + now * turned
@@ -176,26 +175,25 @@ def follow(task: RodTask, cells: _Cells, time: Array, carried: Array) -> RodMoti
 
 @dataclass(frozen=True)
 class _Contact:
-    """Where the push acts as the beam turns, and how the unloaded beam lies."""
+    """The place of the push as the beam turns."""
 
-    rest: Array  # (N + 1,) rad, angles of clamp and cells without load
+    rest: Array  # (N + 1,) rad, unloaded angles of clamp and cells
     start: float  # s
     slide: float  # in s per rad
     edges: Array  # (N + 1,) s
-    middle: Array  # (N + 1,) s, of clamp and cells
+    middle: Array  # (N + 1,) s, clamp and cells
 
     def place(self, angle: Array) -> float:
-        """s: it slides by `slide` for each radian that its first place has turned; it stays on the beam."""
+        """s: it slides by `slide` per radian of turn at its first place, staying on the beam."""
         turn = float(np.interp(self.start, self.middle, angle - self.rest))
         return float(np.clip(self.start + self.slide * turn, 0.0, 1.0))
 
     def loaded(self, place: float) -> Array:
-        """(N,) share of each cell that holds the push."""
+        """(N,) share of each cell that carries the push."""
         return np.asarray(np.clip((place - self.edges[:-1]) / np.diff(self.edges), 0.0, 1.0))
 
 
 def contact_of(task: RodTask, cells: _Cells) -> _Contact:
-    """The contact at the beginning."""
     length = task.beam.length
     return _Contact(
         rest=task.beam.clamp_angle + np.concatenate([[0.0], np.cumsum(cells.rest)]),
@@ -209,9 +207,9 @@ def contact_of(task: RodTask, cells: _Cells) -> _Contact:
 def balanced(
     cells: _Cells, contact: _Contact, angle: Array, force: Array, beyond: Array, offset: Array, part: float
 ) -> tuple[Array, float]:
-    """Angles (N + 1,) [rad] of clamp and cells in equilibrium, and the push's place.
+    """Equilibrium angles (N + 1,) [rad] of clamp and cells, and the place of the push.
 
-    Moments are joint ((1 - part) u - offset): `part` and `offset` (N,) are what has relaxed.
+    Moments are joint ((1 - part) u - offset); `part` and `offset` (N,) describe the relaxation.
     """
     begin, count = angle, len(cells.size)
     arm, mixed = cells.length * cells.size, cells.stretch - cells.shear
@@ -241,7 +239,7 @@ def balanced(
 
 
 def poses_of(cells: _Cells, angle: Array, held: Array) -> Array:
-    """(N + 1, 3) m, m, rad at the cells' ends, of cells that hold forces (N, 2)."""
+    """(N + 1, 3) m, m, rad at the cells' ends, with cell forces (N, 2)."""
     cos, sin = np.cos(angle[1:]), np.sin(angle[1:])
     along, across = held[:, 0] * cos + held[:, 1] * sin, held[:, 1] * cos - held[:, 0] * sin
     stretched, sheared = 1.0 + along * cells.stretch, across * cells.shear
@@ -252,22 +250,21 @@ def poses_of(cells: _Cells, angle: Array, held: Array) -> Array:
     return np.concatenate([xy, at_edges[:, None]], axis=-1)
 
 
-# A beam that also stretches, which the inextensible model cannot represent; solved independently of `beam.statics`.
-#
-# With an axial strain `e = F . u / (E A)` the position is `r' = L (1 + e) u` and the moment's balance `M' = -L (1 +
-# e) (cos alpha F_y - sin alpha F_x)`, `alpha' = q0 + M / k` from clamp to force, M = 0 there (Reissner's beam without
-# shear). Integrated from the clamp by Runge-Kutta; the moment at the clamp is found by Newton's method.
+# A beam that also stretches, which the inextensible model cannot represent; independent of `beam.statics`. With an
+# axial strain `e = F . u / (E A)`: `r' = L (1 + e) u`, `M' = -L (1 + e) (cos alpha F_y - sin alpha F_x)`,
+# `alpha' = q0 + M / k` from clamp to force, M = 0 there (Reissner's beam without shear). Runge-Kutta from the clamp;
+# Newton's method for the moment there.
 
 STEPS = 200
-MOST_NEWTON_STEPS = 30  # Newton steps
-LARGEST_RESIDUAL = 10.0  # of the largest moment: what is left at the force may not grow beyond
+MOST_NEWTON_STEPS = 30
+LARGEST_RESIDUAL = 10.0  # of the largest moment: allowed residual at the force
 
 
 def stretched(
     beam: Beam, force: Array, at_s: float, s: Array, axial_stiffness: float, start: Equilibrium
 ) -> tuple[Array, Array]:
-    """(T, S, 2) m positions and (T, S) rad angles at `s` (S,), from the shapes `start` of the unstretched beam. Raises
-    `MechanicsError`: no shape was found: the axial stiffness is too small for the force."""
+    """(T, S, 2) m and (T, S) rad at `s` (S,), from the unstretched shapes `start`. Raises `MechanicsError`: no shape,
+    as the axial stiffness is too small for the force."""
     edges = np.unique(np.concatenate([np.linspace(0.0, 1.0, STEPS + 1), [at_s], beam.stiffness.jumps, s]))
     tip = start.xy(np.array([at_s]))[:, 0]
     moment = tip[:, 0] * force[:, 1] - tip[:, 1] * force[:, 0]
@@ -290,7 +287,7 @@ def stretched(
 
 
 def shoot(beam: Beam, force: Array, at_s: float, edges: Array, axial: float, moment: Array) -> list[Array]:
-    """States (T, 4) x, y, alpha, M at every edge, from the clamp's moment (T,)."""
+    """States (T, 4) x, y, alpha, M at every edge, for clamp moments (T,)."""
     count = len(force)
     state = np.stack([np.zeros(count), np.zeros(count), np.full(count, beam.clamp_angle), moment], axis=1)
     states = [state]

@@ -1,4 +1,4 @@
-"""A simulated loop that feels the force by the beam's shape: tags put on by hand, seen with noise, sensed live."""
+"""A simulated loop that senses the force from the beam's shape, with hand-placed, noisy tags."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from onebend.learning.sensing.sense import LiveForce, OnlineSense
 from onebend.recording.beam_frame import beam_turn, rest_shape, to_beam_frame, turned
 from onebend.records import Array, Markers, Observations, Source, Stated
 
-_REST = 30  # frames of the beam with nothing on it
-_STEP = 1.0 / 30.0  # s, between them
-_USUAL = (0.25, 0.5, 0.75, 1.0)  # of s: tags, where the model knows none
-_AT_POINT = 0.02  # of s: a tag so near to a hidden point is hidden too
-_LOG_NOISE = 0.01  # N, one sd of a sample
+_REST = 30  # frames of the unloaded beam
+_STEP = 1.0 / 30.0  # s
+_USUAL = (0.25, 0.5, 0.75, 1.0)  # of s: tags if the model knows none
+_AT_POINT = 0.02  # of s: a tag this near a hidden point is hidden too
+_LOG_NOISE = 0.01  # N, sd per sample
 FeltBy = Literal["nothing", "log", "shape"]
 
 
 @dataclass(frozen=True)
 class SensedTags:
-    """The tags by which a simulated loop feels the force, and how they are seen."""
+    """The tags of a simulated loop, and their errors."""
 
     tags: tuple[VirtualTag, ...]
-    base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: the base tag's pose in the clamp's frame
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: base tag in the clamp's frame
     noise: TagNoise = field(default_factory=TagNoise)
-    placement_sd: float = 5e-4  # m, as stated
+    placement_sd: float = 5e-4  # m, stated
     gravity: tuple[float, float] = (0.0, 0.0)  # m/s^2
 
 
 def drawn_tags(places: Sequence[float], rng: np.random.Generator, *, placement_sd: float = 5e-4) -> SensedTags:
-    """Tags at `places` of s, each off by a draw of the tolerance, on a base tag put on as exactly."""
+    """Tags at `places` of s, with random errors of the tolerance; so is the base tag."""
     off = rng.normal(0.0, placement_sd, (len(places), 2))
     tags = [VirtualTag(i + 1, s, *away) for i, (s, away) in enumerate(zip(places, off.tolist(), strict=True))]
     x, y = rng.normal(0.0, placement_sd, 2).tolist()
@@ -58,8 +58,8 @@ def felt_by(
     hidden: bool = False,
     seed: int = 0,
 ) -> Callable[[Beam], ForceSense] | None:
-    """For `simulate_range`: nothing, a log that is off by `force_off` [N] along the force that the model needs, or the
-    shape by tags at the places of `instruments`; where the point is `hidden`, without those on it."""
+    """For `simulate_range`: nothing; a log off by `force_off` [N] along the model's force; or the shape from tags at
+    the places of `instruments`, without those on the point if it is `hidden`."""
     if what == "nothing":
         return None
     if what == "log":
@@ -83,10 +83,9 @@ def felt_by(
 
 
 class SensedForce:
-    """The force on a beam by its shape, for `simulate_loop`; it remembers the frame before: one for each run.
+    """The force on a beam from its shape, for `simulate_loop`. It keeps the last frame: use one per run.
 
-    The model's own scale of k is left out of the region: a loop compares the force with the model's, which has the
-    same scale.
+    The scale of k is left out of the region: the loop compares with the model's force, which shares it.
     """
 
     def __init__(
@@ -100,8 +99,7 @@ class SensedForce:
         instruments: Instruments | None = None,
         seed: int = 0,
     ) -> None:
-        """`truth` is the beam that moves, `model` the learned beam with the band `stiffness`. Raises
-        `LearningError`: as `sense`."""
+        """`truth` moves; `model` is the learned beam with the band `stiffness`. Raises `LearningError`: as `sense`."""
         self._bench = VirtualBench(truth, PushProfile(1.0, at_s=push_s), seen.tags, seen.base)
         self._seen, self._rng = seen, np.random.default_rng(seed)
         rest = truth.equilibrium((0.0, 0.0))
@@ -125,7 +123,7 @@ class SensedForce:
         return np.clip(tag_places(self._bench), 0.0, 1.0)
 
     def _markers(self, time: Array, beam: Array) -> Markers:
-        """Detected tags on a beam whose poses at their places are `beam` (T, m, 3)."""
+        """Markers on a beam with the poses `beam` (T, m, 3) at their places."""
         pose = from_base(tag_poses_on(self._bench, beam[..., :2], beam[..., 2]), self._seen.base)
         poses, covariance = filmed(self._seen.noise, pose, _STEP, self._rng)
         return markers_of(self._seen.tags, time, poses, covariance)

@@ -1,6 +1,6 @@
-"""Sheets of AprilTags to print at exact size, with rulers that show whether the printer kept it.
+"""Sheets of AprilTags to print at exact size, with rulers to check the print.
 
-A tag stands upright on its page: the printed right-hand side, which a recording's `turn_deg` speaks of, is the page's.
+Tags stand upright: the printed right-hand side, as in a recording's `turn_deg`, is the page's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from reportlab.pdfgen.canvas import Canvas
 
 
-# Pages at exact size: a few kinds of marks in mm from the upper left corner, written as PDF or as SVG.
+# Pages: a few kinds of marks in mm from the upper left corner, as PDF or SVG.
 
 POINT = 25.4 / 72.0  # mm
 PAGES = {"a4": (210.0, 297.0), "letter": (215.9, 279.4)}  # mm, upright
@@ -34,15 +34,13 @@ SUFFIXES = (".pdf", ".svg")
 
 @dataclass(frozen=True)
 class Fill:
-    """Black polygons that are filled as one, so that no seam shows where they touch."""
+    """Black polygons filled as one, so that no seam shows."""
 
     polygons: Array  # (n, c, 2) mm
 
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line."""
-
     start: tuple[float, float]  # mm
     end: tuple[float, float]  # mm
     width: float = 0.15  # mm
@@ -50,11 +48,9 @@ class Line:
 
 @dataclass(frozen=True)
 class Text:
-    """One line of text on a baseline."""
-
     at: tuple[float, float]  # mm, on the baseline
     text: str
-    height: float = 2.5  # mm, of the font
+    height: float = 2.5  # mm, font
     anchor: Literal["start", "middle"] = "start"
 
 
@@ -63,16 +59,14 @@ Mark = Fill | Line | Text
 
 @dataclass(frozen=True)
 class Page:
-    """One page."""
-
     width: float  # mm
     height: float  # mm
     marks: tuple[Mark, ...]
 
 
 def write_pages(path: Path | str, pages: Sequence[Page], title: str) -> tuple[Path, ...]:
-    """Write pages as one PDF, or as an SVG a page (`name.svg`, `name-2.svg`, ...); the paths written. Raises
-    `MechanicsError`: a file name that ends in neither. Raises `OSError`: the file cannot be written."""
+    """Write one PDF, or one SVG per page (`name.svg`, `name-2.svg`, ...); returns the paths. Raises `MechanicsError`:
+    another file ending. Raises `OSError`: the file cannot be written."""
     files = files_of(path, pages, title)
     for one, data in files.items():
         one.write_bytes(data)
@@ -91,7 +85,7 @@ def files_of(path: Path | str, pages: Sequence[Page], title: str) -> dict[Path, 
 
 
 def pdf(pages: Sequence[Page], title: str) -> bytes:
-    """The pages as a PDF document; the same pages give the same bytes."""
+    """Equal pages give equal bytes."""
     canvas = package("reportlab.pdfgen.canvas", "make").Canvas("", invariant=1, initialFontName="Helvetica")
     canvas.setTitle(title)
     canvas.setCreator("onebend")
@@ -125,7 +119,7 @@ def _draw(canvas: Canvas, page: Page, mark: Mark) -> None:
 
 
 def svg(page: Page, title: str) -> str:
-    """The page as an SVG document; its units are mm."""
+    """In mm."""
     rows = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{page.width:g}mm" height="{page.height:g}mm" '
@@ -156,17 +150,15 @@ def _element(mark: Mark) -> str:
     )
 
 
-LEFT, RIGHT, TOP, BOTTOM = 20.0, 10.0, 24.0, 28.0  # mm around the tags; rulers stand to the left and below
-GAP = 8.0  # mm between the white rims of neighbours: cut marks and a label
-CUT, AWAY = 2.0, 0.5  # mm, length of a cut mark and its distance from the corner of the rim
+LEFT, RIGHT, TOP, BOTTOM = 20.0, 10.0, 24.0, 28.0  # mm around the tags; rulers to the left and below
+GAP = 8.0  # mm between white rims: cut marks and a label
+CUT, AWAY = 2.0, 0.5  # mm, length of a cut mark and its distance from the rim
 RULER = 100.0  # mm
 LEAST_RIM = 1.0  # cells
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """The tags of a sheet and their layout."""
-
     ids: tuple[int, ...]
     size: float = 0.012  # m, side of the black square (`size_m` of a recording)
     family: str = FAMILIES[0]
@@ -189,13 +181,13 @@ class Sheet:
             raise MechanicsError(f"no page is named {self.page!r}. Take one of {', '.join(PAGES)}.")
 
     def outer(self, tag: PrintedTag) -> float:
-        """mm, side of the square that is cut out."""
+        """mm, side of the cut-out square."""
         return 1e3 * self.size / tag.border * max(len(tag.cells), tag.border + 2.0 * self.rim)
 
 
 def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
-    """The tags of a sheet in rows, upright, as many pages as they need. Raises `MechanicsError`: a tag that is larger
-    than the page. Raises `RecordingError`: an unknown family, or an id that it does not have."""
+    """The tags in rows, upright, on as many pages as needed. Raises `MechanicsError`: a tag larger than the page.
+    Raises `RecordingError`: unknown family or id."""
     tags = [printed_tag(tag_id, sheet.family) for tag_id in sheet.ids]
     width, height = PAGES[sheet.page]
     pitch = sheet.outer(tags[0]) + GAP
@@ -218,9 +210,8 @@ def tag_pages(sheet: Sheet) -> tuple[Page, ...]:
 
 
 def strip_page(recording: Recording, *, page: str = "a4", rim: float = 1.0) -> Page:
-    """A page with a recording's tags at their places along the beam, to lay the beam on; lying where it is long. Raises
-    `MechanicsError`: the beam is longer than the page, or two tags overlap. Raises `RecordingError`: an id that the
-    family does not have."""
+    """A page with a recording's tags at their places along the beam, to lay the beam on; landscape if it is long.
+    Raises `MechanicsError`: the beam is longer than the page, or tags overlap. Raises `RecordingError`: unknown id."""
     entries = (*recording.tags.on_base, *recording.tags.on_beam)
     family = recording.tags.family
     sheet = Sheet(tuple(entry.id for entry in entries), recording.tags.size, family, rim, page)
@@ -260,7 +251,7 @@ def _refuse_overlap(entries: Sequence[TagEntry], length: float, outer: float) ->
 
 
 def tag_polygons(tag: PrintedTag, size: float, centre: tuple[float, float], turn: float = 0.0) -> Array:
-    """(n, 4, 2) mm: the black runs of a tag of `size` m about `centre` mm, turned counter-clockwise by `turn` rad."""
+    """(n, 4, 2) mm: black runs of a tag of `size` m about `centre` mm, turned counter-clockwise by `turn` rad."""
     cell, half = 1e3 * size / tag.border, 0.5 * len(tag.cells)
     flat = cell * (tag.ink - half)
     cos, sin = math.cos(turn), math.sin(turn)
@@ -285,7 +276,7 @@ def _with_surroundings(sheet: Sheet, tag: PrintedTag, centre: tuple[float, float
 
 
 def furniture(sheet: Sheet, size: tuple[float, float], what: str = "cut along the marks") -> list[Mark]:
-    """The head of a page and its two rulers."""
+    """Heading and two rulers."""
     height = size[1]
     first, last = min(sheet.ids), max(sheet.ids)
     named = f"{first}" if first == last else f"{first} to {last}"
@@ -308,7 +299,7 @@ def furniture(sheet: Sheet, size: tuple[float, float], what: str = "cut along th
 
 
 def _ruler(start: tuple[float, float], along: tuple[float, float]) -> list[Mark]:
-    """A ruler of `RULER` mm whose line is its edge; ticks point to the left of its direction."""
+    """A ruler of `RULER` mm; ticks point to the left of its direction."""
     x, y = start
     dx, dy = along
     marks: list[Mark] = [Line(start, (x + RULER * dx, y + RULER * dy))]

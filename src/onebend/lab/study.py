@@ -1,4 +1,4 @@
-"""The whole study in order: recordings, learning, comparison. What an earlier run finished is used again."""
+"""The whole study: recordings, learning, comparison. Finished parts are reused."""
 
 from __future__ import annotations
 
@@ -50,31 +50,29 @@ from onebend.report.sentences import say, worded
 from onebend.results.model import origin_of, read_model, save_model
 from onebend.results.observations_file import fields_from, load_observations, save_observations, to_data
 
-# How the paper's experiments are reproduced: beams, pushes, and the robot's force estimate.
-
 SensorKind = Literal["paper", "franka"]
 BEAMS = ("linear", "quadratic", "cubic")
 REST = 2.0  # s, before and after a push
-# N: the slow parts of the error, the only sizes that are not a Franka's own. Its 0.22 N after each turn of the load,
-# measured at 3 to 7 N, would move the tips of these beams by 15 mm and more; the paper smoothed its logs, is off by 2
-# to 3 mm in training, and says that the force is to blame. With these, the three true beams under the logged forces of
-# the training push are off by as much at the tip (RMS over beams and seeds).
+# N, slow parts of the error: the only sizes that are not a Franka's own. Its 0.22 N after each reversal, measured at 3
+# to 7 N, would move these beams' tips by 15 mm and more; the paper smoothed its logs, is off by 2 to 3 mm in training,
+# and blames the force. With these values the true beams under the logged training forces are off by as much at the tip
+# (RMS over beams and seeds).
 COLOURED = 0.014
 REVERSAL = 0.007
 
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to push, Section IV-D. The first trains, the others validate."""
+    """A push, Section IV-D. The first trains, the others validate."""
 
     name: PushName
     says: str
     bend: float  # rad, turn of the pushed place at the peak
-    seconds: float  # from first to last contact
-    quick: float  # s, the same where it is to be quick
+    seconds: float  # s, first to last contact
+    quick: float  # s, in a quick study
 
 
-# The paper prints neither forces nor times, but: the fast push is 2 to 3 times as fast; those at 0.8 and 0.6 bend less.
+# The paper prints no forces or times, but: the fast push is 2 to 3 times as fast; those at 0.8 and 0.6 bend less.
 STRATEGIES = (
     Strategy("slow", "slow, at the tip", radians(65.0), 7.0, 6.0),
     Strategy("fast", "fast, at the tip", radians(65.0), 2.8, 2.6),
@@ -85,14 +83,14 @@ STRATEGIES = (
 
 @dataclass(frozen=True)
 class StudySettings:
-    """Settings of one study. With the version they determine its results."""
+    """With the version, they determine the results."""
 
-    quick: bool = option("--quick", False, "Shorter pushes, 12 frames/s: a third of the time.")
-    video: bool = option("--without-video", True, "Tags' poses with a camera's noise instead of films: a minute.")
+    quick: bool = option("--quick", False, "Shorter pushes and 12 frames/s, in a third of the time.")
+    video: bool = option("--without-video", True, "Noisy poses of the tags instead of films; takes a minute.")
     sensor: SensorKind = option(
         "--sensor", "paper", "paper: errors as large as the paper's. franka: as measured on such a robot."
     )
-    seed: int = option("--seed", 0, "Of all that is drawn.", metavar="N", within=(0, None))
+    seed: int = option("--seed", 0, "Seed of all random numbers.", metavar="N", within=(0, None))
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -105,28 +103,27 @@ class StudySettings:
 
 
 def gain_of(setting: StudySettings) -> float:
-    """The gain of the robot's force estimate: one robot, one gain in all twelve logs."""
+    """The gain of the robot's force estimate: the same in all twelve logs."""
     rng = np.random.default_rng([setting.seed, 30])
     return float(np.exp(FRANKA.gain_sd * rng.standard_normal()))
 
 
 def sensor_of(setting: StudySettings) -> ForceSensor:
-    """The robot's estimate of the force: noisy and biased (Section VI-B).
+    """The robot's noisy and biased force estimate (Section VI-B).
 
-    `paper`: a Franka's white noise, bias, lag and lost rows, with slow errors as large as the paper's own training
-    errors leave room for. `franka`: with the slow errors that were measured on such a robot.
+    `paper`: a Franka's white noise, bias, lag and lost rows, with slow errors as large as the paper's training errors
+    allow. `franka`: with the slow errors measured on such a robot.
     """
     sensor = replace(FRANKA, gain=gain_of(setting), gain_sd=0.0)
     return sensor if setting.sensor == "franka" else replace(sensor, coloured_sd=COLOURED, reversal=REVERSAL)
 
 
 def seen_through(design: Design, gain: float) -> Design:
-    """The design with `gain` times its k(s): what a force log with this gain shows."""
+    """The design with `gain` times its k(s), as a log with this gain shows it."""
     return replace(design, modulus=gain * design.modulus)
 
 
 def filmed_push(setting: StudySettings, beam: str, strategy: Strategy) -> Filming:
-    """One of the twelve recordings."""
     seconds = strategy.quick if setting.quick else strategy.seconds
     request = FilmRequest(push=strategy.name, bend=strategy.bend, seconds=seconds, fps=setting.fps)
     asked = filming_of(DESIGNS[beam], request, name_of(beam, strategy))
@@ -135,22 +132,18 @@ def filmed_push(setting: StudySettings, beam: str, strategy: Strategy) -> Filmin
 
 
 def name_of(beam: str, strategy: Strategy) -> str:
-    """Name of a recording."""
     return f"{beam}-{strategy.name}"
 
 
 def seed_of(setting: StudySettings, beam: str, strategy: Strategy) -> int:
-    """A seed of its own for every recording."""
     place = BEAMS.index(beam) * len(STRATEGIES) + [strategy.name for strategy in STRATEGIES].index(strategy.name)
     return int(np.random.SeedSequence([setting.seed, 31, place]).generate_state(1)[0])
 
 
-# The paper's printed numbers, as data. Each names its table; lengths in metres as printed.
-#
-# The text of the paper at hand has the rows of Tables II, IV and V. Of Tables I, III and VI it has the captions and
-# the text about them, but no rows: these are None here.
+# The paper's printed numbers; lengths in metres. The text at hand has the rows of Tables II, IV and V only; those of I,
+# III and VI are None.
 
-M3 = tuple[float, float, float]  # m, of the markers M1 to M3
+M3 = tuple[float, float, float]  # m, markers M1 to M3
 
 
 @dataclass(frozen=True)
@@ -165,8 +158,6 @@ class PrintedTrial:
 
 @dataclass(frozen=True)
 class PrintedBeam:
-    """The paper's printed results of one beam."""
-
     selection_table: str
     trials: tuple[PrintedTrial, ...] | None
     chosen: tuple[int, int]  # (n, m), Section V-A
@@ -220,20 +211,16 @@ MOST_MODES = 5  # z, Section V-A
 
 
 def printed_m3(beam: str, strategy: str) -> float | None:
-    """m, the printed validation error of the marker at the tip; None where the text has none."""
+    """m, printed validation error at the tip, or None."""
     rows = dict(PRINTED[beam].validation or ())
     return rows[strategy][2] if strategy in rows else None
 
-
-# The twelve recordings, filmed and observed. Those that exist already are used again.
 
 RECORDINGS, OBSERVED = "recordings", "observed"
 
 
 @dataclass(frozen=True)
 class FilmJob:
-    """One recording to be made."""
-
     work: Path
     setting: StudySettings
     beam: str
@@ -245,12 +232,10 @@ class FilmJob:
 
     @property
     def folder(self) -> Path:
-        """Where the recording goes."""
         return self.work / RECORDINGS / self.name
 
     @property
     def observed(self) -> Path:
-        """Where its observations go."""
         return self.work / OBSERVED / f"{self.name}.parquet"
 
 
@@ -260,8 +245,8 @@ def film_jobs(work: Path, setting: StudySettings) -> list[FilmJob]:
 
 
 def make_recording(job: FilmJob) -> FilmJob:
-    """Film and find the tags, unless that was done; a file is either complete or absent. Raises `RecordingError`,
-    `ObservationError`: as for a real recording."""
+    """Film and find the tags unless done; files are complete or absent. Raises `RecordingError`, `ObservationError`: as
+    for a real recording."""
     if job.observed.exists():
         return job
     filming, seed = filmed_push(job.setting, job.beam, job.strategy), seed_of(job.setting, job.beam, job.strategy)
@@ -286,36 +271,32 @@ def _filmed(job: FilmJob, filming: Filming, seed: int) -> Observations:
     return observe(read_recording(job.folder), settings=ObserveSettings(threads=1))
 
 
-# Each beam learned from its training push alone, by the paper's method and by the fit; kept in files.
-
 PAPER = RegressionSettings(method="paper", bic="paper", most_n=MOST_MODES)
 FIT_FILE, PAPER_FILE, FACTS_FILE = "model.json", "paper-model.json", "facts.json"
 
 
 @dataclass(frozen=True)
 class LearnedBeam:
-    """A beam learned from one training push."""
+    """A beam learned from its training push."""
 
     trials: tuple[Trial, ...]  # Tables I to III
-    chosen: int | None  # index in `trials`; None where no (n, m) gave a beam
-    paper: Beam | None  # by the paper's method
-    fit: Beam  # by the fit, onebend's default
-    uncertain: UncertainStiffness  # its k(s) with the band
-    fitted_rms: Array  # (m,) m, tags to the fit, the force's slow error and the rest taken off
+    chosen: int | None  # index in `trials`; None: no (n, m) gave a beam
+    paper: Beam | None  # the paper's method
+    fit: Beam  # onebend's default
+    uncertain: UncertainStiffness  # k(s) of `fit` with its band
+    fitted_rms: Array  # (m,) m, tags to the fit, without the slow errors of force and rest
     remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class LearnJob:
-    """One beam to be learned."""
-
     folder: Path
-    training: Path  # observations of the slow push
+    training: Path  # the slow push
     written_by: str
 
 
 def learn_beam(job: LearnJob) -> LearnJob:
-    """Learn, unless that was done. Raises `LearningError`: the push does not determine a beam."""
+    """Learn unless done. Raises `LearningError`: the push does not determine a beam."""
     if not (job.folder / FACTS_FILE).exists():
         observations = load_observations(job.training)
         job.folder.mkdir(parents=True, exist_ok=True)
@@ -345,7 +326,7 @@ def learn_beam(job: LearnJob) -> LearnJob:
 
 @one_blas_thread
 def by_paper(observations: Observations) -> tuple[tuple[Trial, ...], int | None, Beam | None]:
-    """The literal regression (17), (18) with tags' positions, over n = 2..5, m = 2..n (20): table, choice, beam."""
+    """The literal regression (17), (18) with tag positions, over n = 2..5, m = 2..n (20): table, choice, beam."""
     candidates = table(observations, at_rest(observations), PAPER, Silent())
     trials = tuple(candidate.trial for candidate in candidates)
     try:
@@ -356,7 +337,7 @@ def by_paper(observations: Observations) -> tuple[tuple[Trial, ...], int | None,
 
 
 def by_fit(observations: Observations) -> Posterior:
-    """As `onebend learn`: the regression with the tags' angles, and the fit from there."""
+    """As `onebend learn`."""
     try:
         start = regress(observations)
     except LearningError:
@@ -365,7 +346,7 @@ def by_fit(observations: Observations) -> Posterior:
 
 
 def load_learned(folder: Path) -> LearnedBeam:
-    """The learned beam. Raises `ResultsError` where its files are damaged."""
+    """Raises `ResultsError`: damaged files."""
     try:
         facts = json.loads((folder / FACTS_FILE).read_text(encoding="utf-8"))
         stored = read_model(folder / FIT_FILE)
@@ -384,18 +365,18 @@ def load_learned(folder: Path) -> LearnedBeam:
         raise ResultsError(f"{folder}: its files are damaged ({error}). Remove the folder and run again") from error
 
 
-# The six manipulation tasks (Section V-C, Fig. 8), and what their forces do to the true beam.
+# The six manipulation tasks (Section V-C, Fig. 8).
 
 Way = Literal["fit", "fit-paper", "paper"]
-SHARES = np.linspace(0.1, 1.0, 10)  # of the force, so that the true beam takes the branch from rest
+SHARES = np.linspace(0.1, 1.0, 10)  # of the force, so that the true beam stays on the branch from rest
 
 
 @dataclass(frozen=True)
 class Task:
-    """A point to be led to a goal by a force at the same place.
+    """Lead a point to a goal by a force at the same place.
 
-    The paper prints no goals. Ours are places that the true beam can take: those of its point when a force at
-    `DIRECTION` turns it by `turn`, to the nearest hundredth of a millimetre.
+    The paper prints no goals. Ours are reachable by the true beam: the places of its point under a force at `DIRECTION`
+    that turns it by `turn`, rounded to 0.01 mm.
     """
 
     name: str
@@ -420,23 +401,23 @@ WAYS: dict[Way, str] = {
 
 @dataclass(frozen=True)
 class TaskResult:
-    """One task solved on a learned beam, and its force put on the true beam."""
+    """A task solved on a learned beam, and its force applied to the true beam."""
 
     beam: str
     task: Task
     way: Way
     goal: Array  # (2,) m
     found: Reach
-    landed: Array  # (2,) m, of the true beam; NaN where no force was found
+    landed: Array  # (2,) m, true beam; NaN without a force
 
     @property
     def off(self) -> float:
-        """m, of the true beam's point from its goal."""
+        """m, the true beam's point from its goal."""
         return float(np.linalg.norm(self.landed - self.goal))
 
 
 def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[TaskResult]:
-    """All tasks of one beam, every way. `true`: the beam as the force's scale shows it."""
+    """All tasks of one beam, by every method. `true`: the beam as the force's scale shows it."""
     out = []
     for task in TASKS:
         goal = task.goal(true)
@@ -452,11 +433,10 @@ def manipulate(name: str, fit: Beam, paper: Beam | None, true: Beam) -> list[Tas
 
 
 def true_place(beam: Beam, force: Array, s: float) -> Array:
-    """(2,) m: where `force` at `s` puts the point `s` of a beam that is straight at rest, by a solver of its own.
+    """(2,) m: the point `s` of an initially straight beam under `force` at `s`, by an independent solver.
 
     SciPy's collocation for the boundary-value problem `alpha' = M / k`, `M' = L (sin(alpha) Fx - cos(alpha) Fy)`, from
-    no force to the whole of it; it shares nothing with the statics that the force was found by. Raises
-    `MechanicsError`: the solver finds no shape.
+    zero force upwards. Raises `MechanicsError`: no shape found.
     """
     length = beam.length
 
@@ -481,15 +461,13 @@ def true_place(beam: Beam, force: Array, s: float) -> Array:
     return np.asarray(guess[2:, -1])
 
 
-# All results of a study, gathered from its files; tables, figures and page are made from them.
-
 S = np.linspace(0.0, 1.0, 401)
-INNER = 0.95  # beyond this s a push at the tip bends nothing that could be seen
+INNER = 0.95  # beyond this s a push at the tip causes no visible bending
 
 
 @dataclass(frozen=True)
 class ValidatedFilm:
-    """One recording against the beams: learned, and true."""
+    """One recording against the learned beams and the true one."""
 
     strategy: Strategy
     observations: Observations
@@ -500,25 +478,23 @@ class ValidatedFilm:
 
 @dataclass(frozen=True)
 class BeamOutcome:
-    """One beam."""
-
     name: str
     design: Design
     gain: float
-    true: Beam  # as the force's scale shows it: k is `gain` times the design's
+    true: Beam  # as the force's scale shows it: `gain` times the design's k
     learned: LearnedBeam
     films: tuple[ValidatedFilm, ...]  # the training push first
     tasks: tuple[TaskResult, ...]
 
     def error(self, beam: Beam) -> float:
-        """RMS over s of log k against the true k as seen through the force's scale, up to `INNER`."""
+        """RMS over s up to `INNER` of log k against the true k in the force's scale."""
         s = S[S <= INNER]
         ratio = np.log(np.asarray(beam.stiffness(s)) / np.asarray(self.true.stiffness(s)))
         return float(np.sqrt(np.mean(ratio**2)))
 
     @property
     def inside(self) -> float:
-        """Share of s, up to `INNER`, at which the 95 % band holds the true k as seen through the force's scale."""
+        """Share of s up to `INNER` where the 95 % band holds the true k in the force's scale."""
         s = S[S <= INNER]
         band, k = self.learned.uncertain.band(s), np.asarray(self.true.stiffness(s))
         return float(np.mean((band.low <= k) & (k <= band.high)))
@@ -526,9 +502,7 @@ class BeamOutcome:
 
 @dataclass(frozen=True)
 class StudyOutcome:
-    """The whole run."""
-
-    work: Path  # where its recordings are
+    work: Path  # the recordings
     setting: StudySettings
     gain: float
     beams: tuple[BeamOutcome, ...]
@@ -536,7 +510,6 @@ class StudyOutcome:
 
 @one_blas_thread
 def beam_outcome(name: str, gain: float, films: list[FilmJob], learned: LearnedBeam) -> BeamOutcome:
-    """One beam: its films compared, its tasks done."""
     design = DESIGNS[name]
     true = seen_through(design, gain).beam()
     compared = tuple(_validated(job, learned, true) for job in films if job.beam == name)
@@ -567,13 +540,13 @@ def reproduce(
     processes: int = 0,
     progress: Progress = Silent(),
 ) -> StudyOutcome:
-    """Film, learn and compare in `work`, going on from what an earlier run with the same setting left there.
+    """Film, learn and compare in `work`, continuing an earlier run with the same setting.
 
     Args:
-        processes: that work at once; 0: one a core.
+        processes: number at once; 0: one per core.
 
     Raises:
-        ResultsError: `work` holds the work of another setting.
+        ResultsError: `work` belongs to another setting.
     """
     claim(work, setting)
     count = processes or available_cores()
@@ -592,7 +565,7 @@ def reproduce(
 
 
 def claim(work: Path, setting: StudySettings) -> None:
-    """Write the settings into the working folder, or check that they are the same as those there."""
+    """Store the settings in the working folder, or check that they match."""
     file = work / SETTING_FILE
     text = json.dumps(asdict(setting), sort_keys=True)
     if file.exists():
@@ -606,7 +579,7 @@ def claim(work: Path, setting: StudySettings) -> None:
 
 
 def run_jobs(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stage: str, progress: Progress) -> None:
-    """Do all jobs, in processes of their own where there are several; one that fails or an interrupt ends them all."""
+    """Run all jobs, in parallel if asked; a failure or an interrupt ends them all."""
     count = min(processes, len(jobs))
     if count <= 1:
         for job in track(progress, stage, jobs, len(jobs)):
@@ -619,11 +592,8 @@ def run_jobs(do: Callable[[Job], Job], jobs: Sequence[Job], processes: int, stag
             pass
 
 
-# Assumptions where the paper gives no numbers.
-
-
 def assumed(outcome: StudyOutcome) -> list[str]:
-    """Sentences on beams, films, pushes, sensor, goals and method."""
+    """Assumptions where the paper gives no numbers."""
     design, setting = outcome.beams[0].design, outcome.setting
     slow = "measured slow errors" if setting.sensor == "franka" else "slow errors"
     values = {
@@ -640,5 +610,5 @@ def assumed(outcome: StudyOutcome) -> list[str]:
 
 
 def quick_words(setting: StudySettings) -> str:
-    """The limits of a quick study; empty for a whole one."""
+    """Limits of a quick study; empty for a whole one."""
     return say("study: quick", fps=setting.fps) if setting.quick else ""

@@ -1,4 +1,4 @@
-"""The tables of a study: the paper's printed numbers beside ours. SI units; an unknown number is NaN."""
+"""Tables of a study: the paper's printed numbers beside ours. SI units; NaN: unknown."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ BY = ("printed", "paper", "fit", "true")
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Rows under columns whose names end in their unit."""
+    """Column names end in their unit."""
 
-    key: str  # of the file
+    key: str  # file name
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
@@ -45,7 +45,7 @@ class ResultTable:
 
 
 def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
-    """Tables I to VI, then what the paper says in its text alone."""
+    """Tables I to VI, then the results in the paper's text."""
     return (
         *(selection_table(beam) for beam in outcome.beams),
         *(validation_table(beam) for beam in outcome.beams),
@@ -56,7 +56,7 @@ def all_tables(outcome: study.StudyOutcome) -> tuple[ResultTable, ...]:
 
 
 def selection_table(beam: study.BeamOutcome) -> ResultTable:
-    """Tables I to III: every (n, m) by the paper's method on the training push."""
+    """Tables I to III: every (n, m) by the paper's method."""
     said = study.PRINTED[beam.name]
     printed = {(row.n, row.m): row for row in said.trials or ()}
     rows: list[tuple[Cell, ...]] = []
@@ -80,7 +80,7 @@ def _named(by: str) -> tuple[str, ...]:
 
 
 def validation_table(beam: study.BeamOutcome) -> ResultTable:
-    """Tables IV to VI: each other push; printed, the paper's method, the fit, and the true beam."""
+    """Tables IV to VI: the validations; printed, paper's method, fit, and true beam."""
     said = study.PRINTED[beam.name]
     printed = dict(said.validation or ())
     unknown = (nan,) * 3
@@ -101,7 +101,7 @@ def _three(film: study.ValidatedFilm) -> tuple[float, ...]:
 
 
 def training_table(outcome: study.StudyOutcome) -> ResultTable:
-    """The training push: the chosen row of Tables I to III beside the fit."""
+    """The training push: chosen row of Tables I to III beside the fit."""
     rows: list[tuple[Cell, ...]] = []
     for beam in outcome.beams:
         said = study.PRINTED[beam.name]
@@ -113,7 +113,7 @@ def training_table(outcome: study.StudyOutcome) -> ResultTable:
 
 
 def manipulation_table(outcome: study.StudyOutcome) -> ResultTable:
-    """Section V-C: the six tasks; the error within the model, and of the true beam under the same force."""
+    """Section V-C: error within the model, and of the true beam under the same force."""
     rows: list[tuple[Cell, ...]] = [
         (
             beam.name,
@@ -137,7 +137,7 @@ def manipulation_table(outcome: study.StudyOutcome) -> ResultTable:
 
 
 def stiffness_errors(outcome: study.StudyOutcome) -> ResultTable:
-    """How far k(s) is from the truth as the force's scale shows it, and whether the band holds it."""
+    """Error of k(s) in the force's scale, and coverage of the band."""
     rows: list[tuple[Cell, ...]] = []
     for beam in outcome.beams:
         paper = beam.learned.paper
@@ -175,7 +175,7 @@ def stiffness_curves(beam: study.BeamOutcome) -> ResultTable:
 
 
 def write_table(path: Path, table: ResultTable) -> None:
-    """Nine significant digits; `nan` where a figure is not known."""
+    """Nine significant digits."""
     write_csv(path, table.columns, ([_text(cell) for cell in row] for row in table.rows))
 
 
@@ -184,8 +184,7 @@ def _text(cell: Cell) -> str:
 
 
 def below_printed(outcome: study.StudyOutcome) -> tuple[int, int]:
-    """In how many validations that the paper prints the fit's error at the tip is below the printed one, and of how
-    many."""
+    """Number of validations where the fit's tip error is below the printed one, and number printed."""
     films = [
         (film, study.printed_m3(beam.name, film.strategy.name)) for beam in outcome.beams for film in beam.films[1:]
     ]
@@ -194,12 +193,12 @@ def below_printed(outcome: study.StudyOutcome) -> tuple[int, int]:
 
 
 def largest(values: Iterable[float]) -> float:
-    """The largest that is known; NaN where none is."""
+    """NaN if none is known."""
     known: Sequence[float] = [value for value in values if np.isfinite(value)]
     return max(known, default=nan)
 
 
-# The paper's figures, drawn from a run. Lengths in mm, forces in N, stiffness in N m.
+# The paper's figures from a run, in mm, N and N m.
 
 MM = 1000.0
 WORST, MIDDLE, BEST = "worst", "average", "best"
@@ -207,7 +206,7 @@ SHOWN = ("slow", "s06")  # Fig. 4
 
 
 def draw_figures(outcome: study.StudyOutcome, *, progress: Progress = Silent()) -> Pictures:
-    """By name; Fig. 4 only where there are films."""
+    """By name; Fig. 4 only with films."""
     wanted: dict[str, Draw] = {
         "summary": partial(summary, outcome),
         "figure-3": partial(designs, outcome),
@@ -223,7 +222,7 @@ def draw_figures(outcome: study.StudyOutcome, *, progress: Progress = Silent()) 
 
 @styled
 def summary(outcome: study.StudyOutcome) -> Figure:
-    """The error at the tip in every validation: printed, the paper's method, the fit, the true beam."""
+    """Tip error of every validation: printed, paper's method, fit, true beam."""
     figure, axes = blank(3.5, 1, len(outcome.beams), sharey=True)
     kinds = (("printed in the paper", FAINT), ("paper's method", ORANGE), ("onebend's fit", BLUE))
     for panel, beam in zip(axes, outcome.beams, strict=True):
@@ -250,7 +249,7 @@ def summary(outcome: study.StudyOutcome) -> Figure:
 
 @styled
 def designs(outcome: study.StudyOutcome) -> Figure:
-    """Fig. 3: the three beams, to scale."""
+    """Fig. 3: the beams to scale."""
     figure, axes = blank(3.6, len(outcome.beams), 1, sharex=True)
     for panel, beam in zip(axes, outcome.beams, strict=True):
         half = 0.5 * MM * np.asarray(beam.design.width(study.S))
@@ -267,7 +266,7 @@ def designs(outcome: study.StudyOutcome) -> Figure:
 
 @styled
 def frames(outcome: study.StudyOutcome) -> Figure:
-    """Fig. 4: frames of the films at the largest push, at s = 1 and s = 0.6."""
+    """Fig. 4: frames at the largest push, at s = 1 and s = 0.6."""
     figure, axes = blank(2.15 * len(outcome.beams), len(outcome.beams), len(SHOWN))
     pairs = [
         (beam, film) for beam in outcome.beams for name in SHOWN for film in beam.films if film.strategy.name == name
@@ -283,7 +282,7 @@ def frames(outcome: study.StudyOutcome) -> Figure:
 
 @styled
 def training(outcome: study.StudyOutcome) -> Figure:
-    """Force and markers of each training push over time: measured (dots) and simulated under the logged force."""
+    """Force and markers of each training push: measured (dots), and simulated under the logged force."""
     figure, axes = blank(4.8, 2, len(outcome.beams), sharex=True)
     for i, beam in enumerate(outcome.beams):
         above, below, film = axes[i], axes[i + len(outcome.beams)], beam.films[0]
@@ -306,14 +305,14 @@ def training(outcome: study.StudyOutcome) -> Figure:
 
 
 def _with_legend(figure: Figure) -> Figure:
-    """The figure, with the legend of its first panel below."""
+    """The figure with its legend below."""
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
 
 @styled
 def stiffness(outcome: study.StudyOutcome) -> Figure:
-    """Fig. 6: k(s) of each beam: true, the paper's method, the fit with its 95 % band."""
+    """Fig. 6: k(s): true, paper's method, fit with its 95 % band."""
     figure, axes = blank(3.9, 1, len(outcome.beams))
     for panel, beam in zip(axes, outcome.beams, strict=True):
         band, true = beam.learned.uncertain.band(study.S), np.asarray(beam.true.stiffness(study.S))
@@ -330,7 +329,7 @@ def stiffness(outcome: study.StudyOutcome) -> Figure:
 
 
 def ranked(outcome: study.StudyOutcome) -> tuple[tuple[str, study.BeamOutcome, study.ValidatedFilm], ...]:
-    """The validations with the fit's largest, middle and smallest error at the tip."""
+    """Validations with the fit's largest, middle and smallest tip error."""
     every = [(beam, film) for beam in outcome.beams for film in beam.films[1:]]
     order = sorted(every, key=lambda pair: -float(pair[1].fit.rms[-1]))
     return tuple((word, *order[i]) for word, i in ((WORST, 0), (MIDDLE, len(order) // 2), (BEST, len(order) - 1)))
@@ -338,7 +337,7 @@ def ranked(outcome: study.StudyOutcome) -> tuple[tuple[str, study.BeamOutcome, s
 
 @styled
 def three_validations(outcome: study.StudyOutcome) -> Figure:
-    """Fig. 7: worst, average and best validation: measured markers, and the learned beams under the logged force."""
+    """Fig. 7: worst, average and best validation: markers, and learned beams under the logged force."""
     figure, axes = blank(3.5, 1, 3, sharex=True, sharey=True)
     for panel, (word, one, film) in zip(axes, ranked(outcome), strict=True):
         t = largest_push(film.fit)
@@ -363,7 +362,7 @@ def _shape(panel: Axes, one: study.BeamOutcome, film: study.ValidatedFilm, t: in
 
 @styled
 def manipulations(outcome: study.StudyOutcome) -> Figure:
-    """Fig. 8: two tasks a beam, on the way to the goal, and where the same force puts the true beam."""
+    """Fig. 8: two tasks per beam, the way to the goal, and the true beam under the same force."""
     shown = [(beam, done) for beam in outcome.beams for done in beam.tasks if done.way == "fit"]
     figure, axes = blank(2.6 * len(outcome.beams), len(outcome.beams), 2)
     for panel, (one, done) in zip(axes, shown, strict=True):
@@ -372,8 +371,6 @@ def manipulations(outcome: study.StudyOutcome) -> Figure:
         panel.set_title(f"{one.name}, {done.task.name}: {MM * done.off:.2f} mm off")
     return _with_legend(figure)
 
-
-# `report.html` of a run: one page that carries everything in itself.
 
 GROUPS = {
     "printed": "printed",
@@ -412,7 +409,7 @@ FILES = (
 
 
 def page(outcome: study.StudyOutcome, figures: Mapping[str, bytes], *, version: str) -> str:
-    """The report as HTML. `figures`: PNGs by name, as `draw_figures` gives them; missing ones are left out."""
+    """One self-contained page. `figures`: PNGs by name; missing ones are skipped."""
     setting = outcome.setting
     content = {
         "version": version,
@@ -463,7 +460,7 @@ def cards(outcome: study.StudyOutcome) -> list[dict[str, str]]:
 
 def shown(table: ResultTable) -> dict[str, Any]:
     groups: list[dict[str, Any]] = []
-    alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: said once, above
+    alike = not any(name.endswith("_bic") for name in table.columns)  # all of a group are mm: stated once, above
     for name in table.columns:
         group = _group(name)
         group += " [mm]" if group and alike else ""
@@ -516,8 +513,6 @@ def _cell(column: str, cell: Cell) -> str:
         return millimetres(cell)
     return f"{cell:.2f}" if column.endswith("_bic") else significant(cell)
 
-
-# The files of a run, and its summary.
 
 REPRODUCE_FORMAT = "onebend-reproduce-1"
 

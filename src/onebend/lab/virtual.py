@@ -1,7 +1,7 @@
-"""Virtual recordings: a known beam pushed, filmed and logged, with every error known.
+"""Virtual recordings: a known beam pushed, filmed and logged, with known errors.
 
-This makes what tag detection and a log file would give (`Markers`, `ForceLog` and the entries of recording.toml); all
-steps after that are those of a real recording.
+They replace tag detection and the log file (`Markers`, `ForceLog`, the entries of recording.toml); all later steps are
+those of a real recording.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from onebend.records import (
     Stated,
 )
 
-LOG_BEFORE = 1.0  # s, the log begins before the film and ends after it
-DENSE = 1e-3  # s, step of the true force that a sensor sees
+LOG_BEFORE = 1.0  # s, the log extends beyond the film at both ends
+DENSE = 1e-3  # s, step of the true force
 
 
 @dataclass(frozen=True)
 class VirtualTag:
-    """A tag on the beam: its written place, and how far it really sits from there."""
+    """A tag's stated place, and its true offset from there."""
 
     id: int
     s: float
@@ -67,7 +67,7 @@ class VirtualTag:
 
 @dataclass(frozen=True)
 class VirtualClock:
-    """`log time = film time + offset`, and the offset that the user wrote down."""
+    """`log time = film time + offset`, and the stated offset."""
 
     offset: float = 250.0  # s
     declared: float = 250.0  # s
@@ -76,13 +76,13 @@ class VirtualClock:
 
 @dataclass(frozen=True)
 class DeclaredValues:
-    """Values written in recording.toml where they differ from the truth; NaN: the truth is written."""
+    """Stated values in recording.toml; NaN: the truth."""
 
     length: float = nan  # m
     push_s: float = nan
     placement_sd: float = 5e-4  # m
-    place_sd: float = PLACE_SD  # m, of the push's place
-    axes: float = 0.0  # rad, the log's x axis against the beam's; really they agree
+    place_sd: float = PLACE_SD  # m, place of the push
+    axes: float = 0.0  # rad, stated turn of the log's x axis from the beam's; truly 0
     axes_sd: float = DIRECTION_SD  # rad
     rest: Rest = "straight"
     gain_sd: float = nan
@@ -91,38 +91,36 @@ class DeclaredValues:
 
 @dataclass(frozen=True)
 class VirtualBench:
-    """One recording to be made: beam, push, tags, instruments, and what recording.toml declares of them."""
+    """Beam, push, tags, instruments, and what recording.toml states."""
 
     beam: Beam
     push: PushProfile
     tags: tuple[VirtualTag, ...] = (VirtualTag(1, 1.0 / 3.0), VirtualTag(2, 2.0 / 3.0), VirtualTag(3, 1.0))
-    base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: the base tag's pose in the clamp's frame
+    base: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad: base tag in the clamp's frame
     sensor: ForceSensor = field(default_factory=ForceSensor)
     camera: TagNoise = field(default_factory=TagNoise)
     fps: float = 15.0
     clock: VirtualClock = field(default_factory=VirtualClock)
     declared: DeclaredValues = field(default_factory=DeclaredValues)
-    axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the model of the fit does not know
-    effects: RealBench = field(default_factory=RealBench)  # what a real bench does; those of the picture in films alone
+    axial_stiffness: float = inf  # N, E A; finite: the beam stretches, which the fit's model does not
+    effects: RealBench = field(default_factory=RealBench)  # those of the picture in films only
     name: str = "virtual"
 
 
 @dataclass(frozen=True)
 class VirtualRecording:
-    """A virtual recording, and its truth."""
-
     bench: VirtualBench
     recording: Recording
     markers: Markers
     log: ForceLog
     force: Array  # (T, 2) N, true, at the frames; clamp's frame
-    pose: Array  # (T, m, 3) m, m, rad: the true tags in the clamp's frame
-    motion: RodMotion | None = None  # where the bench has effects that poses and force show
+    pose: Array  # (T, m, 3) m, m, rad: true tags in the clamp's frame
+    motion: RodMotion | None = None  # present if effects change poses or force
 
 
 @dataclass(frozen=True)
 class TrueStiffness:
-    """k(s) [N m] as a static model finds it at best, before anything relaxes, and without the tags' patches too."""
+    """k(s) [N m]: the best a static model can find, before relaxation, and that without patches."""
 
     k: Array  # secant modulus times `k_instant`
     k_instant: Array
@@ -131,9 +129,8 @@ class TrueStiffness:
 
 @one_blas_thread
 def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
-    """Film and log one push. Camera and sensor draw from streams of their own: a change of one leaves the other. Raises
-    `MechanicsError`: the beam snaps through under the push. Raises `RecordingError`: a frame rate that is not positive,
-    or no tag."""
+    """Film and log one push. Camera and sensor have separate random streams. Raises `MechanicsError`: snap-through.
+    Raises `RecordingError`: frame rate not positive, or no tag."""
     if not bench.fps > 0.0 or not bench.tags:
         raise RecordingError("a virtual recording needs a frame rate above zero and at least one tag on the beam")
     camera_rng, sensor_rng = (np.random.default_rng([seed, stream]) for stream in (0, 1))
@@ -153,7 +150,7 @@ def virtual_recording(bench: VirtualBench, *, seed: int) -> VirtualRecording:
 
 
 def markers_of(tags: Sequence[VirtualTag], time: Array, poses: Array, covariance: Array) -> Markers:
-    """Detected tags: poses (T, m, 3) [m, m, rad] as seen from the base tag, and their covariance (T, m, 3, 3)."""
+    """Tags with poses (T, m, 3) [m, m, rad] relative to the base tag and covariance (T, m, 3, 3)."""
     return Markers(
         time=time,
         tag_id=np.array([tag.id for tag in tags], dtype=np.int64),
@@ -169,8 +166,8 @@ def markers_of(tags: Sequence[VirtualTag], time: Array, poses: Array, covariance
 def motion_of(
     bench: VirtualBench, until: float, *, at: Array | None = None, gravity: tuple[float, float] = (0.0, 0.0)
 ) -> RodMotion | None:
-    """The beam through the push where effects bear on it or on the log; None: it is as `beam.statics` has it. Raises
-    `MechanicsError`: it snaps through, or weight or inertia are asked for and its mass is not known."""
+    """The motion if effects change beam or log; None: as `beam.statics`. Raises `MechanicsError`: snap-through, or
+    weight or inertia with an unknown mass."""
     effects = bench.effects
     if not (effects.moves_otherwise or effects.posture_bias):
         return None
@@ -182,7 +179,7 @@ def motion_of(
 
 
 def sensed(bench: VirtualBench, time: Array, motion: RodMotion | None) -> Array:
-    """(N, 2) N at `time` (N,) [s]: the true force, and what the posture adds to it."""
+    """(N, 2) N at `time` (N,) [s]: true force plus posture bias."""
     force = bench.push.force(time)
     if motion is None or not bench.effects.posture_bias:
         return force
@@ -191,7 +188,6 @@ def sensed(bench: VirtualBench, time: Array, motion: RodMotion | None) -> Array:
 
 
 def true_stiffness(bench: VirtualBench, motion: RodMotion | None, s: Array) -> TrueStiffness:
-    """k at `s` (S,)."""
     bare = np.asarray(bench.beam.stiffness(s))
     instant = instant_stiffness(bench.beam, bench.effects, tag_places(bench), s)
     return TrueStiffness((1.0 if motion is None else motion.secant) * instant, instant, bare)
@@ -199,13 +195,12 @@ def true_stiffness(bench: VirtualBench, motion: RodMotion | None, s: Array) -> T
 
 @one_blas_thread
 def observe_virtual(virtual: VirtualRecording, settings: ObserveSettings = ObserveSettings()) -> Observations:
-    """The real way from markers and log to observations: clocks, contact, zero, filter, frame. Raises
-    `ObservationError`: as for a real recording."""
+    """The usual way from markers and log to observations. Raises `ObservationError`: as for a real recording."""
     return assemble(virtual.recording, virtual.markers, virtual.log, None, settings)
 
 
 def tag_poses(bench: VirtualBench, force: Array) -> Array:
-    """(T, m, 3) the tags in the clamp's frame under forces (T, 2). Each tag moves with the beam at its real place."""
+    """(T, m, 3) the tags in the clamp's frame under forces (T, 2)."""
     beam, at_s = bench.beam, bench.push.at_s
     s = np.clip(tag_places(bench), 0.0, 1.0)
     solved = equilibrium(beam, push(force, at_s), resolution=RESOLUTION)
@@ -219,12 +214,12 @@ def tag_poses(bench: VirtualBench, force: Array) -> Array:
 
 
 def tag_places(bench: VirtualBench) -> Array:
-    """(m,) where the tags really sit; below 0 or above 1 where one sticks out over an end."""
+    """(m,) true places; outside 0..1 where a tag sticks out."""
     return np.array([tag.s + tag.along / bench.beam.length for tag in bench.tags])
 
 
 def tag_poses_on(bench: VirtualBench, xy: Array, angle: Array) -> Array:
-    """(T, m, 3) the tags, from the beam's positions (T, m, 2) and angles (T, m) at their places, clipped to 0..1."""
+    """(T, m, 3) tags from the beam's positions (T, m, 2) and angles (T, m) at their places clipped to 0..1."""
     real = tag_places(bench)
     beyond = bench.beam.length * (real - np.clip(real, 0.0, 1.0))  # a tag may stick out over the tip
     across = np.array([tag.across for tag in bench.tags])
@@ -235,13 +230,12 @@ def tag_poses_on(bench: VirtualBench, xy: Array, angle: Array) -> Array:
 
 
 def from_base(pose: Array, base: tuple[float, float, float]) -> Array:
-    """Poses (T, m, 3) as seen from the base tag."""
+    """Poses (T, m, 3) relative to the base tag."""
     x, y, turn = base
     return np.concatenate([turned(pose[..., :2] - np.array([x, y]), -turn), pose[..., 2:] - turn], axis=-1)
 
 
 def declared_recording(bench: VirtualBench) -> Recording:
-    """The entries of recording.toml."""
     declared, clock, at = bench.declared, bench.clock, Path("virtual") / bench.name
     length = bench.beam.length if isnan(declared.length) else declared.length
     return Recording(
@@ -267,11 +261,9 @@ def declared_recording(bench: VirtualBench) -> Recording:
     )
 
 
-# From a virtual recording to observations without the searches: clock and contact are taken from the truth.
-#
-# For studies of many runs, and for those that need the force's error to be exactly as given.
+# Observations without searches, for studies: clock and contact are the true ones.
 
-MARGIN = 0.1  # s, kept away from contact when a rest is read
+MARGIN = 0.1  # s between a rest and contact
 
 
 @one_blas_thread
@@ -283,16 +275,15 @@ def observe_from_truth(
     clock_sd: float = 0.0,
     cutoff: float = 4.0,
 ) -> Observations:
-    """Observations on a clock that is `clock_error` [s] off, stated as good to `clock_sd` [s] (0: known).
+    """Observations on a clock that is `clock_error` [s] off, stated to `clock_sd` [s] (0: known).
 
-    With an `error` (T, 2) [N] the force is the true one plus this, and the log is not used; without it the log is
-    zeroed in the true rests and low-passed at `cutoff` [Hz]. Raises `RecordingError`: an error whose shape is not that
-    of the force at the frames.
+    With an `error` (T, 2) [N] the force is the true one plus this; otherwise the log, zeroed in the true rests and
+    low-passed at `cutoff` [Hz]. Raises `RecordingError`: an error whose shape is not that of the force at the frames.
     """
     bench, rec, markers = virtual.bench, virtual.recording, virtual.markers
     time = markers.time + bench.clock.offset + clock_error
     begin, end = bench.push.contact
-    still: BoolArray = (markers.time < begin) | (markers.time > end)  # nothing pushes
+    still: BoolArray = (markers.time < begin) | (markers.time > end)  # unloaded
     offset = ClockOffset(bench.clock.offset + clock_error, clock_sd, bench.clock.declared, True)
     in_frame, rest, _ = to_beam_frame(markers, still, rec.tags.placement_sd, np.zeros_like(virtual.force))
     clean, force, noise = _force_seen(virtual, error, time, cutoff)
@@ -332,7 +323,7 @@ def observe_from_truth(
 def _force_seen(
     virtual: VirtualRecording, error: Array | None, at: Array, cutoff: float
 ) -> tuple[CleanForce | None, Array, Array]:
-    """The cleaned log if it is used, the force (T, 2) N that frames at `at` (T,) [s] of its clock are given, its sd."""
+    """The cleaned log if used, the force (T, 2) N at the frames `at` (T,) [s] of its clock, and its sd."""
     if error is not None:
         if error.shape != virtual.force.shape:
             raise RecordingError(f"the force at the frames is {virtual.force.shape}, its error is {error.shape}")

@@ -396,7 +396,7 @@ def doubts_of(observations: Observations) -> tuple[str, ...]:
 
 _HELD_SD = 1e-5  # of log k where it is held fixed
 _STEADY_NOISE = 0.1  # change of the log of a recording's noise between rounds, below which it has converged
-_FEW, _LIKELY = 10, 5  # recordings; values of the size of differences between them
+_FEW, _LIKELY = 10, 5  # recordings; sampled values of the size of their differences
 _STEPS_ON_THE_WAY = 20  # at most, in all rounds but the last
 
 

@@ -42,9 +42,7 @@ class Comparison:
     stable: BoolArray  # (T,) the simulated equilibrium is stable
     rms: Array  # (m,) m, root mean square distance per marker over all frames where it was seen
     sensor_rms: Array  # (m,) m, the part that the noise left in the force alone explains (first order); NaN if unknown
-    likely_rms: (
-        Array  # (m,) m, as the same noise, the band of k(s) and the push's tolerances let expect; NaN if unknown
-    )
+    likely_rms: Array  # (m,) m, expected from that noise, the band of k(s) and the push's tolerances; NaN if unknown
     remarks: tuple[Notice | Remark, ...] = ()
     static: bool = False  # bench poses: `time` counts them
 

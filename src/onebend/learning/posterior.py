@@ -295,7 +295,7 @@ class Posterior:
         if ideal and not self.criticism.trusted:  # nothing in the band allows for what the tests have found
             doubts.append("the recording contradicts the ideal model")
         if (self.place is not None and self.place.accused) or moved_off(self.layout, self.mean) > FAR:
-            doubts.append("the push hardly acts where at_s says")
+            doubts.append("the stated place of the push (at_s) is wrong")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts

@@ -179,7 +179,7 @@ class PlaceSearch:
     places: Array  # (f,) from the innermost that was tried to the outermost, close together
     weight: Array  # (f,) their probabilities if the written place is wrong
     mistaken: float  # the probability that it is
-    accused: bool  # the push hardly acts where it is said to
+    accused: bool  # the push does not act at the stated place, beyond doubt
 
     @property
     def open(self) -> bool:

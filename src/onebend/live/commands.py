@@ -95,7 +95,8 @@ def recording_rows(state: CaptureState) -> list[tuple[str, str]]:
     if not math.isnan(state.half_width):
         wanted = "" if math.isnan(state.until) else f", wanted ± {100 * state.until:.2g} %"
         bar = "█" * max(1, round(_BAR * min(state.half_width, 1.0)))
-        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}"))
+        why = f"\n{state.wider}" if state.wider else ""
+        rows.append(("k(s)", f"± {100 * state.half_width:.2g} % (95 %, median){wanted}\n{bar:░<{_BAR}}{why}"))
     elif state.live is not None:
         rows.append(("k(s)", state.live.verdict.headline))
     if state.frames:
@@ -152,7 +153,7 @@ Until = Annotated[
 Capture = Annotated[CaptureSettings, Only(("begin_at_once", "follow", "longest", "crf", "overwrite"))]
 
 
-Fast = Annotated[bool, typer.Option("--fast", help="What is played comes as fast as it can be read.")]
+Fast = Annotated[bool, typer.Option("--fast", help="Play the files as fast as they can be read.")]
 
 
 def record(
@@ -190,10 +191,11 @@ def record(
             clock = live.PlayedClock() if fast else None
             outcome = live.record(folder, *sources, settings, view.show, stop, begin=begin, clock=clock)
         if outcome.film is None or outcome.fault:
-            kept = f"What was recorded by then is in {folder}." if outcome.film else "Nothing was recorded."
+            kept = f"The recording up to then is in {folder}." if outcome.film else "Nothing was recorded."
             if outcome.film is None and not outcome.fault:
                 kept += " To film whatever is wrong with the picture, add --now."
-            raise RecordingError(f"{outcome.why.rstrip('.')}. {kept}")
+            why = outcome.why if outcome.why.endswith(("?", ".")) else f"{outcome.why}."
+            raise RecordingError(f"{why} {kept}")
     if as_json:
         print_json(live.outcome_data(outcome))
         return

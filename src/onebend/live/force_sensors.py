@@ -3,16 +3,18 @@ logs that grow."""
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import re
 import select
 import socket
 import struct
-import urllib.request
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from http.client import HTTPException
+from http import HTTPStatus
+from http.client import HTTPException, HTTPResponse
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -127,7 +129,8 @@ SERIOUS = 0x80000000  # of the status: the sensor's own sum of its errors
 WRAPS = 2**32
 SILENT = 1.0  # s without a record: the request is sent again
 LOST = 3.0  # s without one: the cable
-MOST_PAGE = 1_000_000  # bytes
+PAGE, MOST_PAGE = "/netftapi2.xml", 1_000_000  # bytes
+PAGE_SECONDS = 3.0  # for all of it
 MOST_TOGETHER = 64  # records
 FORCE_UNITS = {"N": 1.0, "lbf": POUND, "klbf": 1e3 * POUND, "kN": 1e3, "kgf": KILOPOND, "gf": 1e-3 * KILOPOND}
 TORQUE_UNITS = {"N-m": 1.0, "Nm": 1.0, "N-mm": 1e-3, "Nmm": 1e-3, "kN-m": 1e3, "lbf-in": 0.0254 * POUND}
@@ -240,10 +243,9 @@ def read_scale(address: str, port: int = WEB_PORT) -> AtiScale:
     Raises:
         RecordingError: it does not answer, or not so.
     """
-    page = f"http://{address}:{port}/netftapi2.xml"
+    page = f"http://{address}:{port}{PAGE}"
     try:
-        with urllib.request.urlopen(page, timeout=3.0) as answer:
-            found = dict(values_in(answer.read(MOST_PAGE)))
+        found = dict(values_in(page_of(address, port)))
     except (OSError, ValueError, HTTPException, ElementTree.ParseError) as wrong:
         raise RecordingError(
             f"{page} cannot be read ({wrong}). Check the address and the cable, or give counts=1000000 of the sensor's "
@@ -258,6 +260,41 @@ def read_scale(address: str, port: int = WEB_PORT) -> AtiScale:
     if not (0.0 < per < math.inf and 0.0 < per_torque < math.inf and math.isfinite(rate)):
         raise RecordingError(f"{page} says {per:g} counts a unit of force. Give counts=1000000 (counts per N).")
     return AtiScale(per / force, per_torque / torque, max(rate, 0.0))
+
+
+class _Until(io.RawIOBase):
+    """The bytes of a connection, until a deadline."""
+
+    def __init__(self, connection: socket.socket, seconds: float) -> None:
+        self._connection, self._deadline = connection, time.monotonic() + seconds
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        if (left := self._deadline - time.monotonic()) <= 0.0:
+            raise TimeoutError("timed out")
+        self._connection.settimeout(left)
+        return self._connection.recv_into(buffer)
+
+    def makefile(self, _mode: str) -> io.BufferedReader:
+        """As `HTTPResponse` asks of a socket."""
+        return io.BufferedReader(self)
+
+
+def page_of(address: str, port: int) -> bytes:
+    """The box's own page: within `PAGE_SECONDS` in all, by no proxy, and by nobody whom it sends to.
+
+    Raises:
+        OSError, HTTPException, ValueError: there is none.
+    """
+    with socket.create_connection((address, port), PAGE_SECONDS) as connection:
+        connection.sendall(f"GET {PAGE} HTTP/1.0\r\nHost: {address}\r\n\r\n".encode("ascii", "replace"))
+        with HTTPResponse(_Until(connection, PAGE_SECONDS)) as answer:  # type: ignore[arg-type]
+            answer.begin()
+            if answer.status != HTTPStatus.OK:
+                raise ValueError(f"it answers with status {answer.status}")
+            return answer.read(MOST_PAGE)
 
 
 def values_in(page: bytes) -> list[tuple[str, str]]:
@@ -351,7 +388,7 @@ class SerialForce(_Lines):
         now = self._clock.now()
         if ready and not data:
             return self._fault("is gone: its cable was pulled")
-        if data:
+        if b"\n" in data:  # bytes without an end of a line are nothing that can be read
             self._heard = now
         if not self._begun and b"\n" in data:  # the first line has no beginning
             data, self._begun = data[data.index(b"\n") + 1 :], True
@@ -359,7 +396,7 @@ class SerialForce(_Lines):
         if self._bad >= UNREADABLE:
             wanted = f"{self._cells.count} numbers were expected: correct columns"
             return self._fault(f"sends {self._last[:60]!r}, and {wanted}")
-        silent = self._silence(SILENT_LINE, f"sends nothing: is it switched on, and is baud={self._baud} right?")
+        silent = self._silence(SILENT_LINE, f"sends no line: is it switched on, and is baud={self._baud} right?")
         return silent or samples
 
     def close(self) -> None:
@@ -412,8 +449,8 @@ class GrowingLog(_Lines):
         try:
             data = self._stream.read(1 << 20)
             if not data:
-                if os.fstat(self._stream.fileno()).st_size < self._stream.tell():
-                    return self._fault("was written anew")
+                if gone := self._gone():
+                    return self._fault(gone)
                 self._clock.wait_until(self._clock.now() + min(wait, POLL))
                 data = self._stream.read(1 << 20)
         except OSError as wrong:
@@ -430,6 +467,16 @@ class GrowingLog(_Lines):
         if self._stream is not None:
             self._stream.close()
             self._stream = None
+
+    def _gone(self) -> str:
+        """What happened to the file that is read; empty where it is the one of that name."""
+        here = os.fstat(self._stream.fileno())
+        try:
+            if os.path.samestat(here, self._path.stat()):
+                return "was written anew" if here.st_size < self._stream.tell() else ""
+        except FileNotFoundError:
+            return "was deleted"
+        return "was replaced by another file"
 
     def _header(self) -> list[str]:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -91,6 +91,7 @@ class CaptureState:
     largest: float = math.nan  # of these so far
     stiffness: UncertainStiffness | None = None  # k(s) with its band
     half_width: float = math.nan  # of the band of k(s), as a share: 0.05 is 5 %
+    wider: str = ""  # why the band is wider than it was; empty where it is not
     until: float = math.nan  # the half width that is wanted
     seconds: float = 0.0  # of film
     frames: int = 0  # in the film
@@ -155,6 +156,42 @@ def outcome_data(outcome: CaptureOutcome) -> dict[str, object]:
         "half_width": state.half_width,
         "remarks": list(outcome.remarks),
     }
+
+
+# Why the band of k(s) is wider than it was: it is compared with the narrowest that there was.
+
+WIDER = 1.15  # times as wide
+GREW = 1.25  # times as large: what the width follows from
+_WIDENS = {"tags": "wider: tags", "force": "wider: force", "drift": "wider: drift", "load": "wider: load"}
+_MOST_NAMED = 2
+
+
+class Widening:
+    """The narrowest band so far, and what its width followed from."""
+
+    def __init__(self) -> None:
+        self._width, self._known, self._sizes = math.inf, 0.0, dict[str, float]()
+
+    def why(self, width: float, known: float, sizes: Mapping[str, float]) -> str:
+        """Why a band of this half width is wider than the narrowest; empty where it is not.
+
+        Args:
+            width: NaN: k(s) is not known anywhere.
+            known: the share of the beam where k(s) is identified.
+            sizes: as `OnlineLearner.sizes`.
+        """
+        if math.isnan(width):
+            return ""
+        if width <= WIDER * self._width:
+            if width <= self._width:
+                self._width, self._known, self._sizes = width, known, dict(sizes)
+            return ""
+        grown = {name: sizes[name] / one for name, one in self._sizes.items() if one > 0.0 and name in sizes}
+        named = sorted((name for name, ratio in grown.items() if ratio > GREW), key=lambda name: -grown[name])
+        whys = [say(_WIDENS[name], ratio=grown[name]) for name in named[:_MOST_NAMED]]
+        if known > GREW * self._known:
+            whys.append(say("wider: places", known=known))
+        return say("wider", before=self._width, why="; ".join(whys or [say("wider: review")]))
 
 
 MOVED_SD = 8.0  # of a tag's place: farther from its rest than this,

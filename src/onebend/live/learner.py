@@ -7,6 +7,7 @@ do not grow.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -243,7 +244,7 @@ class Smoother:
         self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0
         self._linearised = 0  # key frames linearised in the last update
-        self._misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
+        self.misfit = 0.0  # of the tags, over their covariances; 0 while it is no more than noise
         self._failed = False  # whether the last solution failed
         self._missed = ""  # what `missed_tag` returned last
         self._too_soft = False  # whether the last frame had no equilibrium
@@ -288,7 +289,7 @@ class Smoother:
             if missed.isdisjoint((pair, pair + 1, slot)):
                 key_frames.accept_average(keys, pair, slot, self.point)
         while keys.used > self._settings.key_frames + 1:
-            marker = max(self.hyperparameters.marker, self._misfit)
+            marker = max(self.hyperparameters.marker, self.misfit)
             marginalise_oldest(keys, self.marginalised, self._process(self.hyperparameters), marker, self._stages.own)
         return True
 
@@ -356,7 +357,7 @@ class Smoother:
         if self._turns % _MISSED_EVERY == 0:
             self._missed = missed_tag(self.keys)
         elif self._turns % 2 and self._chains is not None:
-            if self._misfit == 0.0:
+            if self.misfit == 0.0:
                 self._chains.step(self.solution.stiffness_form)
         elif self._settings.adapt:
             self.look_about()
@@ -379,7 +380,7 @@ class Smoother:
         self._prior = replace(self._prior, scale=self._session.prior_scale(self._largest, bend))
         if self._chains is not None:
             self._stiffness_prior = self._prior.stiffness_prior(self._chains.parts)
-        self._misfit = misfit(keys, self.hyperparameters.marker)
+        self.misfit = misfit(keys, self.hyperparameters.marker)
         try:
             self.solution = solution = self._solve(self.hyperparameters)
         except np.linalg.LinAlgError:
@@ -393,7 +394,7 @@ class Smoother:
         if settings.adapt:
             marker = tag_noise_size(keys, residual, self._spent, self._guess)
             self.hyperparameters = replace(self.hyperparameters, marker=marker)
-        marker = max(self.hyperparameters.marker, self._misfit)
+        marker = max(self.hyperparameters.marker, self.misfit)
         keys.weight[: keys.used] = robust_weights(keys, residual, marker, settings.bulk)
         fresh = not np.any(keys.stale[: keys.used])
         if fresh and solution.distance(keys.error[: keys.used], self.x - self.point) > _MOVED:
@@ -402,7 +403,7 @@ class Smoother:
 
     def _solve(self, hyperparameters: LiveHyperparameters) -> KeyFramePosterior:
         """The posterior under these hyperparameters; a misfit beyond the tags' noise counts as noise."""
-        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self._misfit))
+        coarse = replace(hyperparameters, marker=max(hyperparameters.marker, self.misfit))
         return solve(self._sums, self._prior, self._stiffness_prior, coarse, self._process(hyperparameters))
 
     def catch_up(self) -> None:
@@ -451,7 +452,7 @@ class Smoother:
     def last_doubts(self) -> tuple[str, ...]:
         """The same, with the missed tag of the last look for one."""
         reasons = {"live: failed": self._failed, "live: too soft": self._too_soft}
-        own = key_frame_doubts(self.keys, self.hyperparameters.marker, self._misfit, self._missed)
+        own = key_frame_doubts(self.keys, self.hyperparameters.marker, self.misfit, self._missed)
         return (*(say(code) for code, holds in reasons.items() if holds), *own)
 
     def posterior(self) -> tuple[Array, Array, Array]:
@@ -470,7 +471,7 @@ class Smoother:
         return self._prior.nuisance_sd
 
     def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
-        far_off = self._misfit > FAR_OFF * hyperparameters.marker
+        far_off = self.misfit > FAR_OFF * hyperparameters.marker
         return force_process(self._settings, hyperparameters, self._largest, far_off)
 
 
@@ -611,6 +612,18 @@ class OnlineLearner:
     def hyperparameters(self) -> LiveHyperparameters:
         """Sizes of the tags' noise and of the force error, as they are now."""
         return self._state.hyperparameters
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """What the width of the band follows from, beside the frames: the tags' misfit or noise, whichever is larger
+        and counts as noise, and the parts of the force error."""
+        found = self._state.hyperparameters
+        return {
+            "tags": max(found.marker, self._state.misfit),
+            "force": math.hypot(found.coloured, found.white),
+            "drift": found.walk,
+            "load": found.load,
+        }
 
     @property
     @one_blas_thread

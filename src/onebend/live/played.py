@@ -186,6 +186,7 @@ def follow(live: Live, arrivals: Iterable[Arrival], *, at_pace: bool = False) ->
 
 
 TIMING = StampTiming(delay_error=0.01)
+LONGEST_WAIT = 3600.0  # s: no film goes on as long before its log begins
 _NO_LOG = ForceLog(np.empty(0), np.empty((0, 2)))
 
 
@@ -364,6 +365,11 @@ def played_force(
         raise RecordingError(
             f"log:{place} ends at {log.time[-1]:.6g} s, before start_s = {start:.6g} s. Correct start_s, or leave it "
             "out."
+        )
+    if log.time[0] - start > LONGEST_WAIT:
+        raise RecordingError(
+            f"log:{place} begins at {log.time[0]:.6g} s, {log.time[0] - start:.3g} s after start_s = {start:.6g} s. "
+            "Correct start_s, or leave it out."
         )
     start, error = (float(log.time[0]), 5.0) if math.isnan(start) else (start, error)
     columns = ("fx_N", "fy_N") if log.push_s is None else ("fx_N", "fy_N", "push_s")

@@ -347,16 +347,16 @@ def serve() -> None:
         os.nice(NICE)
     inward, outward = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what is printed by mistake is no answer
-    made: Reviewed | None = None
+    made = Reviewed(-np.inf)
     with suppress(EOFError, OSError):
         settings: Any = pickle.load(inward)
         while True:
             message = pickle.load(inward)
-            if isinstance(message, Seen):
-                made = review(message, *settings)
-                answer = replace(made, learner=None)  # it is wanted up to date
-            else:
-                assert made is not None
-                answer = made = go_on(made, message)
-            pickle.dump(answer, outward)
+            try:
+                made = review(message, *settings) if isinstance(message, Seen) else go_on(made, message)
+            except Exception as error:  # the next review may do
+                until = message.until if isinstance(message, Seen) else made.until
+                made = Reviewed(until, say("live: review failed", wrong=f"{type(error).__name__}: {error}"))
+            # after a review what came meanwhile is taught first
+            pickle.dump(replace(made, learner=None) if isinstance(message, Seen) else made, outward)
             outward.flush()

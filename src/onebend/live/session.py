@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,11 +23,12 @@ from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState,
 from onebend.live.live import Live, seen_by
 from onebend.live.recording_folder import FilmWriter, Logs, Pump, RecordingPlaces, places_for, room_left, state_start
 from onebend.live.review import Seen, observed_in
-from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of
+from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame, HostClock, Samples, files_of, measurable
 from onebend.pipeline import learn_observed
-from onebend.progress import interrupts_held, leave_interrupts_to_parent
+from onebend.progress import end_now, interrupts_held, leave_interrupts_to_parent
 from onebend.recording.entries import Recording
 from onebend.recording.observe import ObserveSettings
+from onebend.recording.pairing import read_log
 from onebend.recording.tags import Tracker
 from onebend.recording.video import Picture
 from onebend.records import Array
@@ -85,13 +86,8 @@ class NextPush:
             self._coming = self._pool.submit(next_push_words, seen, observing)
 
     def close(self) -> None:
-        if self._pool is None:
-            return
-        processes = list(getattr(self._pool, "_processes", {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            with suppress(OSError):
-                process.terminate()
+        if self._pool is not None:
+            end_now(self._pool)
         self._pool = None
 
 
@@ -107,6 +103,7 @@ class Follower:
         ids = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
         self._tracker = Tracker(ids, rec.tags.family)
         self._live: Live | None = None
+        self._widening = guidance.Widening()
         self._next = NextPush(beside=settings.live_beside)
 
     def look(self, frame: Frame) -> tuple[tuple[TagView, ...], list[str]]:
@@ -145,13 +142,15 @@ class Follower:
             self._live.force(time, force, place)
 
     def known(self) -> dict[str, Any]:
-        """Of `CaptureState`: k(s), its half width, and all that `Live` says."""
+        """Of `CaptureState`: k(s), its half width, why it is wider than it was, and all that `Live` says."""
         if self._live is None:
             return {}
         state, width = self._live.state(), math.nan
-        if state.stiffness is not None and identified_ranges(state.stiffness):
+        ranges = [] if state.stiffness is None else identified_ranges(state.stiffness)
+        if state.stiffness is not None and ranges:
             width = float(np.expm1(typical_half_width(state.stiffness)))
-        return {"live": state, "stiffness": state.stiffness, "half_width": width}
+        wider = self._widening.why(width, sum(end - begin for begin, end in ranges), state.sizes)
+        return {"live": state, "stiffness": state.stiffness, "half_width": width, "wider": wider}
 
     def plan(self) -> None:
         if self._live is not None:
@@ -274,6 +273,7 @@ class _Session:
             else:
                 self._force_end = item.why
             return
+        item = measurable(item) if isinstance(item, Samples) else item
         self._logs.see(item)
         if self._film is not None:
             self._keep(item)
@@ -414,6 +414,16 @@ class _Session:
             except OSError as wrong:
                 self._fault = True
                 self._why = say("recorded: not closed", why=self._why, wrong=wrong.strerror or wrong)
+        if not self._fault:
+            self._read_back()
+
+    def _read_back(self) -> None:
+        """A recording whose log nothing can be learned from is none, whatever it ended by."""
+        try:
+            read_log(self._places.rec)
+        except OnebendError as wrong:
+            self._fault = True
+            self._why = say("recorded: no log", why=self._why, wrong=wrong)
 
     def _outcome(self) -> CaptureOutcome:
         places, state, why = self._places, self._state, self._why or "its sources ended"

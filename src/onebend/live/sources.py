@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,6 +15,8 @@ import av
 import numpy as np
 from numpy.typing import ArrayLike
 
+from onebend.recording.force_log import STRONGEST
+from onebend.recording.signals import LATEST
 from onebend.recording.video import Picture
 from onebend.records import Array
 
@@ -225,6 +227,16 @@ class Samples:
     force: Array  # (n, c) N and N m, as `ForceSource.columns` says
     arrival: float  # s, this machine's monotonic clock
     lost: int = 0  # rows that are known to be missing before these
+
+
+def measurable(samples: Samples) -> Samples:
+    """The rows that a log may hold: one with a force or a stamp beyond all measures counts as lost, and so does one
+    with an infinite force."""
+    good = ~(np.abs(samples.force) > STRONGEST).any(axis=1) & ~(np.abs(samples.stamp) > LATEST)
+    if good.all():
+        return samples
+    lost = samples.lost + int(np.sum(~good))
+    return replace(samples, stamp=samples.stamp[good], force=samples.force[good], lost=lost)
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,19 @@
-"""A batch from its list to its results. Stopped at any moment, the same call goes on: what has a record is done."""
+"""A batch from its list to its results. After an interruption the same call continues; recordings with a record are
+done."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +21,7 @@ from scipy.special import ndtri
 
 from onebend.errors import RecordingError, ResultsError
 from onebend.extras import require
-from onebend.files.publish import check_place, enter
+from onebend.files.publish import SUMMARY, check_place, enter, with_checksum
 from onebend.files.single_file import as_parquet, write_file
 from onebend.many import tasks
 from onebend.progress import Progress, Silent, track
@@ -25,31 +30,30 @@ from onebend.report.page import render
 from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import is_number, one_line, quoted, to_json
 
-# Recordings whose k(s) is unlike that of the others in their group: by robust scores of its level and its shape.
+# Outliers within groups, by robust scores of level and shape of k(s).
 
-FEWEST = 5  # recordings of a group, for the others to have a spread
+FEWEST = 5  # recordings of a group, for a spread
 MAD_TO_SD = 1.4826  # of a normal
-FALSE_ALARMS = 0.025  # of groups in which nothing differs, for the level and again for the shape
-# The largest score of a normal group of that number, at 1 - FALSE_ALARMS (simulated: tests/batch/test_outliers.py). The
-# median of absolute deviations of few varies much, so that scores of small groups do too.
+FALSE_ALARMS = 0.025  # share of groups without a difference that name one, per score
+# The largest score of a normal group of that size, at 1 - FALSE_ALARMS (simulated: tests/many/test_outliers.py). Small
+# groups have large scores, as their median absolute deviation varies.
 NUMBERS = (5, 6, 7, 8, 9, 10, 11, 12, 15, 20, 25, 30, 50, 100, 200, 1000)
 LIMITS = (11.3, 7.2, 7.6, 6.1, 6.3, 5.5, 5.6, 5.2, 4.95, 4.5, 4.4, 4.25, 4.06, 3.98, 4.02, 4.25)
 
 
 @dataclass(frozen=True)
 class Scores:
-    """How far recordings are from the median of their group, in robust standard deviations; NaN: too few others."""
+    """Distances from the group's median in robust sds; NaN: too few others."""
 
-    level: Array  # (N,) of the mean of log k, weighted by how well the group's recordings tell it
-    shape: Array  # (N,) of how far log k, less its mean, is from the median shape (RMS, so weighted); not negative
+    level: Array  # (N,) of the weighted mean of log k
+    shape: Array  # (N,) weighted RMS of log k less its mean against the median shape; not negative
     reasons: tuple[str, ...]  # N; empty: no outlier
 
 
 def scores(log_k: Array, covariance: Array, groups: Sequence[str]) -> Scores:
-    """Scores from log k (N, S) at S places from s = 0 to 1, NaN where nothing was learned, its covariance (N, S, S),
-    and the groups (N).
+    """From log k (N, S) at S places (NaN if not learned), its covariance (N, S, S), and the groups (N).
 
-    What is nearer to the median than its own band allows is no outlier: a recording's own sd is the least scale.
+    A recording's own sd is the smallest scale: within its band it is no outlier.
     """
     level, shape = np.full(len(log_k), np.nan), np.full(len(log_k), np.nan)
     reasons = [""] * len(log_k)
@@ -74,7 +78,7 @@ def scores(log_k: Array, covariance: Array, groups: Sequence[str]) -> Scores:
 
 
 def _own_sd(covariance: Array, weight: Array) -> Array:
-    """(N,) sd of the weighted mean of log k, as the recordings' own bands have it."""
+    """(N,) sd of the weighted mean of log k."""
     return np.asarray(np.sqrt(np.einsum("s,nst,t->n", weight, covariance, weight)))
 
 
@@ -85,11 +89,9 @@ def _own_shape_sd(covariance: Array, weight: Array) -> Array:
 
 
 def limit_of(count: int) -> float:
-    """The score beyond which a recording of a group of `count` is named.
-
-    A shape that varies in more than one way has smaller scores than the level, so that its alarms are rarer.
-    """
-    if count > NUMBERS[-1]:  # the spread is as good as known: Bonferroni
+    """The score beyond which a recording of a group of `count` is named. Shapes vary in several ways and alarm less
+    often."""
+    if count > NUMBERS[-1]:  # the spread is known: Bonferroni
         return float(ndtri(1.0 - FALSE_ALARMS / (2 * count)))
     return float(np.interp(np.log(count), np.log(NUMBERS), LIMITS))
 
@@ -99,11 +101,7 @@ def _spread(values: Array) -> float:
 
 
 def _reason(level: float, shape: float, there: tuple[float, float], less: float, limit: float) -> str:
-    """In words.
-
-    Args:
-        there: s where the shape is farthest off, and log k off there.
-    """
+    """In words; `there`: s of the largest deviation of shape, and log k there."""
     said = []
     if abs(level) > limit:
         said.append(f"k is {np.exp(less):.2g} times the group's median ({abs(level):.2g} robust sd)")
@@ -113,40 +111,45 @@ def _reason(level: float, shape: float, there: tuple[float, float], less: float,
     return "; ".join(said)
 
 
-# The outcome of a batch: a record for every recording.
+# The outcome of a batch.
 
 
 @dataclass(frozen=True)
 class BatchOutcome:
-    """All recordings of a batch in the order of the list."""
+    """All recordings in the order of the list."""
 
     out: Path
     items: tuple[tasks.Item, ...]
     records: tuple[tasks.Record, ...]
     scores: Scores
-    learned_now: int  # recordings that this run learned from, or tried to; the others were there
+    learned_now: int  # learned in this run
 
     @property
     def failed(self) -> tuple[tuple[tasks.Item, str], ...]:
-        """Recordings without k(s), each with its reason."""
+        """With reasons."""
         return tuple((item, one.reason) for item, one in zip(self.items, self.records, strict=True) if one.reason)
 
     @property
     def learned(self) -> tuple[tuple[str, tasks.Record], ...]:
-        """Recordings with k(s), by name."""
+        """With k(s), by name."""
         rows = zip(self.items, self.records, strict=True)
         return tuple((item.name, one) for item, one in rows if one.k is not None)
 
     @property
+    def in_doubt(self) -> tuple[tuple[str, str], ...]:
+        """Names of the learned recordings that `onebend learn` would doubt, each with the doubts."""
+        return tuple((name, "; ".join(one.doubts) or NOWHERE) for name, one in self.learned if one.in_doubt)
+
+    @property
     def outliers(self) -> tuple[tuple[tasks.Item, str], ...]:
-        """Recordings unlike the others of their group, each with its reason."""
+        """With reasons."""
         return tuple((item, why) for item, why in zip(self.items, self.scores.reasons, strict=True) if why)
 
 
 def outcome_of(
     out: Path, items: Sequence[tasks.Item], records: Sequence[tasks.Record], learned_now: int
 ) -> BatchOutcome:
-    """The records, and how each is beside the others."""
+    """Records and their scores."""
     count = len(tasks.PLACES[:: tasks.EVERY])
     log_k, covariance = np.full((len(records), count), np.nan), np.full((len(records), count, count), np.nan)
     for i, one in enumerate(records):
@@ -157,7 +160,7 @@ def outcome_of(
 
 
 BATCH_FORMAT = "onebend-batch-1"
-MARKER = "batch.json"  # in a results folder: it is one of a batch
+MARKER = "batch.json"  # marks a batch's results folder
 
 
 def run_batch(
@@ -171,20 +174,19 @@ def run_batch(
     progress: Progress = Silent(),
     began: Callable[[str], None] = lambda _: None,
 ) -> BatchOutcome:
-    """Learn from every recording of `source` (a folder, or a CSV) by itself; what is learned stands in `out`.
+    """Learns each recording of `source` (a folder or a CSV) into `out`.
 
     Args:
-        scheduler: address of a Dask scheduler whose workers see the recordings and `out` under the same paths; None:
-            one on this machine.
-        workers: how many, on this machine; None: one a core.
-        processes: whether those are processes of their own.
-        folders: also a results folder of each recording.
-        began: is told the link of the cluster's page ("": none) when the work begins.
+        scheduler: address of a Dask scheduler whose workers see all folders under the same paths; None: a local one.
+        workers: local workers; None: one per core.
+        processes: whether these are processes.
+        folders: also write a results folder per recording.
+        began: called with the link of the cluster's page ("": none).
 
     Raises:
         RecordingError: the list cannot be used.
         MissingPackageError: Dask is not installed.
-        ResultsError: `out` holds something else, or is being written; the scheduler is lost.
+        ResultsError: `out` holds something else, is being written, or the scheduler is lost.
     """
     require(("dask", "distributed"), "batch")
     target = Path(os.path.realpath(out))
@@ -201,7 +203,8 @@ def run_batch(
             began(str(client.dashboard_link or "") if find_spec("bokeh") else "")
             results = _all(client, items, settings, progress)
         for left in (target / tasks.RECORDS).glob(".*.json"):
-            left.unlink(missing_ok=True)  # begun by workers that were lost
+            with suppress(OSError):
+                left.unlink()  # of lost workers
     finally:
         place.remove()
     records = [_record(target, item, result) for item, result in zip(items, results, strict=True)]
@@ -209,7 +212,7 @@ def run_batch(
 
 
 def _take(out: Path) -> None:
-    """Make `out` the results folder of a batch. Raises `ResultsError` where it holds anything else."""
+    """Raises `ResultsError` where `out` holds anything else."""
     marker = out / MARKER
     if marker.is_file():
         return
@@ -246,15 +249,15 @@ def _record(out: Path, item: tasks.Item, result: tasks.ItemResult) -> tasks.Reco
     return record
 
 
-# The tables of a batch as Parquet: a row a recording, a row a place of a curve, a row a nuisance.
+# The tables of a batch as Parquet.
 
-LENGTH = "length_m"  # of the list, states the beam's; the table has it as it was learned with
-AT = (0, 25, 50, 75, 100)  # of PLACES: where the table of recordings has k
+LENGTH = "length_m"  # stated in the list; the table has the learned value
+AT = (0, 25, 50, 75, 100)  # of PLACES, for k in the table of recordings
 
 
 def recordings_table(outcome: BatchOutcome) -> pa.Table:
-    """A row a recording: its name, group and the list's own columns; k at five places with its band; the verdict.
-    Raises `RecordingError`: a column of the list has the name of one of ours."""
+    """One row per recording: name, group, the list's columns, k at five places with its band, the verdict. Raises
+    `RecordingError` for a column with the name of ours."""
     ours = _columns(outcome)
     labels = _labels(outcome)
     both = [name for name in labels if name in ours]
@@ -265,7 +268,7 @@ def recordings_table(outcome: BatchOutcome) -> pa.Table:
 
 
 def curves_table(outcome: BatchOutcome) -> pa.Table:
-    """A row a recording and place: `name, s, k_N_m, k_lo_N_m, k_hi_N_m, identified`, at 101 places."""
+    """One row per recording and place: `name, s, k_N_m, k_lo_N_m, k_hi_N_m, identified`, at 101 places."""
     there = outcome.learned
 
     def joined(name: str, kind: type) -> np.ndarray:
@@ -273,7 +276,7 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
 
     return pa.table(
         {
-            "name": pa.array([name for name, _ in there for _ in tasks.PLACES], pa.string()),
+            "name": _texts(name for name, _ in there for _ in tasks.PLACES),
             "s": np.tile(tasks.PLACES, len(there)),
             "k_N_m": joined("k", float),
             "k_lo_N_m": joined("low", float),
@@ -284,13 +287,11 @@ def curves_table(outcome: BatchOutcome) -> pa.Table:
 
 
 def covariances_table(outcome: BatchOutcome) -> pa.Table:
-    """A row a recording and place: `name, s`, and the covariance of log k there with that at each of 21 places,
-    `with_0` to `with_1`, and the part of it that comes from the prior, `prior_with_0` to `prior_with_1`; what the force
-    sensor's scale does to all of k is apart (`gain_sd`).
-    """
+    """One row per recording and place: `name, s`, the covariance of log k with that at each of 21 places, `with_0` to
+    `with_1`, and its part from the prior, `prior_with_0` to `prior_with_1`, both without `gain_sd`."""
     there, places = outcome.learned, tasks.PLACES[:: tasks.EVERY]
     columns: dict[str, Any] = {
-        "name": pa.array([name for name, _ in there for _ in places], pa.string()),
+        "name": _texts(name for name, _ in there for _ in places),
         "s": np.tile(places, len(there)),
     }
     for head, field in (("with", "covariance"), ("prior_with", "prior_part")):
@@ -300,24 +301,25 @@ def covariances_table(outcome: BatchOutcome) -> pa.Table:
 
 
 def nuisances_table(outcome: BatchOutcome) -> pa.Table:
-    """A row a recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
+    """One row per recording and nuisance: `name, nuisance, unit, value, sd, prior_sd`."""
     rows = [(name, one) for name, record in outcome.learned for one in record.nuisances]
-    text, number = pa.string(), pa.float64()
-    columns = {"name": pa.array([name for name, _ in rows], text)}
-    for name, field, kind in (
-        *(("nuisance", "name", text), ("unit", "unit", text)),
-        *(("value", "value", number), ("sd", "sd", number), ("prior_sd", "prior_sd", number)),
-    ):
-        columns[name] = pa.array([getattr(one, field) for _, one in rows], kind)
+    columns = {"name": _texts(name for name, _ in rows)}
+    columns |= {"nuisance": _texts(one.name for _, one in rows), "unit": _texts(one.unit for _, one in rows)}
+    for name in ("value", "sd", "prior_sd"):
+        columns[name] = pa.array([getattr(one, name) for _, one in rows], pa.float64())
     return pa.table(columns)
 
 
+def _texts(words: Iterable[str]) -> pa.Array:
+    return pa.array([tasks.as_text(one) for one in words], pa.string())
+
+
 def _columns(outcome: BatchOutcome) -> dict[str, Any]:
-    records, text = outcome.records, pa.string()
+    items, records = outcome.items, outcome.records
     found: dict[str, Any] = {
-        **{name: pa.array([getattr(one, name) for one in outcome.items], text) for name in ("name", "group")},
-        **{name: pa.array([getattr(one, name) for one in records], text) for name in ("reason", "grade")},
-        **{name: pa.array(["; ".join(getattr(one, name)) for one in records], text) for name in ("doubts", "warnings")},
+        **{name: _texts(getattr(one, name) for one in items) for name in ("name", "group")},
+        **{name: _texts(getattr(one, name) for one in records) for name in ("reason", "grade")},
+        **{name: _texts("; ".join(getattr(one, name)) for one in records) for name in ("doubts", "warnings")},
         LENGTH: np.array([one.length for one in records]),
     }
     for i in AT:
@@ -332,12 +334,12 @@ def _columns(outcome: BatchOutcome) -> dict[str, Any]:
         "error_m": np.array([one.error for one in records]),
         "level_z": outcome.scores.level,
         "shape_z": outcome.scores.shape,
-        "outlier": pa.array(outcome.scores.reasons, text),
+        "outlier": _texts(outcome.scores.reasons),
         "frames": np.array([one.frames for one in records], dtype=np.int64),
         "seconds": np.array([one.seconds for one in records]),
-        "finished": pa.array([one.finished for one in records], text),
-        "hash": pa.array([one.hash for one in records], text),
-        "path": pa.array([str(item.folder) for item in outcome.items], text),
+        "finished": _texts(one.finished for one in records),
+        "hash": _texts(one.hash for one in records),
+        "path": _texts(str(item.folder) for item in items),
     }
 
 
@@ -354,22 +356,78 @@ def _column(cells: Sequence[str]) -> pa.Array:
     return pa.array(cells, pa.string())
 
 
-# `index.html` of a batch: a table to sort, a small picture of each k(s), what is unlike the others and why.
+# The answer of a batch, one row per recording: k at s = 0.5 with its band, where k is identified, the verdict.
 
-LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns of the Parquet table that the page does not show
+MIDDLE = 50  # of PLACES
+NOT_LEARNED, NOWHERE = "not learned", "identified nowhere"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Of one recording; NaN where nothing was learned."""
+
+    name: str
+    group: str
+    k: float  # N m at s = 0.5
+    low: float  # N m, of the 95 % band
+    high: float  # N m
+    told: bool  # k is identified there
+    identified: float  # share of s
+    verdict: str
+    warnings: int
+    report: str  # address of the recording's report relative to `index.html`, or empty
+
+    @property
+    def k_words(self) -> str:
+        """In brackets where k is not identified."""
+        words = known(self.k)
+        return words if self.told or not np.isfinite(self.k) else f"({words})"
+
+    @property
+    def identified_words(self) -> str:
+        return f"{100.0 * self.identified:.0f} %" if np.isfinite(self.identified) else UNKNOWN
+
+
+def answers(outcome: BatchOutcome) -> list[Answer]:
+    return [_answer(outcome.out, item, one) for item, one in zip(outcome.items, outcome.records, strict=True)]
+
+
+def _answer(out: Path, item: tasks.Item, one: tasks.Record) -> Answer:
+    k, low, high = (np.nan if curve is None else float(curve[MIDDLE]) for curve in (one.k, one.low, one.high))
+    told = one.identified is not None and bool(one.identified[MIDDLE])
+    share = np.nan if one.identified is None else float(one.identified.mean())
+    verdict = NOT_LEARNED if one.k is None else one.grade if one.doubts or share else NOWHERE
+    report = PurePosixPath(tasks.FOLDERS, item.name, "report.html")
+    there = one.k is not None and (out / report).is_file()
+    address = quote(str(report)) if there else ""
+    return Answer(item.name, item.group, k, low, high, told, share, verdict, len(one.warnings), address)
+
+
+def known(value: float) -> str:
+    """With a dash for an unknown number."""
+    return significant(value) if np.isfinite(value) else UNKNOWN
+
+
+# `index.html`: the answers, doubts and outliers, small pictures of k(s), all columns.
+
+LEFT_OUT = ("hash", "path", "finished", "warnings")  # columns that the page omits
 WIDE, HIGH = 100.0, 60.0  # of a small picture
-STEP = 4  # of PLACES: points of a small picture
+STEP = 4  # of PLACES, in small pictures
 
 
 def page(outcome: BatchOutcome, *, version: str) -> str:
     least, most = _range(outcome.records)
     names = sorted({item.group for item in outcome.items})
+    rows = answers(outcome)
     content = {
         "version": version,
         "title": one_line(f"Batch {outcome.out.name}"),
         "cards": _cards(outcome),
-        "outliers": [(one_line(item.name), why) for item, why in outcome.outliers],
-        "failed": [(one_line(item.name), one_line(why)) for item, why in outcome.failed],
+        "grouped": any(names),
+        "answers": [{"name": one_line(one.name), "group": one_line(one.group), "one": one} for one in rows],
+        "known": known,
+        "reports": any(one.report for one in rows),
+        "reasons": _reasons(outcome),
         "alarms": significant(200.0 * FALSE_ALARMS),
         **_table(outcome),
         "groups": [one for name in names if (one := _group(outcome, name, least, most))["pictures"]],
@@ -381,11 +439,26 @@ def page(outcome: BatchOutcome, *, version: str) -> str:
 
 
 def _cards(outcome: BatchOutcome) -> list[dict[str, str]]:
-    doubted = sum(bool(one.doubts) for _, one in outcome.learned)
     return [
         {"what": "learned", "value": f"{len(outcome.learned)} of {len(outcome.records)}", "note": "recordings"},
-        {"what": "in doubt", "value": str(doubted), "note": "with a doubt as to all of k(s)"},
+        {"what": "in doubt", "value": str(len(outcome.in_doubt)), "note": "k(s) is not to be trusted, or not known"},
         {"what": "unlike the others", "value": str(len(outcome.outliers)), "note": "of their group"},
+    ]
+
+
+def _reasons(outcome: BatchOutcome) -> list[dict[str, Any]]:
+    """Names and reasons under their headings; no heading without a name."""
+    warned = [(name, text) for name, one in outcome.learned for text in one.warnings]
+    kinds = {
+        "In doubt": outcome.in_doubt,
+        "Not learned": [(item.name, why) for item, why in outcome.failed],
+        "Unlike the others": [(item.name, why) for item, why in outcome.outliers],
+        "Warnings": warned,
+    }
+    return [
+        {"title": title, "rows": [(one_line(name), one_line(" ".join(why.split()))) for name, why in rows]}
+        for title, rows in kinds.items()
+        if rows
     ]
 
 
@@ -409,7 +482,7 @@ def _cell(cell: Any) -> dict[str, str]:
 
 
 def _range(records: Sequence[tasks.Record]) -> tuple[float, float]:
-    """The axis of k [N m] of all pictures: every curve, and no band farther away than a factor of two."""
+    """k [N m] of all curves, and of bands up to a factor of two."""
     curves = [one.k for one in records if one.k is not None]
     if not curves:
         return 1.0, 10.0
@@ -436,11 +509,6 @@ def _points(s: Array, k: Array, least: float, most: float) -> list[str]:
     return [f"{WIDE * x:.4g},{HIGH * (1.0 - y):.4g}" for x, y in zip(s, share, strict=True)]
 
 
-# The files of a batch and its summary; each is written whole or not at all.
-
-SUMMARY = "summary.json"
-
-
 def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
     return {
         "format": BATCH_FORMAT,
@@ -449,21 +517,22 @@ def summary_of(outcome: BatchOutcome, *, written_by: str) -> dict[str, Any]:
         "learned": len(outcome.learned),
         "worked_on_now": outcome.learned_now,
         "failed": [{"name": item.name, "reason": why} for item, why in outcome.failed],
-        "in_doubt": [item.name for item, one in zip(outcome.items, outcome.records, strict=True) if one.doubts],
+        "in_doubt": [{"name": name, "reason": why} for name, why in outcome.in_doubt],
         "outliers": [{"name": item.name, "reason": why} for item, why in outcome.outliers],
     }
 
 
 def write_batch(outcome: BatchOutcome, summary: dict[str, Any], *, version: str) -> None:
-    """Tables, page and summary into the results folder, in place of earlier ones. Raises `RecordingError`: a column of
-    the list has the name of one of the results'. Raises `ResultsError`: a file cannot be written."""
-    made: dict[str, str | bytes] = {
+    """Writes tables, page and summary, which lists them by checksum. Raises `RecordingError`: a column has the name of
+    one of ours. Raises `ResultsError`: a file cannot be written."""
+    made = {
         "recordings.parquet": as_parquet(recordings_table(outcome)),
         "curves.parquet": as_parquet(curves_table(outcome)),
         "covariances.parquet": as_parquet(covariances_table(outcome)),
         "nuisances.parquet": as_parquet(nuisances_table(outcome)),
-        "index.html": page(outcome, version=version),
-        SUMMARY: to_json(summary) + "\n",
+        "index.html": page(outcome, version=version).encode(),
     }
-    for name, content in made.items():
+    files = {name: hashlib.sha256(content).hexdigest() for name, content in made.items()}
+    listed = with_checksum(json.loads(to_json({**summary, "files": {**files, SUMMARY: None}})))
+    for name, content in {**made, SUMMARY: to_json(listed).encode() + b"\n"}.items():
         write_file(outcome.out / name, content, overwrite=True)

@@ -1,4 +1,4 @@
-"""Commands over many recordings: the paper's experiments made again, batches, population_report."""
+"""Commands over many recordings."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 import onebend
 from onebend.cli import BY, common
@@ -23,39 +24,53 @@ from onebend.report.wording import significant
 from onebend.results.provenance import inputs_of
 from onebend.text_files import one_line
 
-# The screens of `onebend batch` and `onebend population`.
-
-MOST_ROWS = 20  # rows of each kind that are shown of a batch
+MOST_ROWS = 20  # rows shown of each kind
 
 
 def show_batch(console: Console, outcome: BatchOutcome) -> None:
     there = len(outcome.items) - outcome.learned_now
     before = f", {there} of them before" if there else ""
-    console.print(f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}.", markup=False)
-    doubted = sum(bool(one.doubts) for one in outcome.records)
-    if doubted:
-        console.print(f"{doubted} are in doubt as a whole: the column doubts says why.", markup=False)
-    for title, rows in (("not learned", outcome.failed), ("unlike the others", outcome.outliers)):
-        _show_reasons(console, "recording", title, [(item.name, why) for item, why in rows])
+    console.print(_answer_table(outcome))
+    if (more := len(outcome.items) - MOST_ROWS) > 0:
+        console.print(f"and {more} more: index.html and recordings.parquet have all.", markup=False)
+    console.print(
+        f"{len(outcome.learned)} of {len(outcome.items)} recordings learned{before}; {len(outcome.in_doubt)} in doubt.",
+        markup=False,
+    )
+    failed, unlike = ([(item.name, why) for item, why in rows] for rows in (outcome.failed, outcome.outliers))
+    for title, rows in (("in doubt", outcome.in_doubt), ("not learned", failed), ("unlike the others", unlike)):
+        _show_reasons(console, "recording", title, rows)
     console.print(
         f"Wrote {outcome.out}: index.html, recordings.parquet, curves.parquet, covariances.parquet, nuisances.parquet",
         markup=False,
     )
 
 
+def _answer_table(outcome: BatchOutcome) -> Table:
+    table = common.listing("k(s) of each recording", "<recording", "k(0.5) [N m]", "95 % from", "to", "known")
+    table.add_column("verdict", overflow="fold")
+    table.add_column("warnings", justify="right")
+    for one in batches.answers(outcome)[:MOST_ROWS]:
+        band = map(batches.known, (one.low, one.high))
+        cells = (one.k_words, *band, one.identified_words, one.verdict, str(one.warnings or ""))
+        table.add_row(Text(one_line(one.name)), *map(Text, cells))
+    return table
+
+
 def _show_reasons(console: Console, head: str, title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """The first rows of names and reasons; nothing where there is none."""
+    """The first rows of names and reasons."""
     if rows:
         table = Table(head, "why", title=f"{title}: {len(rows)}", title_justify="left")
-        for row in rows[:MOST_ROWS]:
-            table.add_row(*map(one_line, row))
+        for name, why in rows[:MOST_ROWS]:
+            table.add_row(Text(one_line(name)), Text(" ".join(why.split())))
         console.print(table)
 
 
 def show_population(console: Console, outcome: population_report.PopulationOutcome, output: Path) -> None:
     named = outcome.named
     middle = len(named.trial.s) // 2
-    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half band", "for the wished band")
+    target = f"needed for ± {population_report.percent(outcome.setting.wished)}"
+    heads = ("objects", "k(0.5) [N m]", "95 % from", "to", "half-width", target)
     table = common.listing("mean k(s)", "<group", *heads)
     curves = (outcome.means.mean, outcome.means.low, outcome.means.high)
     for i, row in enumerate(population_report.group_rows(outcome)):
@@ -79,14 +94,15 @@ Source = Annotated[
     Path, typer.Argument(metavar="FOLDER|LIST.csv", help="A folder with recordings in it, or a CSV with a column path.")
 ]
 Results = Annotated[
-    Path, typer.Option("--output", "-o", metavar="RESULTS", help="Folder for what comes out; a stopped run goes on.")
+    Path,
+    typer.Option("--output", "-o", metavar="RESULTS", help="Folder for the results; an interrupted run continues."),
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that sees these folders under these paths."),
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask cluster that sees these folders under the same paths."),
 ]
 Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="On this machine; default: one a core.")
+    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one per core.")
 ]
 Folders = Annotated[
     bool, typer.Option("--folders", help="Also write a results folder of each recording, without pictures.")
@@ -103,7 +119,6 @@ def batch(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Learn k(s) of thousands of recordings, each by itself, on all cores or a cluster; go on where it was stopped."""
 
     def began(link: str) -> None:
         if link and not quiet:
@@ -125,7 +140,7 @@ Batch = Annotated[Path, typer.Argument(metavar="RESULTS", help="The results fold
 PopulationOut = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for tables and report.")]
 ToleranceFile = Annotated[
     Path | None,
-    typer.Option("--tolerance", metavar="CSV", help="With s, low_N_m, high_N_m: objects pass or fail against it."),
+    typer.Option("--tolerance", metavar="CSV", help="CSV with s, low_N_m, high_N_m: limits that objects must meet."),
 ]
 
 
@@ -139,7 +154,6 @@ def population(
     as_json: common.Json = False,
     quiet: common.Quiet = False,
 ) -> None:
-    """Say what a batch tells of the populations its objects are from: mean k(s) of groups, spread, outliers."""
     with (
         common.clean_errors(),
         common.workplace(output, population_report.POPULATION_FORMAT, overwrite) as place,

@@ -1,16 +1,15 @@
-"""The hierarchical model: objects of a group scatter about its mean, recordings about their object.
+"""The hierarchical model: objects scatter about their group's mean, recordings about their object.
 
     log k of a recording = mean of its group + its object's deviation + the occasion's deviation + the fit's error
 
-Means have flat priors, deviations are Gaussian with `covariances.covariance`, of which the share `lasting` is the
-object's, and the fit's error has the covariance of its posterior. Given the spreads all is linear and Gaussian; the
-spreads, alike in all groups, are integrated over a grid that closes in on where their evidence is (restricted maximum
-likelihood would take its top alone).
+Means have flat priors. Deviations are Gaussian with `covariance`, of which the share `lasting` is the object's. The
+fit's error has the posterior covariance. Given the spreads all is linear and Gaussian. The spreads, equal in all
+groups, are integrated over an adaptive grid.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -23,13 +22,14 @@ from numpy.polynomial.legendre import legvander
 from scipy.special import log_ndtr, ndtr, ndtri, stdtrit
 
 from onebend.errors import ResultsError
+from onebend.files.publish import SUMMARY, changed_files, read_summary
 from onebend.progress import one_blas_thread
 from onebend.records import Array, BoolArray, IntArray
 from onebend.text_files import csv_rows, quoted
 
-# Input: log k(s) of every recording with its covariance, its object, and the object's group.
+# Input.
 
-JITTER = 1e-4  # sd of log k that a fit leaves at each place by itself: a hundredth of a percent
+JITTER = 1e-4  # sd of log k added at each place
 
 
 @dataclass(frozen=True)
@@ -38,49 +38,46 @@ class PopulationTrial:
 
     s: Array  # (S,)
     log_k: Array  # (R, S) log(N m)
-    covariance: Array  # (R, S, S) of a recording's fit, what it shares with others apart
-    object_of: IntArray  # (R,) number of its object
-    group_of: IntArray  # (O,) number of its group
-    alike: Array  # (G, S, S) of what all fits of a group are off by alike, as by their prior
-    common_sd: float = 0.0  # of log k: an error that all recordings share, as of the force sensor's scale
+    covariance: Array  # (R, S, S) of a recording's fit, without shared parts
+    object_of: IntArray  # (R,)
+    group_of: IntArray  # (O,)
+    alike: Array  # (G, S, S) of the error that all fits of a group share, as from their prior
+    common_sd: float = 0.0  # of log k: error of all recordings, as from the force sensor's scale
 
     @property
     def objects(self) -> int:
-        """How many objects there are."""
         return len(self.group_of)
 
     @property
     def groups(self) -> int:
-        """How many groups there are."""
         return int(self.group_of.max()) + 1
 
     @property
     def repeated(self) -> bool:
-        """Whether any object was recorded more than once."""
         return len(self.object_of) > self.objects
 
     @property
     def noise(self) -> Array:
-        """(R, S, S) the covariance, with a little at each place by itself, so that it has an inverse."""
+        """(R, S, S) with a small diagonal, to be invertible."""
         return np.asarray(self.covariance + JITTER**2 * np.eye(len(self.s)))
 
 
-# Gaussian means of Gaussian means (recordings of an object, objects of a group, groups), and mixtures of normals.
+# Means of Gaussian parts, and mixtures of normals.
 
-HALVINGS = 50  # of the interval in which a quantile is
+HALVINGS = 50  # for a quantile
 
 
 @dataclass(frozen=True)
 class Means:
-    """Estimates of M means under N spreads."""
+    """M means under N spreads."""
 
     mean: Array  # (N, M, S)
-    covariance: Array  # (N, M, S, S) of the estimate
-    log_evidence: Array  # (N, M) of what the parts say of one another, the mean being flat
+    covariance: Array  # (N, M, S, S)
+    log_evidence: Array  # (N, M) of the parts, under a flat mean
 
 
 def inverse(covariance: Array) -> tuple[Array, Array]:
-    """(..., S, S) the inverses of covariances, and (...) the logarithms of their determinants, by Cholesky factors."""
+    """(..., S, S) inverses and (...) log determinants, by Cholesky."""
     factor = np.linalg.cholesky(covariance)
     root = np.linalg.inv(factor)
     logs = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
@@ -88,12 +85,12 @@ def inverse(covariance: Array) -> tuple[Array, Array]:
 
 
 def means(parts: Array, covariance: Array, whole_of: IntArray) -> Means:
-    """The means that the parts are scattered about, each with a flat prior.
+    """Means of scattered parts, with flat priors.
 
     Args:
-        parts: (N, R, S) or (1, R, S), what is known of each part.
-        covariance: (N, R, S, S) of the parts about their mean: their error and their scatter.
-        whole_of: (R,) whose part each is, from 0 to M - 1.
+        parts: (N, R, S) or (1, R, S).
+        covariance: (N, R, S, S) of the parts about their mean: error and scatter.
+        whole_of: (R,) index of each part's mean, 0 to M - 1.
     """
     precision, logs = inverse(covariance)
     weighted = np.einsum("nrij,nrj->nri", precision, np.broadcast_to(parts, precision.shape[:-1]))
@@ -111,7 +108,7 @@ def means(parts: Array, covariance: Array, whole_of: IntArray) -> Means:
 
 
 def quantile(weight: Array, mean: Array, sd: Array, share: float) -> Array:
-    """(...) where the mixture of N normals, `mean` and `sd` (N, ...), has this share below it."""
+    """(...) quantile of the mixture of N normals, `mean` and `sd` (N, ...)."""
     centre = ndtri(share) * sd + mean
     low, high = (np.asarray(edge(centre, axis=0)) for edge in (np.min, np.max))
     for _ in range(HALVINGS):
@@ -122,46 +119,44 @@ def quantile(weight: Array, mean: Array, sd: Array, share: float) -> Array:
 
 
 def moments(weight: Array, mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """(..., S) mean and (..., S, S) covariance of the mixture of `mean` (N, ..., S) and `covariance` (N, ..., S, S)."""
+    """(..., S) mean and (..., S, S) covariance of the mixture of `mean` (N, ..., S), `covariance` (N, ..., S, S)."""
     centre = np.tensordot(weight, mean, axes=1)
     off = mean - centre
     return centre, np.tensordot(weight, covariance + off[..., :, None] * off[..., None, :], axes=1)
 
 
 def weighted_quantiles(values: Array, weight: Array, shares: tuple[float, ...]) -> tuple[float, ...]:
-    """Quantiles of values that have weights."""
     places, number = np.unique(values, return_inverse=True)
     share_of = np.bincount(number, weight)
     before = (np.cumsum(share_of) - 0.5 * share_of) / share_of.sum()
     return tuple(float(np.interp(share, before, places)) for share in shares)
 
 
-# How log k(s) differs between objects of one group: a level, and a smooth shape beside it.
+# Differences between objects of a group: a level, and a smooth shape.
 
 
 @dataclass(frozen=True)
 class Spreads:
-    """Points that the spread within groups is integrated over, N of them."""
+    """N grid points of the spread within groups."""
 
-    level_sd: Array  # (N,) of log k, of the mean along the beam
-    shape_sd: Array  # (N,) of log k less its mean, RMS along the beam
-    length: Array  # (N,) of correlation of the shape along s
-    lasting: Array  # (N,) share of the variance that an object keeps when it is recorded again
+    level_sd: Array  # (N,) of the mean of log k along the beam
+    shape_sd: Array  # (N,) of log k less its mean, RMS
+    length: Array  # (N,) correlation length of the shape, in s
+    lasting: Array  # (N,) share of the variance that stays with an object
 
     def chosen(self, rows: BoolArray | IntArray | slice) -> Spreads:
-        """Some of the points."""
         return Spreads(self.level_sd[rows], self.shape_sd[rows], self.length[rows], self.lasting[rows])
 
 
 def shape_correlation(s: Array, length: float) -> Array:
-    """(S, S) covariance of a smooth curve less its mean along s, of mean variance one: squared exponential."""
+    """(S, S) squared exponential of a curve less its mean, of mean variance one."""
     kernel = np.exp(-0.5 * ((s[:, None] - s) / length) ** 2)
     centred = kernel - kernel.mean(axis=0) - kernel.mean(axis=1)[:, None] + kernel.mean()
     return np.asarray(centred / np.mean(np.diagonal(centred)))
 
 
 def covariance(spreads: Spreads, s: Array) -> Array:
-    """(N, S, S) of log k(s) of a recording about its group's mean, its own error apart."""
+    """(N, S, S) of log k(s) about the group's mean, without the fit's error."""
     found = np.empty((len(spreads.length), len(s), len(s)))
     for length in np.unique(spreads.length):
         rows = spreads.length == length
@@ -171,16 +166,13 @@ def covariance(spreads: Spreads, s: Array) -> Array:
 
 
 def lasting_covariance(spreads: Spreads, s: Array) -> Array:
-    """(N, 1, S, S) the part of `covariance` that an object keeps."""
+    """(N, 1, S, S) the object's part of `covariance`."""
     return np.asarray((spreads.lasting[:, None, None] * covariance(spreads, s))[:, None])
 
 
 def log_prior(spreads: Spreads, trial: PopulationTrial) -> Array:
-    """(N,) for equal steps of the logarithms of both sd: p(sd) = 1 / (sd + e), with e the sd of one recording's fit.
-
-    Where the spread is far above e this is 1 / sd, with which the band of a mean is Student's; far below, it is flat,
-    so that a spread of zero has no more weight than it should.
-    """
+    """(N,) for equal steps of both log sds: p(sd) = 1 / (sd + e), e the sd of one fit: Student's band for large
+    spreads, and no excess weight at zero."""
     noise = trial.covariance
     level = np.median(np.sqrt(np.maximum(noise.mean(axis=(1, 2)), 0.0)))
     whole = np.median(np.sqrt(np.mean(np.diagonal(noise, axis1=1, axis2=2), axis=1)))
@@ -190,26 +182,26 @@ def log_prior(spreads: Spreads, trial: PopulationTrial) -> Array:
 
 LEAST_SD, MOST_SD = 1e-3, 3.0  # of log k
 LENGTHS = (0.1, 0.25, 0.6)
-POINTS, FEWER = 11, 7  # of an axis of the grid; where there is a third axis
-ROUNDS = 5  # at most, of closing in
-TAIL = 1e-4  # of the weight that a range may lose on either side
-AT_ONCE = 4_000_000  # numbers of the largest array
+POINTS, FEWER = 11, 7  # per axis of the grid; with a third axis
+ROUNDS = 5  # of refinement, at most
+TAIL = 1e-4  # weight that a range may lose on either side
+AT_ONCE = 4_000_000  # size of the largest array
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The population, given its trial: N spreads with weights, and the groups' means under each."""
+    """N spreads with weights, and the groups' means under each."""
 
     trial: PopulationTrial
     spreads: Spreads
-    weight: Array  # (N,) sums to one
+    weight: Array  # (N,) sums to 1
     mean: Array  # (N, G, S) of log k
-    covariance: Array  # (N, G, S, S) of that mean, what all recordings share apart
+    covariance: Array  # (N, G, S, S) without the common error
 
 
 @one_blas_thread
 def fit(trial: PopulationTrial) -> Fit:
-    """Close in on the spreads."""
+    """Refines the grid of spreads."""
     points = FEWER if trial.repeated else POINTS
     axes = [np.linspace(np.log(LEAST_SD), np.log(MOST_SD), points)] * 2
     axes.append(np.linspace(0.02, 0.98, points) if trial.repeated else np.ones(1))
@@ -243,7 +235,7 @@ def _on_grid(trial: PopulationTrial, axes: list[Array]) -> Fit:
 
 
 def _given(trial: PopulationTrial, spreads: Spreads) -> tuple[Means, Array]:
-    """The groups' means, and (N,) the logarithm of the evidence."""
+    """Groups' means, and (N,) log evidence."""
     objects = objects_of(trial, spreads)
     spread = lasting_covariance(spreads, trial.s)
     groups = means(objects.mean, objects.covariance + spread, trial.group_of)
@@ -251,7 +243,7 @@ def _given(trial: PopulationTrial, spreads: Spreads) -> tuple[Means, Array]:
 
 
 def objects_of(trial: PopulationTrial, spreads: Spreads) -> Means:
-    """Means of each object from its own recordings; (1, O, ...) where none has two."""
+    """Means of each object's recordings; (1, O, ...) if none has two."""
     if not trial.repeated:
         rows = np.argsort(trial.object_of)
         return Means(trial.log_k[None, rows], trial.noise[None, rows], np.zeros((1, trial.objects)))
@@ -271,38 +263,50 @@ def _closer(axis: Array, share: Array) -> Array:
     return np.linspace(axis[first], axis[last], len(axis))
 
 
-# The results of a batch as a trial: which recordings are of which object and group, and log k(s) with covariance.
+# The results of a batch as a trial.
 
-TABLES = ("recordings", "curves", "covariances")
-FEWEST = 2  # objects of at least one group, for any spread within groups
+TEXT, NUMBER = pa.string(), pa.float64()
+TABLES: dict[str, dict[str, pa.DataType]] = {  # with the columns that are read
+    "recordings": {"name": TEXT, "reason": TEXT, "doubts": TEXT, "hash": TEXT, "gain_sd": NUMBER},
+    "curves": {"name": TEXT, "s": NUMBER, "k_N_m": NUMBER, "identified": pa.bool_()},
+    "covariances": {"name": TEXT, "s": NUMBER},
+}
+ROUNDING = 1e-6  # of the largest variance
+ADVICE = (
+    "Run the same `onebend batch` again: it writes the tables anew and learns nothing twice. Change groups, names and "
+    "recordings in its list"
+)
+FEWEST = 2  # objects of at least one group, for a spread
 OURS = ("reason", "grade", "doubts", "warnings", "outlier", "hash", "path", "finished")
 
 
 @dataclass(frozen=True)
 class Named:
-    """A trial with the names of what is in it."""
+    """A trial with names."""
 
     trial: PopulationTrial
     recordings: tuple[str, ...]  # R
     objects: tuple[str, ...]  # O
     groups: tuple[str, ...]  # G
-    identified: Array  # (G, S) share of the recordings whose data tell k there
-    left_out: tuple[tuple[str, str], ...]  # recordings that are not in it, with the reason
+    identified: Array  # (G, S) share of recordings that identify k
+    left_out: tuple[tuple[str, str], ...]  # with reasons
 
 
 def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
-    """The recordings that were learned and are not in doubt as a whole.
+    """Recordings that were learned and are not in doubt, from unchanged tables of `onebend batch`.
 
     Args:
-        by: column of recordings.parquet that names the group.
-        same: column that names the object; None: every recording is of an object of its own.
+        by: column of recordings.parquet with the group.
+        same: column with the object; None: one object per recording.
 
     Raises:
-        ResultsError: the folder is not of a batch, a column is not there, an object stands in two groups, or there are
-            too few objects.
+        ResultsError: no batch, a changed or impossible table, a missing column, an object in two groups, or too few
+            objects.
     """
+    _check_unchanged(folder)
     tables = {name: _table(folder, name) for name in TABLES}
     rows = tables["recordings"].to_pylist()
+    _check_names(folder, rows)
     used, left_out = _used(rows, [_column(folder, rows, one) for one in (by, same) if one is not None])
     groups_of = {_text(row[same]) if same else row["name"]: _text(row[by]) for row in used}
     for row in used:
@@ -318,11 +322,19 @@ def read_batch(folder: Path, by: str, same: str | None = None) -> Named:
             f"{folder}: {len(objects)} objects in {len(groups)} groups tell nothing of the spread within groups. "
             "Give some group two objects or more, or choose another --by"
         )
-    s, log_k, covariance, prior, identified = _curves(folder, tables, [row["name"] for row in used])
+    s, log_k, covariance, prior, identified = _curves(folder, tables, rows, {row["name"] for row in used})
     number, place = ({name: i for i, name in enumerate(names)} for names in (objects, groups))
     object_of = np.array([number[_text(row[same]) if same else row["name"]] for row in used])
     group_of = np.array([place[one] for one in groups_of.values()])
-    common = max((float(row["gain_sd"]) for row in used), default=0.0)
+    gains = np.array([row["gain_sd"] for row in used])
+    _refuse(
+        folder,
+        "recordings",
+        [row["name"] for row in used],
+        np.asarray(~((gains >= 0.0) & (gains < np.inf))),
+        "gain_sd is no standard deviation",
+    )
+    common = float(gains.max())
     alike, shares = (
         np.array([one[group_of[object_of] == i].mean(axis=0) for i in range(len(groups))])
         for one in (prior, identified)
@@ -336,14 +348,46 @@ def _not_negative(matrices: Array) -> Array:
     return np.asarray((vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
+def _check_unchanged(folder: Path) -> None:
+    """Raises `ResultsError` where a table is not the one that the folder's summary lists."""
+    summary, tables = read_summary(folder), [f"{name}.parquet" for name in TABLES]
+    if summary is None or not set(tables) <= set(summary["files"]):
+        raise ResultsError(
+            f"{folder}: there is no {SUMMARY} that lists the tables of a batch, or it was changed since. Name what "
+            f"`onebend batch` wrote. {ADVICE}"
+        )
+    if changed := sorted(set(tables) & set(changed_files(folder))):
+        raise ResultsError(f"{folder}: {', '.join(changed)} there is not as `onebend batch` wrote it. {ADVICE}")
+
+
 def _table(folder: Path, name: str) -> pa.Table:
     path = folder / f"{name}.parquet"
     try:
-        return pq.read_table(path)
+        table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
-        raise ResultsError(
-            f"{path}: no table of a batch ({type(error).__name__}). Name what onebend batch wrote, or run it again"
-        ) from error
+        raise ResultsError(f"{path}: no table of a batch ({type(error).__name__}). {ADVICE}") from error
+    wanted = dict(TABLES[name])
+    if name == "covariances":
+        wanted |= {one: NUMBER for one in table.column_names if one.startswith(("with_", "prior_with_"))}
+    for column, kind in wanted.items():
+        if table.column_names.count(column) != 1 or table[column].type != kind or table[column].null_count:
+            raise ResultsError(f"{path}: has not one full column {column} ({kind}). {ADVICE}")
+    return table
+
+
+def _check_names(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raises `ResultsError` where a name, or a learned recording under two names, stands there twice."""
+    path, names, recordings = folder / "recordings.parquet", set[str](), dict[str, str]()
+    for row in rows:
+        name, hashed = row["name"], row["hash"]
+        if name in names:
+            raise ResultsError(f"{path}: {quoted(name)} is there twice. {ADVICE}")
+        names.add(name)
+        if not row["reason"] and recordings.setdefault(hashed, name) != name:
+            raise ResultsError(
+                f"{path}: {quoted(recordings[hashed])} and {quoted(name)} are one recording, which counts once. "
+                "Leave one out of the batch's list"
+            )
 
 
 def _column(folder: Path, rows: Sequence[Mapping[str, Any]], name: str) -> str:
@@ -371,42 +415,78 @@ def _used(
 
 
 def _text(cell: Any) -> str:
-    """A group's or object's name; a number as people write it."""
+    """A name; numbers as people write them."""
     if isinstance(cell, float):
         return "" if np.isnan(cell) else f"{cell:g}"
     return "" if cell is None else str(cell)
 
 
-def _curves(folder: Path, tables: Mapping[str, pa.Table], names: Sequence[str]) -> tuple[Array, ...]:
-    table = tables["covariances"]
+def _curves(
+    folder: Path, tables: Mapping[str, pa.Table], rows: Sequence[Mapping[str, Any]], used: Collection[str]
+) -> tuple[Array, ...]:
+    """s (S,), and of every recording that is used log k (R, S), its covariance and the prior's part of it (R, S, S),
+    and whether k is identified (R, S)."""
+    curves, table, names = tables["curves"], tables["covariances"], [row["name"] for row in rows if not row["reason"]]
+    kept = [name in used for name in names]
+    places = _places(folder, "curves", curves, names)
+    s = _places(folder, "covariances", table, names)
+    at, count = [int(np.argmin(np.abs(places - one))) for one in s], len(s)
     columns = [name for name in table.column_names if name.startswith("with_")]
-    count = len(columns)
-    order = {name: i for i, name in enumerate(dict.fromkeys(table["name"].to_pylist()))}
-    lacking = [name for name in names if name not in order]
-    if lacking or not names or len(table) != count * len(order):
-        raise ResultsError(f"{folder}: the tables do not belong together. Run `onebend batch` again")
-    rows = [order[name] for name in names]
+    if len(columns) != count or not {f"prior_{name}" for name in columns} <= set(table.column_names):
+        raise ResultsError(f"{folder / 'covariances.parquet'}: has not one column for each place. {ADVICE}")
     covariance, prior = (
-        np.stack([table[f"{head}{name}"].to_numpy() for name in columns], axis=1).reshape(-1, count, count)[rows]
+        np.stack([table[f"{head}{name}"].to_numpy() for name in columns], axis=1).reshape(-1, count, count)[kept]
         for head in ("", "prior_")
     )
-    s = table["s"].to_numpy()[:count]
-    curves = tables["curves"]
-    places = curves["s"].to_numpy().reshape(len(order), -1)[0]
-    at = [int(np.argmin(np.abs(places - one))) for one in s]
-    log_k = np.log(curves["k_N_m"].to_numpy()).reshape(len(order), -1)[rows][:, at]
-    identified = np.array(curves["identified"].to_pylist(), dtype=float).reshape(len(order), -1)[rows][:, at]
-    return np.asarray(s), log_k, covariance, prior, identified
+    k, identified = (
+        np.asarray(curves[one].to_numpy()).reshape(len(names), -1)[kept][:, at] for one in ("k_N_m", "identified")
+    )
+    names = [name for name in names if name in used]
+    _refuse(folder, "curves", names, ~np.all(np.isfinite(k) & (k > 0.0), axis=1), "k is not positive everywhere")
+    for matrices, of in ((covariance, "the covariance"), (prior, "the prior's part")):
+        _refuse(folder, "covariances", names, ~_are_covariances(matrices), f"{of} is no covariance matrix")
+    above = np.asarray(np.any(_variances(prior) > (1.0 + ROUNDING) * _variances(covariance), axis=1))
+    _refuse(folder, "covariances", names, above, "the prior's part is more than the whole")
+    return s, np.log(k), covariance, prior, identified.astype(float)
 
 
-# Mean k(s) of the groups, how they differ, and k(s) of every object, each with its 95 % band.
+def _places(folder: Path, name: str, table: pa.Table, names: Sequence[str]) -> Array:
+    """s of a table with a row for each of these recordings at each place. Raises `ResultsError` where it has not."""
+    count = len(table) // max(len(names), 1)
+    s = table["s"].to_numpy()
+    whole = len(table) == count * len(names) and table["name"].to_pylist() == [
+        one for one in names for _ in range(count)
+    ]
+    if not whole or not np.array_equal(s, np.tile(s[:count], len(names))) or not (np.diff(s[:count]) > 0.0).all():
+        raise ResultsError(
+            f"{folder / name}.parquet: has not one row for each learned recording and place, in their order. {ADVICE}"
+        )
+    return np.asarray(s[:count])
 
-LOW, HIGH = 0.025, 0.975  # of a 95 % band
+
+def _are_covariances(matrices: Array) -> BoolArray:
+    """(R,) whether they are finite, symmetric and of variances that are not negative, to rounding."""
+    finite = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    known = np.where(finite[:, None, None], matrices, 0.0)
+    largest = ROUNDING * np.abs(known).max(axis=(1, 2))
+    symmetric = np.abs(known - np.swapaxes(known, -1, -2)).max(axis=(1, 2)) <= largest
+    least = np.linalg.eigvalsh(0.5 * (known + np.swapaxes(known, -1, -2)))[:, 0]
+    return np.asarray(finite & symmetric & (least >= -len(known[0]) * largest))
+
+
+def _refuse(folder: Path, name: str, names: Sequence[str], wrong: BoolArray, why: str) -> None:
+    if wrong.any():
+        raise ResultsError(f"{folder / name}.parquet: of {quoted(names[int(np.argmax(wrong))])} {why}. {ADVICE}")
+
+
+# Mean k(s) of groups, ratios, and k(s) of objects, with 95 % bands.
+
+LOW, HIGH = 0.025, 0.975
 
 
 @dataclass(frozen=True)
 class Curves:
-    """M curves of log k (or of its difference) with their 95 % bands at S places."""
+    """M curves of log k (or differences) with 95 % bands at S places."""
 
     mean: Array  # (M, S)
     low: Array  # (M, S)
@@ -415,19 +495,19 @@ class Curves:
 
 @dataclass(frozen=True)
 class Objects:
-    """log k(s) of every object as itself and the others of its group tell: O normals, the common error apart."""
+    """log k(s) of every object, O normals without the common error."""
 
     mean: Array  # (O, S)
     covariance: Array  # (O, S, S)
 
 
 def group_means(fit: Fit) -> Curves:
-    """The groups' means, with what all recordings share in the band."""
+    """With the common error."""
     return _banded(fit, fit.mean, _variances(fit.covariance + fit.trial.alike) + fit.trial.common_sd**2)
 
 
 def differences(fit: Fit, pairs: list[tuple[int, int]]) -> Curves:
-    """The first group's log k less the second's; what all recordings share drops out."""
+    """First less second group; the common error cancels."""
     first, second = [list(one) for one in zip(*pairs, strict=True)]
     variance = _variances(fit.covariance + fit.trial.alike)
     return _banded(fit, fit.mean[:, first] - fit.mean[:, second], variance[:, first] + variance[:, second])
@@ -444,16 +524,13 @@ def _variances(covariances: Array) -> Array:
 
 
 def within(fit: Fit) -> Array:
-    """(S,) sd of log k within groups at each place: the root of its mean variance."""
+    """(S,) RMS sd of log k within groups."""
     return np.asarray(np.sqrt(fit.weight @ _variances(covariance(fit.spreads, fit.trial.s))))
 
 
 @one_blas_thread
 def shrunken(fit: Fit) -> Objects:
-    """Every object's own log k: its recordings drawn towards its group's mean, as far as they are the less certain.
-
-    What all fits of a group are off by alike is in the covariances.
-    """
+    """Each object's log k, drawn towards its group's mean by its uncertainty. Includes the group's shared error."""
     trial, spreads = fit.trial, fit.spreads
     count, places = trial.objects, len(trial.s)
     step = max(1, AT_ONCE // (len(trial.log_k) * places**2))
@@ -472,7 +549,7 @@ def _drawn(fit: Fit, spreads: Spreads, rows: slice) -> tuple[Array, Array]:
     objects = objects_of(trial, spreads)
     spread = lasting_covariance(spreads, trial.s)
     precision, _ = inverse(objects.covariance + spread)
-    pull = spread @ precision  # towards the object's own recordings
+    pull = spread @ precision  # towards the object's recordings
     centre, error = fit.mean[rows][:, trial.group_of], fit.covariance[rows][:, trial.group_of]
     mean = centre + np.einsum("noij,noj->noi", pull, objects.mean - centre)
     rest = np.eye(len(trial.s)) - pull
@@ -480,36 +557,33 @@ def _drawn(fit: Fit, spreads: Spreads, rows: slice) -> tuple[Array, Array]:
 
 
 def banded(objects: Objects, common_sd: float) -> Curves:
-    """The objects' curves, with what all recordings share in the band."""
+    """With the common error."""
     half = 1.959963984540054 * np.sqrt(np.maximum(_variances(objects.covariance), 0.0) + common_sd**2)
     return Curves(objects.mean, objects.mean - half, objects.mean + half)
 
 
 def next_object(fit: Fit) -> Objects:
-    """log k of one more object of each group, before it is recorded."""
+    """log k of a further object of each group."""
     spread = lasting_covariance(fit.spreads, fit.trial.s)
     return Objects(*moments(fit.weight, fit.mean, fit.covariance + fit.trial.alike + spread))
 
 
-# How many objects of a group a wished band of its mean needs.
+# Objects that a target half-width needs.
 
-MOST = 100_000  # objects that are looked at
-NUMBERS = (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50, 100, 200, 500, 1000)  # whose band is foretold
+MOST = 100_000  # largest number
+NUMBERS = (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30, 50, 100, 200, 500, 1000)  # with a predicted half-width
 
 
 def half_band(means: Curves, group: int, places: BoolArray) -> float:
-    """Half the 95 % band of the group's mean log k: the median over the places; NaN where there is none."""
+    """Half the 95 % band of the group's mean log k, median over the places, or NaN."""
     wide = 0.5 * (means.high[group] - means.low[group])[places]
     return float(np.median(wide)) if len(wide) else float("nan")
 
 
 @one_blas_thread
 def foretold(fit: Fit, means: Curves, group: int, places: BoolArray) -> Array:
-    """(MOST,) half bands of the group's mean for 1, 2, ... objects in it as those that are there, other groups as now.
-
-    The band shrinks as the mean's sd under the spreads that were found, and as Student's quantile; at the number that
-    is there it is the band that was found.
-    """
+    """(MOST,) half-widths of the group's mean for 1, 2, ... such objects; matches the present one at the present
+    number."""
     trial = fit.trial
     now, rest = int(np.sum(trial.group_of == group)), trial.objects - trial.groups
     objects = objects_of(trial, fit.spreads)
@@ -521,32 +595,32 @@ def foretold(fit: Fit, means: Curves, group: int, places: BoolArray) -> Array:
     freedom = np.maximum(rest + numbers - now, 1)
     quantile = stdtrit(freedom.astype(float), 0.975)
     own = quantile**2 * float(np.median(variance)) / numbers
-    alike = float(np.median(np.diagonal(trial.alike[group])[places]))  # no number of objects averages this out
+    alike = float(np.median(np.diagonal(trial.alike[group])[places]))  # not averaged by more objects
     common = 1.959963984540054**2 * (trial.common_sd**2 + alike)
     found = max(half_band(means, group, places) ** 2 - common, 0.0)
     return np.asarray(np.sqrt(own * found / own[now - 1] + common))
 
 
 def needed(bands: Array, wished: float) -> float:
-    """The least number of objects whose half band is at most that wished; inf: none that was looked at."""
+    """Least number of objects with at most this half-width, or inf."""
     enough = np.flatnonzero(bands <= wished)
     return float(enough[0] + 1) if len(enough) else float("inf")
 
 
-# Objects unlike the others of their group: each against what the others predict for it, spreads included.
+# Outliers: each object against the prediction of the others, with the spreads.
 
-ORDERS = 5  # of polynomials along the beam: level, slope, bow and two more
-FEWEST_OBJECTS = 3  # objects of a group
-FALSE_ALARMS = 0.05  # of groups in which nothing differs, at most
-HEAVY = 300  # points of the grid that are kept, the heaviest
+ORDERS = 5  # polynomials along the beam: level, slope, bow and two more
+FEWEST_OBJECTS = 3  # of a group
+FALSE_ALARMS = 0.05  # of groups without a difference, at most
+HEAVY = 300  # heaviest grid points
 
 
 @one_blas_thread
 def outliers(fit: Fit) -> tuple[str, ...]:
-    """O reasons; empty: like the others, or too few others to say.
+    """O reasons; empty: no outlier, or too few others.
 
-    Level, slope and so on of the object less those that the others predict are normal given the spreads, and the
-    spreads are weighed without the object. The least of the probabilities counts ORDERS times the group's size.
+    Level, slope etc. less their prediction are normal given the spreads, which are weighted without the object. The
+    least probability counts ORDERS times the group's size.
     """
     trial, heavy = fit.trial, np.argsort(-fit.weight)[:HEAVY]
     spreads, weight = fit.spreads.chosen(heavy), fit.weight[heavy]
@@ -571,10 +645,10 @@ def outliers(fit: Fit) -> tuple[str, ...]:
 
 
 def _chance(off: Array, scatter: Array, weight: Array, waves: Array) -> Array:
-    """(ORDERS,) two-sided probability of what is seen, or farther, if the object is like the others."""
+    """(ORDERS,) two-sided probabilities."""
     inner, logs = inverse(scatter)
     log_density = -0.5 * (logs + np.einsum("ni,nij,nj->n", off, inner, off))
-    log = np.log(weight) - log_density  # the object's own say taken out of the weights
+    log = np.log(weight) - log_density  # weights without the object
     without = np.exp(log - log.max())
     sd = np.sqrt(np.einsum("si,nst,ti->ni", waves, scatter, waves))
     tails = 2.0 * np.exp(log_ndtr(-np.abs(off @ waves) / sd))
@@ -590,19 +664,19 @@ def _reason(chance: Array, off: Array, s: Array) -> str:
     return f"the shape of k(s) is {np.exp(beside[at]):.2g} times that of the others at s = {s[at]:.2g} ({least})"
 
 
-# How much of what differs lies between groups, and how much an object keeps when it is recorded again.
+# Shares of the variance between groups, and of the object.
 
 BAND = (0.5, 0.025, 0.975)
-FEWEST_GROUPS = 3  # groups, to say anything of how groups scatter
-HEAVY_SHARES = 200  # points of the grid that are kept, the heaviest
+FEWEST_GROUPS = 3  # for a spread between groups
+HEAVY_SHARES = 200  # heaviest grid points
 STEPS = np.linspace(0.0, 0.99, 34)  # of the share between groups
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its 95 % interval; NaN where the trial cannot tell."""
+    """A number with its 95 % interval; NaN if not identifiable."""
 
-    value: float  # the median
+    value: float  # median
     low: float
     high: float
 
@@ -612,17 +686,17 @@ UNKNOWN = Estimate(np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class Shares:
-    """Of the variance of log k between objects."""
+    """Of log k between objects."""
 
-    level_sd: Estimate  # within groups, of the mean along the beam
-    shape_sd: Estimate  # within groups, RMS along the beam
-    repeatability: Estimate  # of the variance within groups: what stays with the object when it is recorded again
-    between: Estimate  # of all variance between objects: between groups (intraclass correlation, heritability)
-    between_sd: Estimate  # of the groups' means, RMS along the beam
+    level_sd: Estimate  # within groups, mean along the beam
+    shape_sd: Estimate  # within groups, RMS
+    repeatability: Estimate  # share of the variance within groups that stays with the object
+    between: Estimate  # share of all variance (intraclass correlation, heritability)
+    between_sd: Estimate  # of the groups' means, RMS
 
 
 def shares(fit: Fit) -> Shares:
-    """The spreads that the trial tells, each from its posterior."""
+    """From the posterior."""
     spreads, weight = fit.spreads, fit.weight
     lasting = np.sqrt(spreads.lasting)
     between, between_sd = _between(fit) if fit.trial.groups >= FEWEST_GROUPS else (UNKNOWN, UNKNOWN)
@@ -641,7 +715,7 @@ def _estimate(values: Array, weight: Array) -> Estimate:
 
 @one_blas_thread
 def _between(fit: Fit) -> tuple[Estimate, Estimate]:
-    """The groups' means scattered about one mean, with h / (1 - h) of the covariance within groups; h is flat."""
+    """Groups' means scatter with h / (1 - h) of the covariance within groups; h is flat."""
     heavy = np.argsort(-fit.weight)[:HEAVY_SHARES]
     spreads = fit.spreads.chosen(heavy)
     within = lasting_covariance(spreads, fit.trial.s)
@@ -656,16 +730,16 @@ def _between(fit: Fit) -> tuple[Estimate, Estimate]:
     return _estimate(STEPS, weight.sum(axis=1)), _estimate(sd.ravel(), weight.ravel())
 
 
-# Pass or fail against a tolerance band of k(s), with the errors that are to be expected of it.
+# Pass or fail against a tolerance of k(s), with expected errors.
 
 COLUMNS = ("s", "low_N_m", "high_N_m")
 DRAWS = 4000
-PASSES = 0.5  # probability of lying inside, from which an object passes
+PASSES = 0.5  # least probability of lying inside
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Limits of k, straight between places in the logarithm; what lies outside the places is not asked."""
+    """Limits of k, log-linear between places; outside them nothing is required."""
 
     s: Array
     low: Array  # N m
@@ -674,22 +748,18 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class Judgement:
-    """Probabilities of passing, and expected shares of errors."""
-
-    inside: Array  # (O,) probability that k(s) lies inside everywhere
-    passes: float  # probability from which an object passes
-    false_passes: float  # share of those that pass that is expected to lie outside; NaN: none passes
-    false_fails: float  # share of those that fail that is expected to lie inside; NaN: none fails
+    inside: Array  # (O,) probability of lying inside everywhere
+    passes: float  # least probability to pass
+    false_passes: float  # expected share of passes that lie outside, or NaN
+    false_fails: float  # expected share of fails that lie inside, or NaN
 
     @property
     def passed(self) -> Array:
-        """(O,) bool."""
         return np.asarray(self.inside >= self.passes)
 
 
 def read_tolerance(path: Path) -> Tolerance:
-    """The band of a CSV with the columns `s, low_N_m, high_N_m`. Raises `ResultsError`: it cannot be read, or is no
-    band; the message names the line."""
+    """From a CSV with `s, low_N_m, high_N_m`. Raises `ResultsError` with the line."""
     rows = list(csv_rows(path, ResultsError))
     header = [name.strip() for name in rows[0][1]] if rows else []
     if absent := [name for name in COLUMNS if name not in header]:
@@ -712,11 +782,7 @@ def read_tolerance(path: Path) -> Tolerance:
 
 
 def judge(objects: Objects, s: Array, common_sd: float, band: Tolerance, passes: float = PASSES) -> Judgement:
-    """Probabilities by draws from each object's k(s), the same for every call.
-
-    Args:
-        s: places of the objects' curves.
-    """
+    """By reproducible draws of each object's k(s) at places `s`."""
     inside = inside_of(objects, s, common_sd, band)
     judged = inside >= passes
     return Judgement(
@@ -728,7 +794,7 @@ def judge(objects: Objects, s: Array, common_sd: float, band: Tolerance, passes:
 
 
 def inside_of(objects: Objects, s: Array, common_sd: float, band: Tolerance) -> Array:
-    """(M,) probability that each k(s) lies inside at every place from the band's first to its last."""
+    """(M,) probability of lying inside from the first to the last place."""
     places = (s >= band.s[0] - 1e-9) & (s <= band.s[-1] + 1e-9)
     if not places.any():
         raise ResultsError("the tolerance lies between two places of k(s). Let it span 0.1 or more of s")

@@ -1,4 +1,4 @@
-"""All that `onebend population` says."""
+"""Results of `onebend population`."""
 
 from __future__ import annotations
 
@@ -26,52 +26,52 @@ from onebend.report.style import INK, MUTED, ORANGE, blank, hue_of, styled
 from onebend.report.wording import UNKNOWN, significant
 from onebend.text_files import figure_text, one_line
 
-MOST_COMPARED = 12  # groups whose every pair is compared; of more, each with the first
+MOST_COMPARED = 12  # groups up to which all pairs are compared; of more, each with the first
 
 
 @dataclass(frozen=True)
 class PopulationSettings:
-    """Settings of a population."""
-
-    by: str = option("--by", "group", "Of recordings.parquet, that names the group.", metavar="COLUMN")
+    by: str = option("--by", "group", "Column of recordings.parquet with the group.", metavar="COLUMN")
     same: str | None = option(
-        "--object", None, "That names the object; default: every recording has its own.", metavar="COLUMN"
+        "--object", None, "Column with the object; default: one object per recording.", metavar="COLUMN"
     )
     wished: float = option(
-        "--band", 0.05, "Wished half band of the means, of k.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
+        "--band", 0.05, "Target for the half-width of the means.", metavar="PERCENT", within=(0.01, 1e9), scale=0.01
     )
     tolerance: model.Tolerance | None = None
     passes: float = option(
-        "--pass-from", 0.5, "Probability of lying inside that passes.", metavar="P", within=(0.01, 0.99)
+        "--pass-from",
+        0.5,
+        "Least probability of meeting the tolerance with which an object passes.",
+        metavar="P",
+        within=(0.01, 0.99),
     )
 
 
 @dataclass(frozen=True)
 class PopulationOutcome:
-    """The answers, with the trial that they are from."""
-
     setting: PopulationSettings
     named: model.Named
     means: model.Curves  # of log k, G
-    told: BoolArray  # (G, S) where the data of half the recordings or more tell k
+    told: BoolArray  # (G, S) identified by at least half of the recordings
     pairs: tuple[tuple[int, int], ...]  # of groups
-    ratios: model.Curves  # of the logarithm, a pair each
+    ratios: model.Curves  # of the logarithm, per pair
     objects: model.Objects
     curves: model.Curves  # of log k, O
-    within: Array  # (S,) sd of log k within groups
+    within: Array  # (S,) of log k
     shares: model.Shares
     outliers: tuple[str, ...]  # O reasons
-    half: tuple[float, ...]  # G half bands of log k, the median over the places that are told
-    bands: Array  # (G, len(NUMBERS)) the same for that many objects
-    needed: tuple[float, ...]  # G objects for the wished band; inf: no number gives it
+    half: tuple[float, ...]  # G half-widths of log k, median over `told`
+    bands: Array  # (G, len(NUMBERS)) for that many objects
+    needed: tuple[float, ...]  # G objects for the target, or inf
     judgement: model.Judgement | None
-    next_inside: Array | None  # (G,) probability that one more object of the group lies inside the tolerance
+    next_inside: Array | None  # (G,) probability that a further object meets the tolerance
 
 
 def population(named: model.Named, setting: PopulationSettings = PopulationSettings()) -> PopulationOutcome:
-    """Learn the population from its objects. Raises `ResultsError`: a number that was asked for makes no sense."""
+    """Raises `ResultsError` for invalid settings."""
     if not (setting.wished > 0.0 and 0.0 < setting.passes < 1.0):
-        raise ResultsError("a wished band is above 0, and a probability between 0 and 1. Correct it")
+        raise ResultsError("--band must be above 0, and --pass-from between 0 and 1. Correct them")
     trial, found = named.trial, model.fit(named.trial)
     means, told = model.group_means(found), named.identified >= 0.5
     groups = range(trial.groups)
@@ -107,19 +107,19 @@ def population(named: model.Named, setting: PopulationSettings = PopulationSetti
     )
 
 
-# The tables of a population, each as Parquet and as CSV.
+# Tables, each as Parquet and CSV.
 
 TABLES = {
-    "groups": "a row a group: how many objects, the band of its mean, how many objects the wished band needs",
-    "means": "a row a group and place: mean k(s) with its 95 % band",
-    "ratios": "a row a pair of groups and place: the first group's mean over the second's, with its 95 % band",
-    "spread": "a row a number: spread within and between groups, repeatability, with 95 % intervals",
-    "objects": "a row an object: k at five places, why it is unlike the others, whether it passes",
-    "curves": "a row an object and place: k(s) as it and the others of its group tell, with its 95 % band",
-    "needed": "a row a group and number of objects: the half band of the mean that is to be expected",
-    "left_out": "a row a recording that is not in it, with the reason",
+    "groups": "one row per group: number of objects, band of the mean, objects needed for the target",
+    "means": "one row per group and place: mean k(s) with its 95 % band",
+    "ratios": "one row per pair of groups and place: ratio of the means with its 95 % band",
+    "spread": "one row per statistic: spread within and between groups, repeatability, with 95 % intervals",
+    "objects": "one row per object: k at five places, why it is an outlier, whether it passes",
+    "curves": "one row per object and place: k(s), drawn towards the group's mean, with its 95 % band",
+    "needed": "one row per group and number of objects: expected half-width of the mean",
+    "left_out": "one row per excluded recording, with the reason",
 }
-AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, where the table of objects has k
+AT = (0.0, 0.25, 0.5, 0.75, 1.0)  # s, of k in the table of objects
 
 
 def tables(outcome: PopulationOutcome) -> dict[str, pa.Table]:
@@ -224,10 +224,8 @@ def _curve(curves: model.Curves, outcome: PopulationOutcome, name: str, unit: st
     }
 
 
-# The pictures of a population.
-
-A_ROW = 3  # panels
-MOST = 24  # groups that have a panel
+A_ROW = 3  # panels per row
+MOST = 24  # panels
 
 
 def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -> Pictures:
@@ -240,7 +238,7 @@ def draw_figures(outcome: PopulationOutcome, *, progress: Progress = Silent()) -
 
 @styled
 def means(outcome: PopulationOutcome) -> Figure:
-    """The groups' means with their bands, and the tolerance."""
+    """Groups' means with bands, and the tolerance."""
     figure, (axes,) = blank(3.8)
     s, count = outcome.named.trial.s, min(len(outcome.named.groups), MOST)
     for i in range(count):
@@ -260,7 +258,7 @@ def _banded(axes: Axes, s: Array, curves: model.Curves, i: int, *, color: str, l
 
 @styled
 def panels(outcome: PopulationOutcome) -> Figure:
-    """Each group: every object, those unlike the others, and the mean."""
+    """Per group: objects, outliers, mean."""
     trial, count = outcome.named.trial, min(len(outcome.named.groups), MOST)
     rows = -(-count // A_ROW)
     figure, axes = blank(2.4 * rows, rows, min(count, A_ROW), sharex=True, sharey=True)
@@ -279,7 +277,7 @@ def panels(outcome: PopulationOutcome) -> Figure:
 
 @styled
 def ratios(outcome: PopulationOutcome) -> Figure:
-    """Mean over mean, for the first pairs."""
+    """For the first pairs."""
     figure, (axes,) = blank(3.4)
     s, shown = outcome.named.trial.s, outcome.pairs[:6]
     for i, (one, other) in enumerate(shown):
@@ -293,19 +291,17 @@ def ratios(outcome: PopulationOutcome) -> Figure:
 
 @styled
 def bands(outcome: PopulationOutcome) -> Figure:
-    """The half band that is to be expected of so many objects."""
+    """Half-width against the number of objects."""
     figure, (axes,) = blank(3.2)
     count = min(len(outcome.named.groups), MOST)
     for i in range(count):
         name = figure_text(outcome.named.groups[i] or "all")
         axes.plot(model.NUMBERS, 100.0 * np.expm1(outcome.bands[i]), color=hue_of(i, count), label=name)
     axes.axhline(100.0 * outcome.setting.wished, color=INK, linestyle="--", linewidth=1.0)
-    axes.set(xlabel="objects of the group", ylabel="half band of its mean [%]", xscale="log", yscale="log")
+    axes.set(xlabel="objects of the group", ylabel="half-width of its mean [%]", xscale="log", yscale="log")
     axes.legend(ncols=4)
     return figure
 
-
-# `report.html` of a population.
 
 SPREAD = {
     "level_sd": ("within groups, of the level of k", True),
@@ -314,16 +310,16 @@ SPREAD = {
     "between": ("share of all variance between objects that lies between groups (intraclass correlation)", False),
     "between_sd": ("between the groups' means", True),
 }
-MOST_JUDGED = 200  # rows of objects on the page; the table has all
+MOST_JUDGED = 200  # objects on the page
 
 
 def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str) -> str:
-    named = outcome.named
+    named, target = outcome.named, percent(outcome.setting.wished)
     content = {
         "version": version,
         "title": one_line(f"Population {name}"),
         "cards": _cards(outcome),
-        "group_heads": ("group", "objects", "recordings", "half band of the mean", "objects for the wished band"),
+        "group_heads": ("group", "objects", "recordings", "half-width of the mean", f"needed for ± {target}"),
         "group_rows": [
             (
                 group_name(one["group"]),
@@ -341,7 +337,7 @@ def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str,
         "judged_heads": ("object", "group", "probability inside", ""),
         "judged_rows": _judged_rows(outcome),
         "ratios": bool(outcome.pairs),
-        "needed": f"For a half band of {percent(outcome.setting.wished)} of k, the median along the beam.",
+        "needed": f"Target: a half-width of {target} of k (median along the beam).",
         "left_out": [(one_line(one), one_line(why)) for one, why in named.left_out],
         "files": list(TABLES.items()),
         "data": "{}",
@@ -350,16 +346,15 @@ def page(outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str,
 
 
 def percent(share: float) -> str:
-    """A share in percent; a dash where it is not known."""
+    """A dash if unknown."""
     return f"{significant(100.0 * share)} %" if np.isfinite(share) else UNKNOWN
 
 
 def count_words(number: float) -> str:
-    return f"{number:.0f} objects" if np.isfinite(number) else "no number of them"
+    return f"{number:.0f} objects" if np.isfinite(number) else "not reachable"
 
 
 def group_name(name: str) -> str:
-    """A group's name on a screen or page."""
     return one_line(name) or "all"
 
 
@@ -411,8 +406,6 @@ def _judged_rows(outcome: PopulationOutcome) -> list[tuple[Any, ...]]:
     return found[:MOST_JUDGED]
 
 
-# The files of a population and its summary.
-
 POPULATION_FORMAT = "onebend-population-1"
 
 
@@ -445,7 +438,7 @@ def summary_of(outcome: PopulationOutcome, *, written_by: str) -> dict[str, Any]
 def write_report(
     folder: Path, outcome: PopulationOutcome, figures: Mapping[str, bytes], *, name: str, version: str
 ) -> None:
-    """Tables and page. `figures`: PNGs by name."""
+    """`figures`: PNGs by name."""
     for key, table in tables(outcome).items():
         (folder / f"{key}.parquet").write_bytes(as_parquet(table))
         (folder / f"{key}.csv").write_bytes(as_csv(table))

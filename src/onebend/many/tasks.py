@@ -1,4 +1,4 @@
-"""One recording as one task: on any machine that sees its folder and the results folder under the same paths."""
+"""One recording as one task, on any machine that sees all folders under the same paths."""
 
 from __future__ import annotations
 
@@ -22,7 +22,18 @@ import numpy as np
 
 from onebend.errors import OnebendError, RecordingError, ResultsError, told
 from onebend.extras import package
-from onebend.files.publish import abandon, finish, prepare, publish, read_summary, sha256_of
+from onebend.files.publish import (
+    OWN_CHECKSUM,
+    abandon,
+    finish,
+    is_unchanged,
+    prepare,
+    publish,
+    read_object,
+    read_summary,
+    sha256_of,
+    with_checksum,
+)
 from onebend.files.single_file import write_file
 from onebend.learning.optimizer import FitSettings
 from onebend.learning.posterior import Nuisance
@@ -41,27 +52,31 @@ from onebend.results.observations_file import fields_from, to_data
 from onebend.results.provenance import InputFile, as_data, files_of, inputs_of, provenance
 from onebend.text_files import csv_rows, quoted
 
-# Which recordings are learned: those in a folder, or the rows of a CSV, which may state what differs between them.
+# Recordings of a folder, or rows of a CSV, which may state keys.
 
-OWN = ("path", "name", "group")  # columns of a list with a meaning of their own
-MOST = 1_000_000  # recordings
+OWN = ("path", "name", "group")  # reserved columns
+MOST = 1_000_000
 
 
 @dataclass(frozen=True)
 class Item:
-    """One recording that is asked for."""
+    """A requested recording."""
 
-    name: str  # of its own in the batch
+    name: str  # unique
     folder: Path  # absolute
     group: str = ""
-    stated: tuple[tuple[str, str, Any], ...] = ()  # table, key, value in place of recording.toml's
-    labels: tuple[tuple[str, str], ...] = ()  # the list's other columns, carried through: column, cell
+    stated: tuple[tuple[str, str, Any], ...] = ()  # table, key, value instead of recording.toml's
+    labels: tuple[tuple[str, str], ...] = ()  # other columns and cells
+
+
+def as_text(words: str) -> str:
+    """`words` as every encoding has them: the bytes of a file's name that are no UTF-8 stand as their codes."""
+    return words.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def items_of(source: Path, out: Path) -> tuple[Item, ...]:
-    """The recordings of `source`: a CSV with a column `path`, or a folder with recordings in it at any depth, without
-    those in `out`. Raises `RecordingError`: there is none, two have one name, or a column or a cell of the list cannot
-    be used."""
+    """Recordings of `source`: a CSV with `path`, or a folder at any depth except `out`. Raises `RecordingError`: none,
+    a duplicate name, or an unusable column or cell."""
     if source.is_dir():
         found = _in_folder(source.resolve(), out.resolve())
         if not found:
@@ -79,7 +94,7 @@ def items_of(source: Path, out: Path) -> tuple[Item, ...]:
 
 
 def _in_folder(source: Path, out: Path) -> tuple[Item, ...]:
-    """Recordings by their path in the folder; the first part of a longer path is the group."""
+    """By path; the first part of a longer path is the group."""
     found = []
     for file in sorted(source.rglob(FILE_NAME)):
         folder = file.parent
@@ -87,7 +102,8 @@ def _in_folder(source: Path, out: Path) -> tuple[Item, ...]:
             continue
         inside = folder.relative_to(source)
         group = inside.parts[0] if len(inside.parts) > 1 else ""
-        found.append(Item(inside.as_posix() if inside.parts else folder.name, folder, group))
+        name = inside.as_posix() if inside.parts else folder.name
+        found.append(Item(as_text(name), folder, as_text(group)))
     return tuple(found)
 
 
@@ -120,8 +136,8 @@ def _item(
 
 
 def _key(column: str, path: Path) -> tuple[str, str] | None:
-    """Table and key of recording.toml that a column states, as `length_m` or `beam.length_m`; None: it is a label.
-    Raises `RecordingError`: several tables know the key."""
+    """Table and key that a column states, as `length_m` or `beam.length_m`; None: a label. Raises `RecordingError` if
+    several tables have the key."""
     table, dot, name = column.partition(".")
     if dot:
         return (table, name) if table in HOMES.get(name, ()) else None
@@ -135,7 +151,7 @@ def _key(column: str, path: Path) -> tuple[str, str] | None:
 
 
 def _value(cell: str) -> Any:
-    """A cell as TOML knows it: a number, true or false, a list; else the text."""
+    """A TOML value, else text."""
     if cell in ("true", "false") or cell.startswith("["):
         try:
             return tomllib.loads(f"value = {cell}")["value"]
@@ -149,50 +165,54 @@ def _value(cell: str) -> Any:
     return cell
 
 
-# Records: one small JSON file for each recording, under the hash of all that it was made from.
+# Records: one small JSON file per recording, named by the hash of its inputs.
 
-FORMAT = "onebend-batch-record-4"
-RECORDS = ".records"  # in the results folder
-PLACES = np.linspace(0.0, 1.0, 101)  # s, of a record's k(s)
-EVERY = 5  # of PLACES: where a record has the covariance of log k
+FORMAT = "onebend-batch-record-5"
+LARGEST = 2**20  # bytes of a record
+RECORDS = ".records"
+PLACES = np.linspace(0.0, 1.0, 101)  # s
+EVERY = 5  # of PLACES, for the covariance of log k
 
 
 @dataclass(frozen=True)
 class Record:
-    """A recording that was learned, or the reason why it could not be."""
+    """A learned recording, or the reason why it failed."""
 
     hash: str
-    reason: str = ""  # why there is no k(s); empty: there is one
+    reason: str = ""  # empty: learned
     length: float = np.nan  # m
     k: Array | None = None  # (101,) N m at PLACES
-    low: Array | None = None  # (101,) N m, of the 95 % band
+    low: Array | None = None  # (101,) N m, 95 % band
     high: Array | None = None  # (101,) N m
-    identified: Array | None = None  # (101,) bool
-    covariance: Array | None = None  # (21, 21) of log k at every fifth of PLACES, without what is common to all of k
-    prior_part: Array | None = None  # (21, 21) of that covariance, what comes from the prior and not from the data
-    gain_sd: float = np.nan  # of log k: what the force sensor's scale does to all of k, in every recording alike
-    grade: str = ""  # of the verdict
+    identified: Array | None = None
+    covariance: Array | None = None  # (21, 21) of log k at every fifth of PLACES, without `gain_sd`
+    prior_part: Array | None = None  # (21, 21) its part from the prior
+    gain_sd: float = np.nan  # of log k, common to all recordings
+    grade: str = ""
     headline: str = ""
-    error: float = np.nan  # m RMS of the worst tag
+    error: float = np.nan  # m RMS, worst tag
     doubts: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     nuisances: tuple[Nuisance, ...] = ()
     frames: int = 0
-    seconds: float = np.nan  # that reading and learning took
+    seconds: float = np.nan
     finished: str = ""  # UTC, ISO 8601
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether `onebend learn` doubts it: k(s) is not to be trusted, or identified nowhere."""
+        return bool(self.doubts) or (self.identified is not None and not self.identified.any())
 
 
 def hash_of(files: Iterable[Path], made_with: Mapping[str, Any]) -> str:
-    """SHA-256 over the content of the files, their names, and what they are learned with; the same on every machine.
-    Raises `OSError`: a file cannot be read."""
+    """SHA-256 of contents, names and settings, the same on every machine. Raises `OSError`."""
     entries = sorted((path.name, sha256_of(path)) for path in dict.fromkeys(files))
     text = json.dumps({"files": entries, "with": made_with}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record:
-    """The record of a learned recording."""
-    assert run.posterior is not None  # a batch learns with the fit
+    assert run.posterior is not None  # a batch uses the fit
     verdict, band = verdict_of(run), run.posterior.stiffness.band(PLACES)
     return Record(
         hash=hashed,
@@ -217,24 +237,23 @@ def record_of(run: Run, hashed: str, *, seconds: float, finished: str) -> Record
 
 
 def record_path(out: Path, hashed: str) -> Path:
-    """Where the record of this hash stands in the results `out`."""
     return out / RECORDS / f"{hashed}.json"
 
 
 def write_record(out: Path, record: Record) -> None:
-    """Put the record in place, whole or not at all. Raises `ResultsError` where it cannot be written."""
-    text = json.dumps({"format": FORMAT, **to_data(record)})
+    """Completely or not at all. Raises `ResultsError`."""
+    text = json.dumps(with_checksum({"format": FORMAT, **to_data(record)}))
     write_file(record_path(out, record.hash), text + "\n", overwrite=True)
 
 
 def read_record(out: Path, hashed: str) -> Record | None:
-    """The record of this hash; None where there is none, or none that can be used: it is made anew then."""
+    """None if absent, changed or unusable."""
+    data = read_object(record_path(out, hashed), LARGEST)
     try:
-        data = json.loads(record_path(out, hashed).read_text(encoding="utf-8"))
-        if data.pop("format") != FORMAT or data["hash"] != hashed:
+        if data is None or not is_unchanged(data) or (data["format"], data["hash"]) != (FORMAT, hashed):
             return None
-        record = Record(**fields_from(Record, data))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        record = Record(**fields_from(Record, {name: data[name] for name in set(data) - {"format", OWN_CHECKSUM}}))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     count = len(PLACES[::EVERY])
     curves, squares = (record.k, record.low, record.high, record.identified), (record.covariance, record.prior_part)
@@ -243,38 +262,35 @@ def read_record(out: Path, hashed: str) -> Record | None:
     return record if all(fits) else None
 
 
-FOLDERS = "recordings"  # in the results folder: a folder of each, where asked for
+FOLDERS = "recordings"  # with `folders`
 
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """Settings of all tasks of a batch."""
+    """Of all tasks of a batch."""
 
     out: Path  # absolute
-    version: str  # of the onebend that asks
-    folders: bool = False  # also a results folder of each recording
+    version: str  # of the requesting onebend
+    folders: bool = False
     fitting: FitSettings = field(default_factory=FitSettings)
-    # the other cores have recordings of their own
+    # other cores have their own recordings
     observing: ObserveSettings = field(default_factory=lambda: ObserveSettings(threads=1))
 
 
 @dataclass(frozen=True)
 class ItemResult:
-    """The answer of a task; the record itself stands in the results folder."""
+    """The record itself is in the results folder."""
 
-    hash: str  # empty: there is no record
-    learned_now: bool  # False: the record was there
-    reason: str = ""  # why there is no record
+    hash: str  # empty: no record
+    learned_now: bool  # False: the record existed
+    reason: str = ""  # if there is no record
 
 
 def do(item: Item, settings: TaskSettings, *, version: str) -> ItemResult:
-    """Learn from the recording, unless its record is there; write the record.
+    """Learns the recording unless its record exists.
 
-    A recording that cannot be learned from has a record with the reason. Where the reason may be another one the next
-    time (a file that could not be read, a fault of onebend), there is none.
-
-    Args:
-        version: of the onebend that works here.
+    A failure is recorded with its reason, unless it may be temporary (an unreadable file, a fault of onebend).
+    `version`: of the onebend that works here.
     """
     if version != settings.version:
         text = f"the worker has onebend {version}, but onebend {settings.version} asks. Install the same on both"
@@ -285,7 +301,7 @@ def do(item: Item, settings: TaskSettings, *, version: str) -> ItemResult:
         return ItemResult("", True, f"{error.filename or item.folder}: {error.strerror or error}")
     except ResultsError as error:
         return ItemResult("", True, told(error))
-    except Exception as error:  # one recording, whatever is wrong with it, does not end thousands
+    except Exception as error:  # one recording must not end thousands
         return ItemResult("", True, f"a fault of onebend: {type(error).__name__}: {error}")
 
 
@@ -321,7 +337,7 @@ def _do(item: Item, settings: TaskSettings) -> ItemResult:
 def _learned(
     recording: Recording | None, unread: str, hashed: str, settings: TaskSettings
 ) -> tuple[Record, Run | None]:
-    """The record, and all that was learned; None where nothing could be."""
+    """The record, and the run if it succeeded."""
     began = time.perf_counter()
     run, reason = None, unread
     if recording is not None:
@@ -338,7 +354,7 @@ def _learned(
 
 
 def folder_path(item: Item, out: Path) -> Path:
-    """Where the results folder of one recording stands. Raises `RecordingError` where its name leads elsewhere."""
+    """Raises `ResultsError` for a name that leads elsewhere."""
     inside = Path(item.name)
     if inside.is_absolute() or ".." in inside.parts or not inside.parts:
         raise RecordingError(
@@ -353,7 +369,7 @@ def _has_folder(item: Item, out: Path, hashed: str) -> bool:
 
 
 def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[InputFile, ...], hashed: str) -> None:
-    """What `onebend learn` leaves, but for the pictures."""
+    """As `onebend learn`, without pictures."""
     made_from = provenance(files, {}, {"fit": settings.fitting, "observing": settings.observing})
     summary: Mapping[str, Any] = {**summary_of(run, written_by=f"onebend {settings.version}"), "record": hashed}
     write: Callable[[Path], None] = learned_writer(
@@ -368,25 +384,25 @@ def _write_folder(item: Item, run: Run, settings: TaskSettings, files: tuple[Inp
     finish(place)
 
 
-# Tasks on Dask: a cluster on this machine, or any by its address. Results do not depend on which.
+# Tasks on Dask, local or remote; results do not depend on which.
 
-ANY_PORT = "127.0.0.1:0"  # of the cluster's own page, so that two batches on one machine do not meet
-WAIT = "30s"  # for a scheduler to answer
+ANY_PORT = "127.0.0.1:0"  # any port, for several batches at once
+WAIT = "30s"  # for the scheduler
 Work = Callable[[Item, TaskSettings], ItemResult]
 LOST = "the scheduler of the cluster is lost. Start it and its workers again"
 
 
 def distributed() -> Any:
-    """Dask's library for clusters. Raises `MissingPackageError` where it is not installed."""
-    # what a worker says of its own end is nothing that a person can act on: the row of the recording says it
+    """Dask. Raises `MissingPackageError`."""
+    # a worker's last words do not help anyone
     package("dask", "batch").config.set({"distributed.logging": {"distributed": "critical"}})
     return package("distributed", "batch")
 
 
 @contextmanager
 def cluster(address: str | None = None, workers: int | None = None, *, processes: bool = True) -> Iterator[Any]:
-    """A client of the scheduler at `address`, or of one here with `workers` of one thread each (default: one a core).
-    Raises `MissingPackageError`: Dask is not installed. Raises `ResultsError`: nobody answers at the address."""
+    """A client of the scheduler at `address`, or of a local one with `workers` of one thread (default: one per core).
+    Raises `MissingPackageError`, or `ResultsError` if nobody answers."""
     library = distributed()
     if address is not None:
         try:
@@ -422,15 +438,15 @@ def _prepared(library: Any) -> Any:
 
 
 def here(item: Item, settings: TaskSettings) -> ItemResult:
-    """`task.do` by the onebend of the machine that this runs on."""
+    """`task.do` on this machine."""
     return do(item, settings, version=version("onebend"))
 
 
 def results_of(
     client: Any, items: Sequence[Item], settings: TaskSettings, work: Work = here
 ) -> Iterator[tuple[int, ItemResult]]:
-    """Every item's number and result, as they come. A task whose worker is lost goes to another one. Raises
-    `ResultsError`: the scheduler is lost."""
+    """Every item's number and result as they come; tasks of lost workers are repeated. Raises `ResultsError`: the
+    scheduler is lost."""
     library, batch = distributed(), uuid4().hex
     futures = {}
     try:

@@ -460,9 +460,7 @@ class ForceEntry:
 class PushEntry:
     """[push]: where the force acts; a place, or the name of a column of the force log that gives it."""
 
-    at: float = key(
-        "at_s = 1.0", number(above=0, least=0, most=1), "where the force acts, 0 at the clamp, 1 at the tip", nan
-    )
+    at: float = key("at_s = 1.0", number(above=0, most=1), "where the force acts, 0 at the clamp, 1 at the tip", nan)
     column: str = key('column = "push_s"', text, "the force log's column that gives the place of the push", "")
     at_sd: float = key(
         "at_sd_m = 0.0025",

@@ -540,7 +540,9 @@ def zero_remarks(zero: Zero, largest: float, cutoff: float) -> tuple[Remark, ...
         text = "The force log shows no rest: its zero is unknown and nothing was taken off. Start it before the push."
         remarks.append(Remark("warning", text, about="no rest"))
     elif len(zero.time) == 1:
-        text = "The force's drift cannot be seen: the beam is not free again. Let go before the log ends."
+        text = (
+            "The drift of the force is unknown: the log ends before the beam is free again. Let go before the log ends."
+        )
         remarks.append(Remark("note", text))
     elif change > 0.2 * largest:  # of the largest force: a zero that changes by more between two rests is warned of
         text = f"The force's zero drifted by {change:.2g} N between the rests. Let the sensor warm up."

@@ -248,7 +248,7 @@ def missing_remarks(time: Array, what: str) -> tuple[Remark, ...]:
     if not count:
         return ()
     longest = float(np.diff(time).max())
-    text = f"About {count} {what} are missing, {len(time)} are there; the longest gap is {longest:.3g} s."
+    text = f"Missing {what}: about {count}, beside {len(time)} present; the longest gap is {longest:.3g} s."
     if count <= 0.01 * len(time):  # of the samples: if more are missing, it is a warning
         return (Remark("note", text, about="bad rows"),)
     return (Remark("warning", f"{text} Look at what drops them, and record again.", about="bad rows"),)

@@ -430,7 +430,7 @@ def tool_in_film(
 def tool_in(
     pictures: Sequence[Picture], rec: Recording, markers: Markers, loaded: BoolArray, factor: int | None = None
 ) -> ToolPlace:
-    """Where these pictures show the tool; `markers` and `loaded` have a row a picture."""
+    """Where these pictures show the tool; `markers` and `loaded` have one row per picture."""
     if markers.view is None or len(pictures) == 0:
         return not_seen("there is no film")
     factor = factor or shrink_factor(markers.view, rec.beam.length)
@@ -439,7 +439,7 @@ def tool_in(
 
 
 def tool_in_small(small: SmallPictures, rec: Recording, markers: Markers, loaded: BoolArray, time: Array) -> ToolPlace:
-    """Where the pictures kept of a stream show the tool; `markers`, `loaded` and `time` [s] have a row a frame."""
+    """Where the pictures kept of a stream show the tool; `markers`, `loaded` and `time` [s] have one row per frame."""
     rows = np.flatnonzero(np.isin(time, small.time))
     rows = rows[rows_to_look_at(markers.xy[rows], loaded[rows])]
     if not len(rows):

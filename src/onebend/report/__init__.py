@@ -1,1 +1,1 @@
-"""Pictures and the self-contained page."""
+"""Sentences, figures and the self-contained page."""

@@ -1,4 +1,4 @@
-"""The fit's uncertainty in words and rows: where k(s) is identified, the nuisances, and which parameters trade off."""
+"""The fit's uncertainty in words and rows: identified places, nuisances, allowances, tests, trade-offs."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from onebend.report import wording
 from onebend.report.sentences import modulus_unit, odds, say, words
 from onebend.report.wording import millimetres, significant, span
 
-FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # either way: k is identified where it is known to less
-SMALL_SHARE = 0.05  # of the largest force: a smaller error under load is not worth a sentence
-NARROW = 0.03  # of the beam: a gap between identified stretches that is as wide as the edge of a tag's patch
-_SLIVER = 0.01  # of the beam: a shorter identified stretch is not named beside longer ones
+FACTOR = float(np.exp(half_width(IDENTIFIED_SD)))  # k is identified where it is known to this factor
+SMALL_SHARE = 0.05  # of the largest force: smaller errors under load are not mentioned
+NARROW = 0.03  # in s: shorter gaps are joined
+_SLIVER = 0.01  # in s: shorter ranges are not named beside longer ones
 _SHOWN = {
     "m": (1e3, "mm"),
     "rad": (180.0 / np.pi, "deg"),
@@ -40,27 +40,24 @@ _SHOWN = {
 
 @dataclass(frozen=True)
 class NuisanceRow:
-    """One nuisance, as shown."""
-
     name: str
     value: str
-    before: str  # one sd before the data
-    after: str  # one sd after
+    before: str  # prior sd
+    after: str  # posterior sd
     unit: str
-    moved: float  # |value| in sds before the data
-    learned: float  # 1 - after / before: 0 where the data said nothing
+    moved: float  # |value| in prior sds
+    learned: float  # 1 - after / before
 
 
 def identified_ranges(uncertain: UncertainStiffness) -> list[tuple[float, float]]:
-    """First and last s of every stretch where k(s) is identified, to 1/400."""
+    """First and last s of every identified range, to 1/400."""
     s = np.linspace(0.0, 1.0, 401)
     known = uncertain.band(s).identified
     return [(float(s[first]), float(s[end - 1])) for first, end in runs(known)]
 
 
 def identified_words(ranges: Sequence[tuple[float, float]]) -> str:
-    """Where k(s) is identified: "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90". Short gaps and stretches are left
-    out."""
+    """ "0.00 to 0.62 (but for 4 % of it), 0.71 to 0.90", without short gaps and stretches."""
     joined: list[list[tuple[float, float]]] = []
     for one in ranges:
         if joined and one[0] - joined[-1][-1][1] < NARROW:
@@ -80,7 +77,7 @@ def identified_words(ranges: Sequence[tuple[float, float]]) -> str:
 
 
 def typical_half_width(uncertain: UncertainStiffness) -> float:
-    """Half the 95 % band of log k: the median over the identified places; NaN where there is none."""
+    """Median half-width of the 95 % band of log k over identified places, or NaN."""
     ranges = identified_ranges(uncertain)
     if not ranges:
         return float("nan")
@@ -89,7 +86,7 @@ def typical_half_width(uncertain: UncertainStiffness) -> float:
 
 
 def stiffness_range(findings: Run) -> tuple[float, float]:
-    """Smallest and largest k(s) [N m], where it is identified; of all the beam where it is nowhere, or has no band."""
+    """Smallest and largest k(s) [N m] where identified, else of the whole beam."""
     s = np.linspace(0.0, 1.0, 201)
     k = findings.beam.stiffness(s)
     if findings.posterior is not None:
@@ -99,7 +96,6 @@ def stiffness_range(findings: Run) -> tuple[float, float]:
 
 
 def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> list[str]:
-    """Sentences on where the data do not show k(s); one sentence if all of k(s) is in doubt."""
     if uncertain.doubts:
         return [say("in doubt", doubts="; ".join(uncertain.doubts))]
     ranges = identified_ranges(uncertain)
@@ -120,7 +116,7 @@ def unidentified_words(uncertain: UncertainStiffness, recordings: int = 1) -> li
 
 
 def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
-    """What the scale of k(s) rests on: the scale of the force or of the loads, or the beam's own weight."""
+    """The source of the scale of k(s): force, loads or weight."""
     if wording.only_frequencies(recordings):
         return say("scale by mass")
     forced = [one for one in recordings if wording.is_forced(one)]
@@ -133,19 +129,18 @@ def scale_words(gain_sd: float, recordings: Sequence[Observations]) -> str:
 
 
 def load_error_words(load_error: tuple[float, float]) -> list[str]:
-    """The effect of a force error that comes with the load (sd [N], share of the largest force); empty if small."""
+    """A force error that comes with the load (sd [N], share of the largest force); empty if small."""
     size, share = load_error
     return [] if share < SMALL_SHARE else [say("load error", size=size, share=share)]
 
 
 def stop_words(posterior: Posterior) -> str:
-    """Whether the fit converged, and why it stopped."""
     found = posterior.optimum
     return say("converged" if found.converged else "stopped early", steps=found.steps, why=found.stopped)
 
 
 def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
-    """Nuisances in mm, degrees, ms, % and mN."""
+    """In mm, degrees, ms, % and mN."""
     rows = []
     for n in nuisances:
         factor, unit = _SHOWN.get(n.unit, (1.0, n.unit))
@@ -165,17 +160,15 @@ def nuisance_rows(nuisances: Sequence[Nuisance]) -> list[NuisanceRow]:
 
 @dataclass(frozen=True)
 class AllowanceRow:
-    """One thing that the fit allows for, as shown."""
-
     name: str
-    widening: str  # of the band, as a factor
-    change: str  # % of k(s), were it left out; "another" k(s) where it is more than first order tells
-    sds: str  # from the ideal bench
+    widening: str  # factor on the band
+    change: str  # % of k(s) if ignored; "another" beyond first order
+    sds: str  # sds from zero
     matters: bool
 
 
 def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
-    """What the fit allows for and what it costs, the largest change of k(s) first."""
+    """Allowances, the largest change of k(s) first."""
     return [
         AllowanceRow(
             name=share.name,
@@ -190,17 +183,15 @@ def allowance_rows(posterior: Posterior) -> list[AllowanceRow]:
 
 @dataclass(frozen=True)
 class ModelTestRow:
-    """One test of the fit's model, as shown."""
-
     what: str
-    odds: str  # how often chance alone does as much
-    size: str  # mm that it moves a tag by
-    shift: str  # % of k
+    odds: str  # of chance
+    size: str  # motion of a tag, mm
+    shift: str  # change of k, %
     alarm: bool
 
 
 def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
-    """The tests with the smallest p-values; none where the fit is hopeless, as the tests are of small changes."""
+    """The tests with the smallest p-values; none for a hopeless fit."""
     if any(misfit.hopeless for misfit in posterior.misses):
         return []
     critic = possible(posterior).criticism
@@ -217,21 +208,20 @@ def model_test_rows(posterior: Posterior, most: int = 8) -> list[ModelTestRow]:
 
 
 def alarm_words(posterior: Posterior) -> str:
-    """The threshold of the tests: among so many, some stand out by chance."""
+    """The threshold of the tests."""
     critic = possible(posterior).criticism
     code = "alarm of poses" if wording.only_static([one.observations for one in posterior.recordings]) else "alarm"
     return say(code, tests=len(critic.able), odds=critic.alarm, written=max(critic.alarm, ALARM_WRITTEN))
 
 
 def tradeoff_words(posterior: Posterior) -> list[str]:
-    """The strongest pairs, one sentence each; first the pairs with the mean of log k(s)."""
     level = with_level(posterior)
     pairs = [*level, *(pair for pair in tradeoffs(posterior) if pair not in level)]
     return [say("together" if pair.correlation > 0.0 else "opposed", **vars(pair)) for pair in pairs]
 
 
 def share_words(share: Attribution) -> str:
-    """The effect of an allowance on k(s) and its band: `relaxation (left out, k(s) would be 9.8 % off)`."""
+    """An allowance with its effect: `relaxation (ignoring it would shift k(s) by 9.8 %)`."""
     effects = []
     if share.sure and share.shift > SHIFTS:
         change = wording.change_words(share.shift)
@@ -243,7 +233,7 @@ def share_words(share: Attribution) -> str:
 
 
 def narrower_words(posterior: Posterior) -> str:
-    """At most two measures that narrow the band, with the factor; empty if none helps by much."""
+    """At most two measures."""
     shares = sorted((one for one in posterior.attributions if one.matters), key=lambda one: -one.widening)
     seen = [recording.observations for recording in posterior.recordings]
     every = [(one.widening, what_to_do(one.name, seen)) for one in shares if one.widening > WIDENS]
@@ -252,7 +242,6 @@ def narrower_words(posterior: Posterior) -> str:
 
 
 def why_words(posterior: Posterior) -> str:
-    """Why k(s) is identified nowhere: what hides it, or that the tags would not show it even if all else were known."""
     s, count = np.linspace(0.0, 1.0, 101), sum(len(one.force) for one in posterior.recordings)
     alone, with_one = hidden_by(posterior.problem, posterior.optimum, posterior.gain_sd, s)
     static = all(one.observations.static for one in posterior.recordings)
@@ -271,7 +260,7 @@ def why_words(posterior: Posterior) -> str:
 
 
 def mounting_words(posterior: Posterior) -> str:
-    """How much k(s) differs between recordings, and whether the band contains it."""
+    """How much k(s) differs between recordings."""
     if len(posterior.recordings) == 1:
         return say("one mounting")
     likely, low, high = posterior.mountings
@@ -280,7 +269,7 @@ def mounting_words(posterior: Posterior) -> str:
 
 
 def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
-    """To know more about it; empty where nothing can be done, or where it is stated already."""
+    """A measure against this allowance; empty if there is none, or if it is stated already."""
     stated = [one.stated for one in recordings]
     by_hand = any(one.place_sd >= PLACE_SD for one in stated)
     uncalibrated = any(one.gain_sd >= GAIN_SD for one in stated)
@@ -297,7 +286,7 @@ def what_to_do(name: str, recordings: Sequence[Observations]) -> str:
 
 @dataclass(frozen=True)
 class ModulusRows:
-    """E and its band at some places in one unit, as shown; `low` and `high` are empty where k(s) has no band."""
+    """E and its band in one unit; `low` and `high` are empty without a band."""
 
     unit: str
     values: tuple[str, ...]
@@ -307,25 +296,24 @@ class ModulusRows:
 
 @dataclass(frozen=True)
 class MeasuredBeam:
-    """A learned beam, k(s) with its band where it has one, and its section where that is known."""
+    """A learned beam, with band and section if known."""
 
     beam: Beam
     uncertain: UncertainStiffness | None
     section: StatedSection | None
 
     def band(self, s: Array) -> ModulusBand | None:
-        """E at places `s` (S,); None where the section is not known."""
+        """E at `s` (S,); None without a section."""
         return modulus_along(self.beam, self.uncertain, self.section, s)
 
 
 def measured_beam(findings: Run) -> MeasuredBeam:
-    """The beam of the findings, with the section that its recordings state."""
     uncertain = None if findings.posterior is None else findings.posterior.stiffness
     return MeasuredBeam(findings.beam, uncertain, stated_section(findings.recordings))
 
 
 def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
-    """E at places `s` (S,); None where the section is not known."""
+    """E at `s` (S,); None without a section."""
     band = measured.band(s)
     if band is None:
         return None
@@ -337,7 +325,7 @@ def modulus_rows(measured: MeasuredBeam, s: Array) -> ModulusRows | None:
 
 
 def one_modulus_words(measured: MeasuredBeam) -> str:
-    """E with its band, "50.5 GPa (49.8 to 51.2)"; empty if k(s) was not learned as a modulus times the section."""
+    """ "50.5 GPa (49.8 to 51.2)"; empty unless k(s) was learned as modulus times section."""
     found = one_modulus(measured.uncertain or measured.beam.stiffness, measured.beam.length, measured.section)
     if found is None:
         return ""
@@ -347,7 +335,7 @@ def one_modulus_words(measured: MeasuredBeam) -> str:
 
 
 def modulus_range(measured: MeasuredBeam) -> str:
-    """Smallest and largest E where k(s) is identified, "0.68 … 0.73 MPa"; empty if the section is not known."""
+    """ "0.68 … 0.73 MPa" where k(s) is identified; empty without a section."""
     band = measured.band(np.linspace(0.0, 1.0, 201))
     if band is None or not np.any(shown := shown_places(band)):
         return ""
@@ -357,7 +345,7 @@ def modulus_range(measured: MeasuredBeam) -> str:
 
 
 def modulus_words(measured: MeasuredBeam) -> list[str]:
-    """E in a sentence, with the sizes that it rests on; empty where the section is not known."""
+    """E in a sentence, with the section; empty without one."""
     section = measured.section
     if section is None:
         return []

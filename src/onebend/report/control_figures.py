@@ -1,4 +1,4 @@
-"""The picture of a reached goal (Fig. 8 of the paper), and of all that can be reached."""
+"""Pictures of goals, shapes, paths, loops and sensed forces."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from onebend.report.style import BLUE, FAINT, GREEN, INK, MUTED, ORANGE, blank, 
 from onebend.report.wording import significant
 
 MM = 1000.0
-ARROW = 0.22  # of L, of the largest force
-TORN = 0.25  # of L: the neighbours of a sample that lie further apart belong to two sheets
+ARROW = 0.22  # of L, for the largest force
+TORN = 0.25  # of L: samples farther apart are on two sheets
 
 
 @styled
 def reaching(result: Reach, error: PredictedError | None = None, within: ReachableSet | None = None) -> Figure:
-    """The beam at rest and on its way to the goal, the force at its end, and how sure the reached point is."""
+    """The beam on its way to the goal (Fig. 8), the force, and the uncertainty of the point."""
     figure, (axes,) = blank(4.2)
     if within is not None:
         draw_reachable(axes, within)
@@ -39,7 +39,6 @@ def reaching(result: Reach, error: PredictedError | None = None, within: Reachab
 
 
 def draw_reach(axes: Axes, result: Reach, error: PredictedError | None) -> None:
-    """Snapshots, goal, point, force and ellipse."""
     s = np.linspace(0.0, 1.0, 121)
     shapes = result.shapes(s)
     chosen = np.unique(np.round(np.linspace(0, len(shapes) - 1, 6)).astype(int))
@@ -74,20 +73,20 @@ def _reach_arrow(axes: Axes, result: Reach, at: Array) -> None:
 
 
 def _arrow(axes: Axes, tail: Array, head: Array, *, far: Array) -> None:
-    """An arrow in mm. The end that is `far` from the beam is inside the picture too."""
+    """An arrow in mm that is wholly inside the picture."""
     axes.annotate("", tuple(head), tuple(tail), arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.8}, zorder=7)
     axes.plot(*far, alpha=0.0)
 
 
 def draw_reachable(axes: Axes, within: ReachableSet) -> None:
-    """Cells between the samples, darker where more force is needed; none where the beam would jump."""
+    """Cells between samples, darker for larger forces; none where the beam would jump."""
     rest = np.broadcast_to(within.pushed.pose(within.pushed.start.q)[:2], (len(within.points), 1, 2))
     rings = np.concatenate([rest, within.points], axis=1)
     around = np.concatenate([rings, rings[:1]])
     cells = np.stack([around[:-1, :-1], around[1:, :-1], around[1:, 1:], around[:-1, 1:]], axis=2)
     sides = np.linalg.norm(cells - np.roll(cells, 1, axis=2), axis=-1).max(axis=-1)
     size = np.broadcast_to(np.linalg.norm(within.force, axis=-1), sides.shape)
-    whole = sides < TORN * float(within.pushed.problem.length)  # NaN is none
+    whole = sides < TORN * float(within.pushed.problem.length)  # also excludes NaN
     mesh = PolyCollection(
         list(MM * cells[whole]), array=size[whole], cmap="Blues", alpha=0.55, edgecolors="face", linewidths=0.3
     )
@@ -99,13 +98,13 @@ def draw_reachable(axes: Axes, within: ReachableSet) -> None:
     bar.ax.set_ylim(0.0, within.max_force)
 
 
-TICK = 0.06  # of L: a wanted direction, and half a gripper's jaw
+TICK = 0.06  # of L: a wanted direction, half a gripper's jaw
 S = np.linspace(0.0, 1.0, 121)
 
 
 @styled
 def shaping(beam: Beam, result: ShapeResult) -> Figure:
-    """The beam in its found shape, what was wanted, and what holds it there."""
+    """The shape, its targets and its loads."""
     figure, (axes,) = blank(4.4)
     resting = beam.equilibrium([0.0, 0.0]).xy(S)
     axes.plot(*(MM * resting.T), color=MUTED, lw=1.2, label="at rest")
@@ -130,7 +129,7 @@ def shaping(beam: Beam, result: ShapeResult) -> Figure:
 
 @styled
 def path_figure(way: FollowedPath) -> Figure:
-    """The beam on its way, what the hands do in time, and what is missing to the goals."""
+    """The beam on its way, the controls in time, and the distance from the goals."""
     figure, (places, acting, lag) = blank(8.2, rows=3, gridspec_kw={"height_ratios": [2.4, 1.4, 0.8]})
     shown = np.unique(np.round(np.linspace(0, len(way.time) - 1, 7)).astype(int))
     shapes = way.actuators.solved(way.q[shown], way.u[shown]).xy(S)
@@ -197,31 +196,31 @@ def _jaw(axes: Axes, pose: Array, length: float) -> None:
     axes.plot(*(MM * np.stack([pose[:2] - across, pose[:2] + across]).T), color=ORANGE, lw=5, zorder=4)
 
 
-LEAST = 1e-5  # m: what the logarithmic axis shows of less
+LEAST = 1e-5  # m: lower end of the logarithmic axis
 LINES = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."))
 
 
 @styled
 def looping(control: Controller, trials: tuple[LoopTrial, ...]) -> Figure:
-    """One curve a beam."""
+    """One curve per beam."""
     figure, (away, force) = blank(5.0, 2, 1)
     for i, trial in enumerate(trials):
         if trial.run is None:
             continue
         colour, dash = LINES[1 if trial.beam.drawn else i]
         name = "k(s) as the model" if trial.factor == 1.0 else f"k(s) times {trial.factor:.3g}"
-        if trial.beam.drawn:  # one entry of the legend stands for all
+        if trial.beam.drawn:  # one legend entry for all
             name = "k(s) drawn from its band" if i == 1 else ""
         away.semilogy(trial.run.time, MM * np.maximum(trial.run.error, LEAST), color=colour, ls=dash)
         force.plot(trial.run.time, np.hypot(*trial.run.asked.T), color=colour, ls=dash, label=name)
     away.axhline(MM * SETTLED, color=MUTED, lw=1.0, ls=":")
     x, y = MM * control.goal
-    away.set(ylabel="from the goal [mm]", title=f"A rehearsal of the loop: goal at ({x:.4g}, {y:.4g}) mm")
+    away.set(ylabel="from the goal [mm]", title=f"The loop, simulated: goal at ({x:.4g}, {y:.4g}) mm")
     _said(away, MM * SETTLED, f"settled: {MM * SETTLED:.3g} mm")
     ahead = float(np.hypot(*control.reference.ends))
     force.axhline(ahead, color=MUTED, lw=1.0, ls=":")
     _said(force, ahead, "feedforward")
-    force.legend(loc="lower right")  # under the forces, which begin at 0 and stay
+    force.legend(loc="lower right")  # forces begin at 0 and stay
     force.set(xlabel="time [s]", ylabel="force asked for [N]", ylim=(0.0, None))
     return figure
 
@@ -230,14 +229,14 @@ def _said(axes: Axes, height: float, text: str) -> None:
     axes.text(0.01, 1.03 * height, text, fontsize=8, color=MUTED, va="bottom", transform=axes.get_yaxis_transform())
 
 
-_FROM_PRIOR = 0.25  # of a component's prior variance that the data left: from there on it is shaded
+_FROM_PRIOR = 0.25  # remaining share of a component's prior variance, from which it is shaded
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 90)
-_BEYOND = 1.6  # of the largest force: the axes show no more of a band
+_BEYOND = 1.6  # of the largest force: limit of the axes
 
 
 @styled
 def sensing(found: Sensed) -> Figure:
-    """Force and moment over time with their bands, the log, the place, the misfit and the contacts."""
+    """Force and moment in time with bands, log, place, misfit and contacts."""
     more = int(found.moment is not None)
     figure, (x, y, *others, place, misfit) = blank(8.0 + 1.6 * more, 4 + more, 1, sharex=True)
     if found.moment is not None:
@@ -246,7 +245,8 @@ def sensing(found: Sensed) -> Figure:
     for c, (axes, name, colour) in enumerate(((x, "x", BLUE), (y, "y", GREEN))):
         _component(axes, found, c, name, colour)
     x.set_title("Force from the shape, 95 % bands", loc="left")
-    x.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    said = {name: one for axes in (y, x) for one, name in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(said.values(), said, loc="outside upper right", ncols=4)  # above the title, never on it
     low, high = found.place - WIDE * found.place_sd, found.place + WIDE * found.place_sd
     shown = found.touched
     place.fill_between(found.time, low, high, where=shown, color=ORANGE, alpha=0.25, lw=0.0)
@@ -266,7 +266,7 @@ def sensing(found: Sensed) -> Figure:
 
 
 def _band(axes: Axes, time: Array, middle: Array, sd: Array, colour: str, alpha: float = 0.25, **line: Any) -> None:
-    """The middle with its 95 % band. `line`: of the middle alone."""
+    """The curve with its 95 % band. `line`: the curve alone."""
     axes.fill_between(time, middle - WIDE * sd, middle + WIDE * sd, color=colour, alpha=alpha, lw=0.0)
     axes.plot(time, middle, color=colour, **line)
 
@@ -293,7 +293,7 @@ def _component(axes: Axes, found: Sensed, c: int, name: str, colour: str) -> Non
 
 @styled
 def sensed_regions(found: Sensed) -> Figure:
-    """The force in its plane: 95 % regions of some frames, the log's path, and the direction that is known least."""
+    """95 % regions in the plane, the log's path, and the least certain direction."""
     figure, (axes,) = blank(4.6)
     rows = np.flatnonzero(found.touched)
     chosen = rows[np.linspace(0, len(rows) - 1, min(7, len(rows))).astype(int)]

@@ -1,4 +1,4 @@
-"""Pictures: one function a figure."""
+"""Pictures of learning, one function per figure."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from onebend.text_files import figure_text
 MM = 1000.0
 GREY = "#98a2b3"
 _S = np.linspace(0.0, 1.0, 401)
-_SAID = 0.05  # of the sd before the data: what it shrank by, or the value
+_SAID = 0.05  # of the prior sd: least shrinkage or value to be shown
 
 
 @styled
@@ -67,8 +67,7 @@ def stiffness(
     tags: Mapping[int, float] = MappingProxyType({}),
     push_s: float | None = None,
 ) -> Figure:
-    """k(s) with its bands, grey where it is not identified, beside the regression. Symbols: tags; hatched: never
-    loaded."""
+    """k(s) with its bands, grey where not identified, and the regression. Symbols: tags; hatched: never loaded."""
     if uncertain is None:
         figure, (axes,) = blank(3.1)
         low, top = _plain(axes, beam.stiffness(_S))
@@ -122,7 +121,7 @@ def _relative(axes: Axes, uncertain: UncertainStiffness, regression: Profile | N
 
 
 def _bands(axes: Axes, uncertain: UncertainStiffness, shown: Callable[[Array], Array]) -> Band:
-    """The bands as `shown`, grey where the data are blind; returns the widest."""
+    """Draws the bands, grey where not identified; returns the widest."""
     for level, strength in LEVELS:
         band = uncertain.band(_S, level)
         for where, tint in ((band.identified, BLUE), (~band.identified, GREY)):
@@ -133,7 +132,7 @@ def _bands(axes: Axes, uncertain: UncertainStiffness, shown: Callable[[Array], A
 
 
 def _reach(where: BoolArray) -> BoolArray:
-    """Flags, one place wider to the right, so that two neighbouring pieces of a curve touch."""
+    """Flags extended by one place, so that neighbouring pieces touch."""
     return np.concatenate([where[:1], where[1:] | where[:-1]])
 
 
@@ -150,7 +149,7 @@ def _places(axes: Axes, tags: Mapping[int, float], push_s: float | None) -> None
 
 
 def told(every: Sequence[Nuisance]) -> list[Nuisance]:
-    """The nuisances of which the data say something, in their order; of many the 40 of which they say most."""
+    """Nuisances with information in the data; at most the 40 best."""
     said = np.array([max(1.0 - n.sd / n.prior_sd, abs(n.value) / n.prior_sd) for n in every])
     most = np.argsort(-said, kind="stable")[:40]
     return [every[i] for i in sorted(most.tolist()) if said[i] > _SAID]
@@ -158,7 +157,7 @@ def told(every: Sequence[Nuisance]) -> list[Nuisance]:
 
 @styled
 def nuisances(rows: Sequence[Nuisance]) -> Figure:
-    """Nuisances in units of their prior's sd: grey what was allowed (one sd), blue what the data made of it."""
+    """Nuisances in units of their prior sd: prior grey, posterior blue."""
     figure, (axes,) = blank(0.9 + 0.24 * len(rows))
     value, sd = (
         np.array(column) for column in zip(*((n.value / n.prior_sd, n.sd / n.prior_sd) for n in rows), strict=True)
@@ -175,30 +174,30 @@ def nuisances(rows: Sequence[Nuisance]) -> Figure:
     return figure
 
 
-LARGE = 0.99  # of the largest force: so large is as good to look at
+LARGE = 0.99  # of the largest force: equivalent for display
 
 
 def largest_push(comparison: Comparison) -> int:
-    """Index of the frame with the largest force among those where most markers were seen."""
+    """Frame with the largest force among those with most markers."""
     return int(np.argmax(_sizes(comparison)))
 
 
 def push_to_show(comparison: Comparison) -> int:
-    """Index of a frame whose force is the same to a percent, and that is likely to be kept."""
+    """An equivalent frame that is likely to be kept."""
     size = _sizes(comparison)
     large = np.flatnonzero(size >= min(LARGE * size.max(), size.max()))
     return int(large[roundest(comparison.frame[large])])
 
 
 def _sizes(comparison: Comparison) -> Array:
-    """(T,) N, of the forces; -1 where not most markers were seen."""
+    """(T,) N; -1 for frames with fewer markers."""
     seen = np.isfinite(comparison.measured[..., 0]).sum(axis=1)
     size = np.linalg.norm(comparison.force, axis=1)
     return np.asarray(np.where((seen == seen.max()) & np.isfinite(size), size, -1.0))
 
 
 def spread_of_pushes(comparison: Comparison, count: int) -> list[int]:
-    """Frames with about 0, 1/(count-1), ..., 1 times the largest force, up to the largest."""
+    """Frames with about 0, 1/(count-1), ..., 1 times the largest force."""
     size = np.nan_to_num(np.linalg.norm(comparison.force, axis=1))
     last = largest_push(comparison)
     rising = size[: last + 1]
@@ -207,14 +206,14 @@ def spread_of_pushes(comparison: Comparison, count: int) -> list[int]:
 
 
 def same_frame(comparison: Comparison, other: Comparison, t: int) -> int:
-    """Index in `one` of the frame t of `other`, the nearest where it has not that very frame."""
+    """Index in `one` of frame t of `other`, or the nearest."""
     return int(np.argmin(np.abs(comparison.time - other.time[t])))
 
 
 def centreline(
     beam: Beam, comparison: Comparison, observations: Observations, t: int, places: int = 121
 ) -> Array | None:
-    """(places, 2) m, the beam simulated under the measured loads of the comparison's frame t; None if it cannot be."""
+    """(places, 2) m, simulated under the loads of frame t; None if that fails."""
     here: BoolArray = np.asarray(observations.frame == comparison.frame[t])
     if not np.any(here):
         return None
@@ -225,11 +224,11 @@ def centreline(
     return solved.xy(np.linspace(0.0, 1.0, places))[0] if solved.converged[0] else None
 
 
-# Lengths are shown in mm, forces in N, stiffness in N m.
+# Lengths in mm, forces in N, stiffness in N m.
 
-_A_ROW = 5  # markers whose names fit side by side
+_A_ROW = 5  # legend columns
 _DASHED: dict[str, Any] = {"linestyle": (0, (4, 3))}
-# A white edge, to be seen on any photo.
+# A white edge is visible on any photo.
 _EDGED_WIDE: dict[str, Any] = {"path_effects": [withStroke(linewidth=4.4, foreground="white")]}
 
 
@@ -242,7 +241,7 @@ def fit_over_frame(
     observations: Observations,
     fitted: Explained | None = None,
 ) -> Figure:
-    """Measured tags and the fitted beam over the RGB frame of the largest push; dashed: under the logged force."""
+    """Tags and fitted beam over the RGB frame of the largest push; dashed: under the logged force."""
     shown = comparison if fitted is None else fitted.comparison
     t = push_to_show(shown)
     logged = centreline(beam, comparison, observations, t if fitted is None else same_frame(comparison, shown, t))
@@ -273,7 +272,7 @@ def fit_over_frame(
 
 
 def _draw_force(axes: Axes, view: View, tip: Array, force: Array, length_m: float) -> Array:
-    """An arrow that ends where the force acts; returns its two ends [px]."""
+    """An arrow to the place of the force; returns its ends [px]."""
     size = float(np.linalg.norm(force))
     if size == 0.0:
         return np.asarray(project(view, tip[None]))
@@ -284,7 +283,7 @@ def _draw_force(axes: Axes, view: View, tip: Array, force: Array, length_m: floa
 
 
 def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
-    """Show what holds all `points` [px] with room around, at least as wide as the page's figures are."""
+    """Shows all `points` [px] with a margin, at least as wide as the page's figures."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
     extent = high - low + 0.24 * float(np.max(high - low)) + 40.0
@@ -298,7 +297,7 @@ def _crop(axes: Axes, points: Array, size: tuple[int, ...]) -> None:
 
 @styled
 def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitted: Explained | None = None) -> Figure:
-    """The beam and the measured tags at rest and at pushes of growing size (Fig. 7 of the paper)."""
+    """Beam and tags under growing force (Fig. 7)."""
     figure, (axes,) = blank(3.6)
     shown, count = comparison if fitted is None else fitted.comparison, len(comparison.tag_id)
     chosen = spread_of_pushes(shown, 6)
@@ -329,10 +328,10 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
 
 @styled
 def markers(comparison: Comparison, fitted: Explained | None = None) -> Figure:
-    """Every tag over time in x and y: measured (dots), and fitted or simulated under the force as logged (lines)."""
+    """Tags in time: measured (dots), fitted or simulated under the force as logged (lines)."""
     figure, (above, below) = blank(4.6, 2, 1, sharex=True)
     time, shown = comparison.time - comparison.time[0], comparison if fitted is None else fitted.comparison
-    step, count = max(1, len(time) // 150), len(comparison.tag_id)  # dots that would cover each other are left out
+    step, count = max(1, len(time) // 150), len(comparison.tag_id)  # without dots that would overlap
     for axes, axis, name in ((above, 0, "x"), (below, 1, "y")):
         for i in range(count):
             tint = hue_of(i, count)
@@ -372,9 +371,9 @@ def _time_label(comparison: Comparison) -> str:
 
 @styled
 def residuals(comparison: Comparison, title: str = "measured to simulated") -> Figure:
-    """How far simulated tags are from the measured ones: over time, and in the plane where x and y were measured."""
+    """Distance of simulated from measured tags: over time, and in the plane where both coordinates were measured."""
     residual = MM * (comparison.measured - comparison.predicted)
-    both = bool(np.any(np.isfinite(residual).all(axis=-1)))  # a plane needs x and y of the same tag
+    both = bool(np.any(np.isfinite(residual).all(axis=-1)))  # a plane needs both coordinates
     figure, panels = blank(3.2, 1, 2, width_ratios=(1.7, 1.0)) if both else blank(3.2)
     left = panels[0]
     time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
@@ -397,7 +396,7 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
 
 @styled
 def selection(learned: Learned) -> Figure:
-    """The (n, m) table as a map of the BIC; the chosen pair framed, pairs out of the running left grey."""
+    """Map of the BIC over (n, m); the chosen pair framed, excluded ones grey."""
     trials = learned.trials
     ns, ms = sorted({trial.n for trial in trials}), sorted({trial.m for trial in trials})
     figure, (axes,) = blank(0.42 * len(ns) + 1.3)
@@ -431,7 +430,7 @@ def _cell(trial: Trial) -> str:
 
 @styled
 def force(observations: Observations, fitted: Explained | None = None) -> Figure:
-    """The force on the beam over time: what was filmed, when contact was, what was taken off; the fit's own dashed."""
+    """Force in time: film, contact, tare; the fit's force dashed."""
     clean = observations.source.clean_force
     figure, (axes,) = blank(3.0)
     time, values = (observations.time, observations.force) if clean is None else (clean.time, clean.force)
@@ -482,12 +481,12 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
 
 
 def draw_all(findings: Run, *, frames: KeptFrames | None = None, progress: Progress = Silent()) -> Pictures:
-    """Every figure that the findings allow, in the order of the page. Frames that are not in `frames` are read."""
+    """All figures in the page's order. Frames missing in `frames` are read."""
     wanted: dict[str, Draw] = {"stiffness": partial(_stiffness, findings)}
     posterior = findings.posterior
     if posterior is not None and (rows_told := told(posterior.nuisances())):
         wanted["nuisances"] = partial(nuisances, rows_told)
-    if only_frequencies(findings.recordings):  # no tag moved
+    if only_frequencies(findings.recordings):  # no tags
         return draw(wanted, progress)
     fits: Sequence[Explained | None] = [None] * len(findings.trainings) if posterior is None else explained(posterior)
     kept = frames or KeptFrames()
@@ -509,8 +508,8 @@ def _of_recordings(findings: Run, fits: Sequence[Explained | None], kept: KeptFr
         if i > 1:
             wanted[f"{before}shapes"] = partial(shapes, beam, comparison, observations, fitted)
         if fitted is not None:
-            wanted[f"{before}fitted"] = partial(residuals, fitted.comparison, "left by the fit")
-        if fitted is None or not observations.static:  # of static poses the fit's own distance is the one that counts
+            wanted[f"{before}fitted"] = partial(residuals, fitted.comparison, "residuals of the fit")
+        if fitted is None or not observations.static:  # for static poses only the fit's distance counts
             under = words_of(observations).under
             wanted[f"{before}residuals"] = partial(residuals, comparison, under)
     if learned is not None:
@@ -531,7 +530,7 @@ def _with_film(findings: Run, pictures: Pictures, fitted: Explained | None, kept
     try:
         film = film_strip(findings.recordings[0], fitted, findings.beam, findings.posterior.stiffness, kept)
         return replace(pictures, film=film)
-    except Exception as error:  # as with every picture
+    except Exception as error:  # as for every picture
         pictures.failed["film"] = reason_of(error)
         return pictures
 
@@ -551,7 +550,7 @@ def _stiffness(findings: Run) -> Figure:
 def validation_figures(
     beam: Beam, pairs: Sequence[tuple[Comparison, Observations]], *others: Comparison
 ) -> dict[str, Draw]:
-    """The bars over all recordings (`others` first), and shapes and residuals of each."""
+    """Bars for all recordings (`others` first), shapes and residuals of each."""
     if not pairs:
         return {}
     wanted: dict[str, Draw] = {"validation": partial(validation, (*others, *(comparison for comparison, _ in pairs)))}
@@ -568,7 +567,7 @@ def fit(
     fitted: Explained | None = None,
     kept: KeptFrames | None = None,
 ) -> Figure | None:
-    """The fit over the video frame; None where there is no video any more, or no camera."""
+    """The fit over the video frame; None without video or camera."""
     if observations.source.view is None or observations.source.video is None:
         return None
     shown = comparison if fitted is None else fitted.comparison
@@ -582,13 +581,13 @@ def fit(
     return fit_over_frame(image, observations.source.view, beam, comparison, observations, fitted)
 
 
-ROWS = 4000  # of the log that are drawn
+ROWS = 4000  # of the log
 ARROW = 0.3  # of the beam's length
 _EDGED_NARROW: dict[str, Any] = {"path_effects": [withStroke(linewidth=3.6, foreground="white")]}
 
 
 def check_png(found: Overview) -> bytes | None:
-    """A frame with tags, axis and largest force, and the force over time; without a film the tags in the plane, or
+    """A frame with tags, axis and largest force, and the force in time; without a film the tags in the plane, or
     None."""
     if found.preview is None and found.observations is None:
         return None
@@ -661,7 +660,7 @@ def _axis(axes: Axes, description: Recording, preview: Preview, view: View, at: 
 
 
 def _tool(axes: Axes, preview: Preview, view: View, s: Array, points: Array) -> None:
-    """Where the film shows the tool: at `s` (P,) the axis goes through `points` (P, 2) [m]."""
+    """The tool in the film: at `s` (P,) the axis goes through `points` (P, 2) [m]."""
     if not preview.tool.seen or len(s) < 2:
         return
     where = np.array([np.interp(preview.tool.s, s, points[:, k]) for k in (0, 1)])
@@ -695,7 +694,7 @@ def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
     axes.axhline(0.0, color=FAINT, linewidth=0.8, zorder=0)
     span = _film_span(found)
     if span is None:
-        axes.set_title("force on the beam; when the film begins is not written down")
+        axes.set_title("force on the beam; the start of the film is not stated")
     else:
         clock = None if found.observations is None else found.observations.source.clock
         as_found = clock is not None and clock.found
@@ -712,7 +711,7 @@ def _force(axes: Axes, found: Overview, log: ForceLog) -> None:
 
 
 def pushes(found: Overview) -> list[tuple[float, float, bool]]:
-    """Begin, end [s, the log's clock] and whether the beam is pushed, by the tags and the start as written."""
+    """Begin, end [s, the log's clock], pushed or not, by tags and stated start."""
     start = found.recording.start[0]
     if found.observations is not None:
         time, loaded = found.observations.time, found.observations.loaded

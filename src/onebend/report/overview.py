@@ -1,4 +1,4 @@
-"""What a recording's files say, and what some frames of its film show: enough to find most mistakes in seconds."""
+"""A quick check of a recording: its files, and some frames of its film."""
 
 from __future__ import annotations
 
@@ -30,45 +30,42 @@ from onebend.records import Array, ForceLog, Markers, Observations, Remark
 from onebend.report.sentences import size_words
 from onebend.report.wording import significant
 
-STEP, MOST_OFFSETS = 0.05, 2000  # s between offsets of the clocks that are tried, and how many at most
-SURE = 0.9  # correlation of force and bending above which film and log are taken to show one push
-SOFTWARE = "onebend check"  # what stands in the picture of it, so that only such a one is replaced unasked
-SMOOTH = 0.1  # s, over which a log is averaged before its largest force is taken
+STEP, MOST_OFFSETS = 0.05, 2000  # s between tried clock offsets, and their largest number
+SURE = 0.9  # correlation of force and bending with which film and log show one push
+SOFTWARE = "onebend check"  # written into the picture; only such a picture is replaced
+SMOOTH = 0.1  # s, average of the log before its maximum
 
 
 @dataclass(frozen=True)
 class Overview:
-    """What was read of a recording, row by row, what looked odd, and what would stop `learn`."""
+    """What was read, remarks, and errors that would stop `learn`."""
 
     name: str
     rows: tuple[tuple[str, str], ...]
     remarks: tuple[Remark, ...]
-    faults: tuple[str, ...]  # for each of these `learn` would end; empty: none was found
+    faults: tuple[str, ...]  # errors of `learn`
     recording: Recording
     preview: Preview | None  # of a film
-    observations: Observations | None  # where there is no film to search, all that was read
+    observations: Observations | None  # without a film
     log: ForceLog | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for `--json`."""
+        """For `--json`."""
         remarks = [remark.as_dict() for remark in self.remarks]
         return {"recording": self.name, "understood": dict(self.rows), "remarks": remarks}
 
 
 @dataclass(frozen=True)
 class FilmInfo:
-    """The size of a film's pictures, and how long it is."""
-
     width: int
     height: int
-    frames: int | None  # None where it was not read to its end and does not say
-    seconds: float  # NaN likewise
+    frames: int | None  # None if unknown
+    seconds: float  # NaN if unknown
 
 
 def overview(folder: Path | str) -> Overview:
-    """Read and check every file of a recording, and look for its tags in some frames of the film. Raises
-    `RecordingError` for a file that cannot be read, `ObservationError` for tracks or poses that make no observations.
-    """
+    """Reads and checks every file, and searches some frames for tags. Raises `RecordingError` for unreadable files,
+    `ObservationError` for tracks or poses that make no observations."""
     recording = read_recording(folder)
     section = stated_in(recording).section
     if recording.gravity is not None and recording.gravity.base_angle_file is not None:
@@ -97,7 +94,7 @@ def overview(folder: Path | str) -> Overview:
 
 
 def film_info(video: VideoEntry, preview: Preview) -> FilmInfo:
-    """Size and length: as read where it was read to its end, else as the file says."""
+    """As read to the end, else as the file says."""
     height, width = preview.looked[0].luma.shape
     if preview.whole:
         return FilmInfo(width, height, preview.frames, preview.looked[-1].time)
@@ -110,7 +107,7 @@ def film_info(video: VideoEntry, preview: Preview) -> FilmInfo:
 
 
 def _faults(description: Recording, preview: Preview, film: FilmInfo | None, log: ForceLog | None) -> list[str]:
-    """For what `learn` would end, in its own words."""
+    """Errors of `learn`."""
     faults = [preview.fault] if preview.fault else []
     if preview.whole and preview.frames < FEWEST_FRAMES:
         faults.append(
@@ -140,13 +137,13 @@ def _words(check: Callable[[], None]) -> str:
 
 
 def _largest(description: Recording, log: ForceLog) -> Array:
-    """(1, 2) N, about the largest force on the beam."""
+    """(1, 2) N, approximately."""
     force = tared(description, log)
     return force[[int(np.argmax(np.linalg.norm(force, axis=1)))]]
 
 
 def tared(description: Recording, log: ForceLog) -> Array:
-    """(N, 2) N, the log's force on the beam without spikes and quick noise, less the force in its first rows."""
+    """(N, 2) N on the beam, without spikes, fast noise and the initial force."""
     bad = outliers(log.force, spacing=step(log.time))
     span = max(1, round(SMOOTH / step(log.time)))
     values = [np.interp(log.time, log.time[~bad], column[~bad]) for column in log.force.T]
@@ -177,8 +174,8 @@ def _refuse_apart(description: Recording, seconds: float, log: ForceLog) -> None
 
 
 def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> None:
-    """Raise if the force contradicts the bending in these frames. The clocks are matched by the sizes of force and
-    bending, which no sign or axis changes."""
+    """Raises if the force contradicts the bending. Clocks are matched by the sizes of force and bending, whatever the
+    axes."""
     away, force = displacement(markers), tared(description, log)
     start, doubt = description.start
     place = np.nan if description.push is None else description.push.at
@@ -199,7 +196,7 @@ def _refuse_axes(description: Recording, markers: Markers, log: ForceLog) -> Non
 
 
 def _likeness(time: Array, away: Array, log_time: Array, size: Array) -> float:
-    """Correlation of the bending at `time` [s, the log's clock] with the force's size; 0 where they hardly overlap."""
+    """Correlation of bending at `time` [s, the log's clock] with the force's size; 0 without overlap."""
     inside = (time >= log_time[0]) & (time <= log_time[-1])
     if inside.sum() < 0.6 * len(time) or not np.ptp(away[inside]) > 0.0:
         return 0.0
@@ -263,7 +260,8 @@ def _pose_rows(description: Recording) -> list[tuple[str, str]]:
         return [("photos", description.photos.folder.name), ("loads", said)]
     assert description.poses is not None
     points, name = read_points(description, loads), description.poses.file.name
-    known = np.isfinite(points.xy[np.arange(len(points.xy)) != points.readings.bare])  # of the zero nothing is read
+    # without the zero pose, which has no readings
+    known = np.isfinite(points.xy[np.arange(len(points.xy)) != points.readings.bare])
     seen, both = int(known.any(axis=-1).sum()), int(known.all(axis=-1).sum())
     return [("poses", f"{name}, {seen} points, {both} of them with both coordinates"), ("loads", said)]
 

@@ -1,4 +1,4 @@
-"""Pictures one by one: one that cannot be drawn costs itself, and its reason is kept."""
+"""Draws pictures independently: a failure costs only that picture."""
 
 from __future__ import annotations
 
@@ -34,28 +34,28 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 24  # fewer than are kept of most films
 WIDEST = 560  # px
-LARGEST = 1_500_000  # bytes of all frames together: the page stays below 5 MB
-QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, the best that is small enough
-_STEP = 4  # of the centre line's places, one is drawn
+LARGEST = 1_500_000  # bytes in all: the page stays below 5 MB
+QUALITIES = (70, 55, 40, 25, 12)  # of the JPEGs, best first
+_STEP = 4  # of the centre line's places
 
 
 @dataclass(frozen=True)
 class StripFrame:
-    """One frame; lengths in pixels of the small picture."""
+    """Lengths in pixels of the small picture."""
 
     jpeg: bytes
-    frame: int  # index in the video
+    frame: int  # in the video
     time: float  # s since the first frame shown
-    beam: Array  # (places, 2) px, the centre line as fitted
-    band: Array  # (2, places, 2) px, either side of it: where it could be for all of k(s) that is probable (95 %)
-    tags: Array  # (m, 2) px as measured; NaN where one was not seen
-    arrow: Array  # (2, 2) px, from where the arrow begins to where the force acts
-    force: Array  # (2,) N, as fitted
+    beam: Array  # (places, 2) px, fitted centre line
+    band: Array  # (2, places, 2) px, edges of its 95 % band due to k(s)
+    tags: Array  # (m, 2) px; NaN if not seen
+    arrow: Array  # (2, 2) px, to the place of the force
+    force: Array  # (2,) N, fitted
 
 
 @dataclass(frozen=True)
 class FilmStrip:
-    """Frames to look through, all of one size [px]."""
+    """Frames of one size [px]."""
 
     width: int
     height: int
@@ -63,13 +63,12 @@ class FilmStrip:
 
 
 def film_of(video: Path, observations: Observations) -> VideoEntry:
-    """The observations' film, to be read again."""
     topic = observations.source.video_topic
     return VideoEntry(file=video, topic=topic, damaged="keep" if topic else "refuse")
 
 
 def spread_frames(frame: IntArray) -> IntArray:
-    """(n,) places in `frame` (T,), about evenly spread, of frames that are likely to be kept."""
+    """(n,) evenly spread places in `frame` (T,), of frames likely to be kept."""
     ends = np.linspace(0, len(frame), min(MOST_FRAMES, len(frame)) + 1).round().astype(int)
     return np.array([a + roundest(frame[a:b]) for a, b in pairwise(ends.tolist())], dtype=np.int64)
 
@@ -81,7 +80,7 @@ def film_strip(
     uncertain: UncertainStiffness,
     kept: KeptFrames | None = None,
 ) -> FilmStrip | None:
-    """Frames spread evenly over those of the fit; those not in `kept` are read. None without a film or a camera."""
+    """Evenly spread frames of the fit; those not in `kept` are read. None without film or camera."""
     source, shown = observations.source, fitted.comparison
     if source.view is None or source.video is None:
         return None
@@ -121,9 +120,8 @@ def film_strip(
 def shape_band(
     beam: Beam, uncertain: UncertainStiffness, observations: Observations, fitted: Explained, chosen: NDArray[np.int_]
 ) -> Array:
-    """(F, 2, places, 2) m, either side of the fitted centre line: 95 % of the shapes of beams with k(s) drawn from its
-    posterior, under the loads of the frames `chosen`. Force errors are not included. Zero width if no drawn beam can be
-    simulated."""
+    """(F, 2, places, 2) m, 95 % band of the centre line for k(s) from its posterior, under the loads of frames
+    `chosen`, without force errors. Zero width if no drawn beam can be simulated."""
     lines = fitted.line[chosen, ::_STEP]
     s = np.linspace(0.0, 1.0, fitted.line.shape[1])[::_STEP]
     frames = np.isin(observations.frame, fitted.comparison.frame[chosen])
@@ -147,7 +145,7 @@ def shape_band(
 
 
 def _arrows(view: View, length: float, fitted: Explained, chosen: NDArray[np.int_]) -> Array:
-    """(F, 2, 2) px, arrows that end where the force acts and are as long as it is large."""
+    """(F, 2, 2) px, arrows to the place of the force, scaled by its size."""
     shown, lines = fitted.comparison, fitted.line[chosen]
     places = np.nan_to_num(shown.push_s[chosen], nan=1.0)
     at = lines[np.arange(len(chosen)), (places * (lines.shape[1] - 1)).round().astype(int)]
@@ -157,7 +155,7 @@ def _arrows(view: View, length: float, fitted: Explained, chosen: NDArray[np.int
 
 
 def _window(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Two corners (x, y) px of the picture's part that holds all `points`, with room around them."""
+    """Corners (x, y) px of a window around all `points`."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
     room = 0.12 * float(np.max(high - low)) + 20.0
@@ -167,7 +165,7 @@ def _window(points: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.int_], ND
 
 
 def _part(picture: NDArray[np.uint8], points: Array) -> tuple[Image.Image, NDArray[np.int_], float]:
-    """The part of a frame that holds all `points`, as small as it is shown; its corner [px], and how much smaller."""
+    """The window around all `points`, scaled down; its corner [px] and scale."""
     low, high = _window(points, picture.shape)
     scale = min(WIDEST / float(high[0] - low[0]), 1.0)
     part = Image.fromarray(picture[low[1] : high[1], low[0] : high[0]])
@@ -176,7 +174,7 @@ def _part(picture: NDArray[np.uint8], points: Array) -> tuple[Image.Image, NDArr
 
 
 def _jpegs(images: list[Image.Image]) -> list[bytes]:
-    """JPEGs of the best quality with which they stay below `LARGEST` together."""
+    """JPEGs of the best quality below `LARGEST` in all."""
     jpegs: list[bytes] = []
     for quality in QUALITIES:
         jpegs = [_jpeg(image, quality) for image in images]
@@ -197,36 +195,36 @@ LONGEST = 200  # characters of a reason
 
 @dataclass(frozen=True)
 class Pictures:
-    """What was drawn, and what could not be."""
+    """Drawn and failed pictures."""
 
     drawn: dict[str, bytes] = field(default_factory=dict)  # PNGs by name
-    failed: dict[str, str] = field(default_factory=dict)  # why, by name
-    film: FilmStrip | None = None  # frames to look through on the page
+    failed: dict[str, str] = field(default_factory=dict)  # reasons by name
+    film: FilmStrip | None = None  # for the page
 
     def write(self, folder: Path) -> None:
-        """Write each as `NAME.png` into the folder, which is made where it is missing."""
+        """As `NAME.png`."""
         folder.mkdir(exist_ok=True)
         for name, png in self.drawn.items():
             (folder / f"{name}.png").write_bytes(png)
 
 
 def draw(wanted: Mapping[str, Draw], progress: Progress = Silent()) -> Pictures:
-    """All that can be drawn; None from a function: there is nothing to show."""
+    """Draws all that it can; a function that returns None has nothing to show."""
     from onebend.report.style import png_of
 
     pictures = Pictures()
     for name, make in track(progress, "drawing the figures", list(wanted.items()), len(wanted)):
         try:
             with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", message="Glyph .* missing")  # a name in another script: boxes
+                warnings.filterwarnings("ignore", message="Glyph .* missing")  # names in other scripts become boxes
                 figure = make()
                 if figure is not None:
                     pictures.drawn[name] = png_of(figure)
-        except Exception as error:  # whatever it is, the results do not depend on it
+        except Exception as error:  # results do not depend on pictures
             pictures.failed[name] = reason_of(error)
     return pictures
 
 
 def reason_of(error: Exception) -> str:
-    """Why a picture could not be drawn, on one line."""
+    """One line."""
     return one_line(f"{type(error).__name__}: {error}")[:LONGEST]

@@ -1,4 +1,4 @@
-"""The sentences of `sentences.toml` with their numbers: of every finding, doubt, verdict and allowance, by its code."""
+"""The sentences of `sentences.toml`, by code, with their numbers."""
 
 from __future__ import annotations
 
@@ -22,13 +22,11 @@ from onebend.report.wording import direction_words, name_of, width_words
 
 @dataclass(frozen=True)
 class Sentence:
-    """A template, and where docs/troubleshooting.md says more."""
-
     text: str
-    about: str = ""  # a key of `errors.SECTIONS`; empty: it is no warning
-    do: str = ""  # of a cause: what to do
-    do_for_poses: str = ""  # the same for static poses, if it differs
-    do_without_camera: str = ""  # the same if nothing was filmed
+    about: str = ""  # a key of `errors.SECTIONS`; empty: no warning
+    do: str = ""  # remedy of a cause
+    do_for_poses: str = ""  # for static poses, if different
+    do_without_camera: str = ""  # without a film, if different
 
 
 _FILE = files("onebend.report").joinpath("sentences.toml").read_text(encoding="utf-8")
@@ -36,8 +34,8 @@ SENTENCES = {code: Sentence(**entry) for code, entry in tomllib.loads(_FILE).ite
 _UNITS = {"mm": 1e3, "mN": 1e3, "g": 1e3, "ms": 1e3, "deg": 180.0 / np.pi, "percent": 1e2}
 _UNIT = re.compile(rf"({'|'.join(_UNITS)})((?=$|[.+]).*)")
 MODULUS_UNITS = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
-_MOST_POSES = 6  # that are named
-# The power with which a section's sizes count in k(s).
+_MOST_POSES = 6  # named poses
+# Power of a section's sizes in k(s).
 _POWERS = {
     "rectangle": "width_m counts with its third power",
     "second moment": "it is in m^4: 1 mm^4 is 1e-12",
@@ -45,7 +43,7 @@ _POWERS = {
 
 
 class _Template(Formatter):
-    """`str.format` with units, and with words for what is no number."""
+    """`str.format` with units and words."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec in _WORDS_OF:
@@ -60,12 +58,12 @@ class _Template(Formatter):
 
 
 def say(code: str, **values: Any) -> str:
-    """The sentence of a code with its numbers."""
+    """The sentence of a code."""
     return _Template().format(SENTENCES[code].text, **values)
 
 
 def words(notice: Notice) -> str:
-    """The sentence of a notice, and whose it is if there are several recordings."""
+    """The sentence of a notice, with its recording if there are several."""
     whose = f"{notice.whose}: " if notice.whose else ""
     if "causes" in notice.values and notice.code.startswith("more"):
         return whose + _more(notice)
@@ -73,7 +71,7 @@ def words(notice: Notice) -> str:
 
 
 def worded(notices: Iterable[Notice | Remark]) -> tuple[Remark, ...]:
-    """Notices in words: a warning if the sentence has a section in docs/troubleshooting.md, else a note."""
+    """Notices as warnings (with a section in docs/troubleshooting.md) or notes."""
     return tuple(one if isinstance(one, Remark) else _worded(one) for one in notices)
 
 
@@ -109,17 +107,17 @@ def _more(notice: Notice) -> str:
 
 
 def pair_remarks(comparison: Comparison, observations: Observations) -> list[Remark]:
-    """What is to be known of one validation."""
+    """Remarks on one validation."""
     missed = poor_fit(comparison, other=True) or another_beam(comparison)
     return [*observations.source.remarks, *worded((*comparison.remarks, *missed))]
 
 
 def all_remarks(findings: Run) -> list[tuple[str, Remark]]:
-    """Every remark once, with the name of the recording it belongs to; warnings first."""
+    """Every remark once, with its recording; warnings first."""
     found: dict[tuple[str, str], tuple[str, Remark]] = {}
     groups = [(name_of(findings), list(findings.remarks))]
     for comparison, recording in zip(findings.trainings, findings.recordings, strict=True):
-        # How far the fit stays from static poses is a notice of the fit.
+        # For static poses this is a notice of the fit.
         missed = () if comparison.static and findings.posterior else poor_fit(comparison)
         groups.append((comparison.name, [*recording.source.remarks, *worded((*comparison.remarks, *missed))]))
     for comparison, recording in zip(findings.validations, findings.validation_observations, strict=True):
@@ -131,26 +129,26 @@ def all_remarks(findings: Run) -> list[tuple[str, Remark]]:
 
 
 def two_digits(value: float) -> str:
-    """Two significant digits without an exponent: 550."""
+    """Without an exponent: 550."""
     return f"{float(f'{value:.2g}'):.9g}"
 
 
 def odds(log10_p: float) -> str:
-    """A probability as "1 in N", with two digits, down to one in a billion."""
+    """ "1 in N" with two digits, down to one in a billion."""
     count = 10.0 ** min(-log10_p, 9.0)
     whole = f"{count:.2g}" if count < 100.0 else f"{float(f'{count:.2g}'):,.0f}".replace(",", " ")
     return f"1 in {whole}" + (" or less" if log10_p < -9.0 else "")
 
 
 def modulus_unit(values: Array) -> tuple[float, str]:
-    """Pa, and the name, of the unit in which these moduli [Pa] read best."""
+    """Unit [Pa] and name for these moduli [Pa]."""
     known = values[np.isfinite(values)]
     middle = float(np.median(np.abs(known))) if known.size else 0.0
     return next((unit for unit in MODULUS_UNITS if middle >= unit[0]), MODULUS_UNITS[-1])
 
 
 def size_words(section: StatedSection) -> list[str]:
-    """Each size by its key in recording.toml: "width_m 12 mm in the plane of bending", "diameter_m 4 to 9 mm"."""
+    """ "width_m 12 mm in the plane of bending", "diameter_m 4 to 9 mm"."""
     if section.moment is not None:
         return [f"I_m4 {_range(1e12 * section.moment, 'mm^4')}"]
     if section.shape == "hexagon":
@@ -172,7 +170,7 @@ def _range(values: Array, unit: str) -> str:
 
 
 def posture_words(posture: Posture) -> str:
-    """How the base was held, and what was at the tip."""
+    """Orientation of the base, and mass at the tip."""
     x, y = posture.gravity.tolist()
     size = float(np.hypot(x, y))
     held = "across gravity"
@@ -214,7 +212,7 @@ def _moduli(values: Array) -> str:
     return _range(values / factor, unit)
 
 
-_WORDS_OF: dict[str, Callable[[Any], str]] = {  # by the name that a field of a template has behind its colon
+_WORDS_OF: dict[str, Callable[[Any], str]] = {  # by the format of a template's field
     "two": two_digits,
     "odds": odds,
     "places": _places,

@@ -1,4 +1,4 @@
-"""The verdict on k(s), for terminal, report and `summary.json`: value, grounds, use and next step."""
+"""The verdict on k(s), for terminal, report and `summary.json`."""
 
 from __future__ import annotations
 
@@ -21,38 +21,37 @@ from onebend.report import confidence
 from onebend.report.sentences import SENTENCES, remedy, say
 from onebend.report.wording import millimetres, only_frequencies, significant, span, tag_words
 
-AS_GOOD = 1.5  # times the force noise: a sensor that is not better can show no better beam
+AS_GOOD = 1.5  # times the force noise: a better beam would not show
 _MOST_NAMED = 4  # allowances, tests
-_NARROW, _MOST = 0.1, 0.9  # half-width of the band, identified share: with less, another push tells more
+_NARROW, _MOST = 0.1, 0.9  # half-width, identified share: below, another push is worthwhile
 ErrorOf = Literal["validation", "fit", "as logged"]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Sentences without their full stops, and the one number that tells how far the beam is from the tags."""
+    """Sentences without full stops, and one error."""
 
     grade: Grade | Literal["no band"]
-    headline: str  # the grade in a sentence, with what was allowed for or what is in doubt
-    known: str  # k(s), and how well it is known
+    headline: str  # grade, with allowances or doubts
+    known: str  # k(s) and its band
     rests_on: str
-    use: str  # how far off its predictions are, and what that means
-    narrower: str  # what to state for a narrower band; empty where nothing would help much
-    next: str  # the one thing to do
-    error: float  # m RMS of the worst tag; NaN: not known
+    use: str  # error of predictions, and its meaning
+    narrower: str  # how to narrow the band; empty if nothing helps much
+    next: str  # one action
+    error: float  # m RMS of the worst tag, or NaN
     error_of: ErrorOf
-    about: str = ""  # what is wrong with k(s), a key of `errors.SECTIONS`; "": nothing is
+    about: str = ""  # key of `errors.SECTIONS`, or ""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         fields = asdict(self)
         kept = {name: value for name, value in fields.items() if name not in ("error", "about")}
         return kept | {"error_m": self.error, "docs": section(self.about)}
 
     @property
     def rows(self) -> tuple[tuple[str, str], ...]:
-        """Label and words of all below the headline."""
+        """Labels and sentences below the headline."""
         docs = (("docs", section(self.about)),) if self.about else ()
-        rows = (("k(s)", self.known), ("rests on", self.rests_on), ("for use", self.use), ("narrower", self.narrower))
+        rows = (("k(s)", self.known), ("tests", self.rests_on), ("accuracy", self.use), ("improve", self.narrower))
         return (*(row for row in rows if row[1]), ("next", self.next), *docs)
 
 
@@ -61,15 +60,14 @@ class _Error:
     of: ErrorOf
     rms: float  # m
     tag: str
-    noise: float  # m, the force noise of it
-    likely: float  # m, what that, the band of k(s) and the push's tolerances let expect
-    motion: float  # m, how far the tag moves
+    noise: float  # m, force noise
+    likely: float  # m, from force noise, band of k(s) and tolerances of the push
+    motion: float  # m, of the tag
     name: str
     failed: bool  # a warning says so
 
 
 def verdict_of(findings: Run) -> Verdict:
-    """The verdict on a run."""
     error = _error(findings)
     posterior = findings.posterior
     return Verdict(
@@ -94,7 +92,7 @@ def _about(posterior: Posterior | None) -> str:
 
 
 def hopeless(findings: Run) -> bool:
-    """Whether the fit misses a recording so far that no fitted value means anything."""
+    """Whether the fit misses a recording so far that no estimate is meaningful."""
     return findings.posterior is not None and any(one.hopeless for one in findings.posterior.misses)
 
 
@@ -177,7 +175,7 @@ def _use(findings: Run, error: _Error) -> str:
     if posterior is not None and posterior.doubts:
         return say("use: none")
     worst = f"{millimetres(error.rms)} mm RMS (worst: {error.tag})"
-    # Poses have no log, and a wrong pose is named by a warning of its own.
+    # Poses have no log; wrong ones have their own warning.
     if error.of == "fit" and any(poor_fit(one) for one in findings.trainings if not one.static):
         logged = _worst("as logged", findings.trainings, [one.rms for one in findings.trainings])
         numbers = {"logged": millimetres(logged.rms), "tag": logged.tag, "motion": significant(1e3 * logged.motion)}

@@ -1,4 +1,4 @@
-"""Numbers and sentences as people read them, the same in the report and in the terminal."""
+"""Numbers and sentences for people, shared by report and terminal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def name_of(findings: Run) -> str:
-    """The recordings that were learned from, in one line."""
+    """Names of the learned recordings."""
     return " + ".join(recording.source.name for recording in findings.recordings)
 
 
@@ -29,13 +29,13 @@ Kind = Literal["film", "tracks", "photos", "poses", "frequencies"]
 
 @dataclass(frozen=True)
 class KindWords:
-    """How one kind of recording is spoken of."""
+    """Words for one kind of recording."""
 
     kind: Kind
-    frames: str  # several instants of it
-    under: str  # what the beam is simulated under without a fit's corrections
-    inputs: str  # the heading over what was read
-    gone_by: str  # what an hour of work is compared with; empty where nothing passed
+    frames: str  # several of its instants
+    under: str  # loads of the uncorrected simulation
+    inputs: str  # heading of the inputs
+    gone_by: str  # duration to compare work with; may be empty
 
 
 WORDS: dict[Kind, KindWords] = {
@@ -48,7 +48,6 @@ WORDS: dict[Kind, KindWords] = {
 
 
 def kind_of(observations: Observations) -> Kind:
-    """Film, marker tracks, photos of the loaded beam, a table of static poses, or natural frequencies alone."""
     if observations.frequencies and observations.static and not np.any(observations.marker_s):
         return "frequencies"
     if observations.static:
@@ -57,24 +56,22 @@ def kind_of(observations: Observations) -> Kind:
 
 
 def words_of(observations: Observations) -> KindWords:
-    """How this recording is spoken of."""
     return WORDS[kind_of(observations)]
 
 
 def is_forced(observations: Observations) -> bool:
-    """Whether a known force bends it, and not its weight alone."""
+    """Whether a known force bends it, not its weight alone."""
     if not observations.static:
         return observations.source.clean_force is not None
     return observations.known_loads is not None or bool(np.any(observations.force != 0.0))
 
 
 def only_static(recordings: Sequence[Observations]) -> bool:
-    """Whether all of them are static poses or photos: nothing was logged over time."""
     return all(one.static for one in recordings)
 
 
 def learned_from(observations: Observations) -> str:
-    """What of it was used: "440 loaded frames of a film (600 in all)", "6 poses under known loads"."""
+    """ "440 loaded frames of a film (600 in all)", "6 poses under known loads"."""
     swings = f"{len(observations.frequencies)} natural frequencies"
     if kind_of(observations) == "frequencies":
         return swings
@@ -82,7 +79,6 @@ def learned_from(observations: Observations) -> str:
 
 
 def only_frequencies(recordings: Sequence[Observations]) -> bool:
-    """Whether nothing was seen of the beam but how fast it swings."""
     return all(kind_of(one) == "frequencies" for one in recordings)
 
 
@@ -99,7 +95,7 @@ def _shown(observations: Observations) -> str:
 
 UNKNOWN = "–"
 NOT_WORTH_A_ROW = 0.005  # s
-SMALL = 9.5e-5  # m: less would be 0.00 to 0.09 mm
+SMALL = 9.5e-5  # m: shown with two digits
 
 FILES = {
     "model.json": "the learned beam; load_model reads it",
@@ -113,57 +109,57 @@ FILES = {
     "report.html": "this page",
     "figures/": "every figure as a PNG",
 }
-_LINEAR = 1.0  # change of log k: what is known of it is to first order, and nothing beyond
+_LINEAR = 1.0  # change of log k up to which first order holds
 ANOTHER = "another"
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """`value` with that many significant digits, without an exponent where it can be; a dash where it is not known."""
+    """`value` with that many digits, without an exponent if possible; a dash if unknown."""
     if not np.isfinite(value):
         return UNKNOWN
     if value == 0.0 or not 1e-4 <= abs(value) < 1e6:
         return f"{float(value):.{digits}g}"
-    value = float(f"{value:.{digits - 1}e}")  # 18728 has no more to say than 0.0187
+    value = float(f"{value:.{digits - 1}e}")  # rounded first: 18728 has no more digits than 0.0187
     decimals = digits - 1 - math.floor(math.log10(abs(value)))
     return f"{float(value):.{max(decimals, 0)}f}"
 
 
 def span(low: float, high: float, between: str = " to ") -> str:
-    """Two values, or one where they read the same."""
+    """Two values, or one if equal."""
     first, last = significant(low), significant(high)
     return first if first == last else f"{first}{between}{last}"
 
 
 def millimetres(metres: float) -> str:
-    """A length in mm with two decimals, a small one with two digits; a dash where it is not known."""
+    """mm with two decimals, or two digits if small; a dash if unknown."""
     if np.isfinite(metres) and 0.0 < abs(metres) < SMALL:
         return significant(1000.0 * float(metres), 2)
     return f"{1000.0 * float(metres):.2f}" if np.isfinite(metres) else UNKNOWN
 
 
 def length_words(metres: float, digits: int = 2) -> str:
-    """A length in mm; what is less than any ruler shows is said to be so, and not to be rounding."""
+    """mm; "less than 0.001 mm" rather than 0."""
     return "less than 0.001 mm" if metres < 1e-6 else f"{significant(1e3 * metres, digits)} mm"
 
 
 def bic_words(bic: float) -> str:
-    """A BIC with one decimal; a dash for a pair (n, m) that is out of the running."""
+    """One decimal; a dash for an excluded pair (n, m)."""
     return f"{bic:.1f}" if np.isfinite(bic) else UNKNOWN
 
 
 def percent(part: float, whole: float) -> str:
-    """The share of the whole; a dash where there is no whole."""
+    """A dash without a whole."""
     return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN
 
 
 def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
-    """The stages that took any time worth a row, and their sum."""
+    """Stages above a threshold, and the sum."""
     rows = [(name, value) for name, value in seconds.items() if value >= NOT_WORTH_A_ROW]
     return [*rows, ("together", sum(seconds.values()))]
 
 
 def worst_tag(comparison: Comparison) -> str:
-    """The largest RMS of a comparison, with the tag it belongs to."""
+    """The largest RMS, with its tag."""
     if not np.isfinite(comparison.rms).any():
         return UNKNOWN
     i = int(np.nanargmax(comparison.rms))
@@ -172,12 +168,12 @@ def worst_tag(comparison: Comparison) -> str:
 
 
 def tag_words(comparison: Comparison, index: int) -> str:
-    """The tag by its id in `recording.toml`, as everywhere."""
+    """By its id in `recording.toml`."""
     return f"tag {int(comparison.tag_id[index])}"
 
 
 def clock_words(clock: ClockOffset) -> str:
-    """The offset with its sd, against what was said."""
+    """The offset with its sd, against the stated one."""
     if clock.sd == 0.0:
         return f"{clock.offset:.3f} s as written in recording.toml, which calls it exact"
     if not clock.found:
@@ -191,7 +187,7 @@ def clock_words(clock: ClockOffset) -> str:
 
 
 def inputs(observations: Observations) -> list[tuple[str, str]]:
-    """What was done to the force log and to the clocks, row by row."""
+    """Processing of the force log and the clocks, row by row."""
     rows = [] if observations.source.clean_force is None else _force_rows(observations.source.clean_force)
     if observations.static:
         rows += _load_rows(observations)
@@ -239,7 +235,7 @@ def _pair(values: Iterable[float], unit: str) -> str:
 
 
 def assumptions(findings: Run) -> list[str]:
-    """The assumptions behind the result."""
+    """Assumptions behind the result."""
     recording = findings.recordings[0]
     rest = "straight when nothing pushes it" if recording.stated.rest == "straight" else "of unknown shape at rest"
     weight = "its weight acts in the plane of bending and is simulated" if np.any(recording.gravity != 0.0) else (
@@ -286,7 +282,7 @@ def _allowed(findings: Run) -> str:
 
 
 def files_described(findings: Run) -> list[tuple[str, str]]:
-    """Every file of a results folder with what it is."""
+    """Files of a results folder."""
     absent = {
         "validation.csv": not findings.validations,
         "nuisances.csv": findings.posterior is None,
@@ -296,28 +292,27 @@ def files_described(findings: Run) -> list[tuple[str, str]]:
 
 
 def change_words(shift: float) -> str:
-    """Of k(s), where log k changes by `shift`: in percent, or another k(s) where first order tells no more."""
+    """Change of k(s) in percent, or "another" beyond first order."""
     return f"{100.0 * np.expm1(shift):.2g} %" if shift < _LINEAR else ANOTHER
 
 
-LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # of the bands, and how strongly each is drawn
+LEVELS = ((0.95, 0.14), (0.80, 0.20), (0.50, 0.32))  # and opacity
 _S = np.linspace(0.0, 1.0, 401)
 
 
 def highest_shown(uncertain: UncertainStiffness) -> float:
-    """N m, the top of an axis of k(s): the known part sets it, and k where it is not known may add three tenths."""
+    """N m, top of an axis of k(s): set by the identified part, plus up to 30 % for the rest."""
     band = uncertain.band(_S)
     known = float(np.max(band.high[uncertain.best_known(_S)]))
     return max(known, min(float(np.max(band.k)), 1.3 * known))
 
 
 def direction_words(direction: float) -> str:
-    """A force's direction [rad] in the beam's frame: up is to the beam's left, out to its tip."""
+    """Direction [rad] in the beam's frame: up is to its left, out towards its tip."""
     degrees = float(np.rad2deg(np.angle(np.exp(1j * direction))))
     side, off = ("up", 90.0 - degrees) if degrees >= 0.0 else ("down", 90.0 + degrees)
     return side if abs(off) < 0.5 else f"{side} and {abs(off):.0f} deg {'out' if off > 0.0 else 'back'}"
 
 
 def width_words(width: float) -> str:
-    """A 95 % band of log k of this width."""
     return half_width_words(0.5 * width)

@@ -1,4 +1,4 @@
-"""What a run leaves on disk: the learned beam, its tables, the observations, the report."""
+"""Files of a results folder: the learned beam, tables, observations, report."""
 
 from __future__ import annotations
 

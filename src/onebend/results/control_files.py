@@ -1,4 +1,4 @@
-"""What `onebend reach` leaves in a folder: the path of forces, the picture, and a summary."""
+"""Files of `onebend reach`, `shape`, `path` and `loop`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "po
 
 
 def reach_summary(model: str, result: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
-    """What `onebend reach --json` prints and `summary.json` holds (there with `files`); SI and radians."""
+    """`reach --json` and `summary.json`; SI and radians."""
     nearest = result.nearest
     return {
         "format": REACH_FORMAT,
@@ -59,7 +59,7 @@ def reach_summary(model: str, result: Reach, error: PredictedError | None, *, wr
 
 
 def write_reach(folder: Path, result: Reach) -> None:
-    """`path.csv`, one row a step from rest: the load, and the point under it. All are equilibria on one branch."""
+    """`path.csv`: load and point from rest, on one branch."""
     pairs = zip(result.path, result.path_points, strict=True)
     rows = ([step, *(f"{value:.9g}" for value in (*load, *point))] for step, (load, point) in enumerate(pairs))
     write_csv(folder / "path.csv", PATH_COLUMNS, rows)
@@ -83,7 +83,7 @@ SHAPE_ROWS = ("s", "x_m", "y_m", "angle_rad")
 
 
 def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[str, Any]:
-    """What `onebend shape --json` prints and `summary.json` holds (there with `files`); SI and radians."""
+    """`shape --json` and `summary.json`; SI and radians."""
     actuators, spread = result.state.actuators, result.spread
     held = actuators.grip is not None
     return {
@@ -111,7 +111,6 @@ def shape_summary(model: str, result: ShapeResult, *, written_by: str) -> dict[s
 
 
 def write_shape(folder: Path, result: ShapeResult) -> None:
-    """`targets.csv` and `shape.csv`."""
     targets, spread, blank = result.targets, result.spread, np.full(len(result.targets.s), np.nan)
     sd = (blank, blank, blank) if spread is None else (*spread.xy.T, spread.angle)
     here = (*result.xy(targets.s).T, result.angle(targets.s))
@@ -121,7 +120,7 @@ def write_shape(folder: Path, result: ShapeResult) -> None:
 
 
 def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, written_by: str) -> dict[str, Any]:
-    """What `onebend path --json` prints and `summary.json` holds; the samples themselves are in `path.csv`."""
+    """`path --json` and `summary.json`."""
     return {
         "format": PATH_FORMAT,
         "written_by": written_by,
@@ -141,7 +140,7 @@ def path_summary(model: str, way: FollowedPath, sure: PathSpread | None, *, writ
 
 
 def write_path(folder: Path, way: FollowedPath, *, frame: str, bag: bool) -> None:
-    """CSV and ROS 2 YAML; with `bag` a ROS 2 bag as well."""
+    """CSV and ROS 2 YAML; with `bag` also a ROS 2 bag."""
     write_samples(folder / "path.csv", way)
     write_yaml(folder, way, frame=frame)
     if bag:
@@ -162,11 +161,11 @@ def loop_summary(
     control: Controller,
     known: Margins,
     trials: tuple[LoopTrial, ...],
-    rehearsed: Mapping[str, object],
+    further: Mapping[str, object],
     *,
     written_by: str,
 ) -> dict[str, Any]:
-    """What `onebend loop --json` prints and `summary.json` holds; SI; null is infinite. `rehearsed`: other settings."""
+    """`loop --json` and `summary.json`; SI; null is infinite. `further`: other settings."""
     timing = control.settings.timing
     return {
         "format": LOOP_FORMAT,
@@ -187,8 +186,8 @@ def loop_summary(
             "delay_s": known.delay,
             "softest": known.softest,
         },
-        **rehearsed,
-        "rehearsals": [
+        **further,
+        "trials": [
             {
                 "k_factor": trial.factor,
                 "drawn": trial.beam.drawn,
@@ -202,7 +201,7 @@ def loop_summary(
 
 
 def write_loop(folder: Path, trials: tuple[LoopTrial, ...]) -> None:
-    """`loop.csv`, one row a moment of every rehearsal."""
+    """`loop.csv`, one row per time of every simulation."""
     rows = (
         (trial.factor, time, *trial.run.xy[i], *trial.run.asked[i], *trial.run.force[i], trial.run.error[i])
         for trial in trials

@@ -1,5 +1,5 @@
-"""Detections on disk, so that no film is searched twice. They lie in the user's cache (`files.kept`), or else in a
-folder of the run. The key is the SHA-256 of the film, of the search settings, and of the code that searches."""
+"""Detections on disk, in the user's cache (`files.kept`) or a folder of the run, keyed by the SHA-256 of film, search
+settings and search code."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from onebend.recording.video import Keep
 from onebend.records import Detections, Remark
 from onebend.results.provenance import checksum_of, inputs_of
 
-FORMAT = 2  # of the entries
-LIBRARIES = ("av", "pyapriltags")  # that read the film and find the tags
+FORMAT = 2
+LIBRARIES = ("av", "pyapriltags")  # that read films and find tags
 
 
 @dataclass(frozen=True)
 class DetectionCache:
-    """Detections in the first of some folders that has them; new ones go to the first that takes them."""
+    """Detections from the first folder that has them; new ones go to the first that accepts them."""
 
     folders: tuple[KeptFolder, ...]
-    version: str  # of onebend: another version may find the tags better
-    keep: Keep | None = None  # is shown the frames of a film that is searched
+    version: str  # of onebend
+    keep: Keep | None = None  # sees the frames of a searched film
 
     def detect(
         self, video: VideoEntry, tags: TagsEntry, *, threads: int | None = None, progress: Progress = Silent()
     ) -> Detections:
-        """As `detect_tags`, but detections of the same film are read from the folders where they have them."""
+        """As `detect_tags`, with the cache."""
         inputs = inputs_of(path for _, path in film_files(video))
         name = f"tags-{key_of(video, tags, self.version)}"
         wanted = [tag.id for tag in (*tags.on_base, *tags.on_beam)]
@@ -49,21 +49,20 @@ class DetectionCache:
         if found is not None:
             return found
         found = detect_tags(video, tags, threads=threads, progress=progress, keep=self.keep)
-        if all(one.is_still_there() for one in inputs):  # else the key is not that of what was read
+        if all(one.is_still_there() for one in inputs):  # else the key is wrong
             content = packed(found)
             any(folder.save(name, content) for folder in self.folders)
         return found
 
 
 def detection_cache(version: str, workplace: Path | None = None, keep: Keep | None = None) -> DetectionCache:
-    """The user's cache where there is one; `workplace`: where else detections may be kept."""
+    """The user's cache, else `workplace`."""
     folders = (users_folder(), None if workplace is None else KeptFolder(workplace))
     return DetectionCache(tuple(one for one in folders if one is not None), version, keep)
 
 
 def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:
-    """40 hexadecimal digits of film, tags and version. Names of files, and settings used after the search, do not
-    count."""
+    """40 hexadecimal digits of film, tags and version; names of files and later settings do not count."""
     contents = [(kind, checksum_of(one)) for kind, path in film_files(video) for one in inputs_of([path])]
     ids = [[tag.id for tag in group] for group in (tags.on_base, tags.on_beam)]
     settings = (tags.family, ids, video.fps, video.topic, video.damaged)
@@ -71,7 +70,7 @@ def key_of(video: VideoEntry, tags: TagsEntry, version: str) -> str:
 
 
 def film_files(video: VideoEntry) -> list[tuple[str, Path]]:
-    """Every file that a film is read from, with what it is: the part of its name that decides how it is read."""
+    """Files of a film, with the part of the name that decides how it is read."""
     files = files_of(video.file) if video.topic else (video.file,)
     found = [(file.suffix.lower(), file) for file in files]
     if video.topic and video.file.is_dir():
@@ -86,7 +85,7 @@ def film_files(video: VideoEntry) -> list[tuple[str, Path]]:
 
 @cache
 def finder_version() -> str:
-    """A checksum of the code that reads films and finds tags, and the versions of what it uses."""
+    """Checksum of the code that reads films and finds tags, and of its libraries' versions."""
     assert recording.__file__ is not None
     folder = Path(recording.__file__).parent
     code = hashlib.sha256()
@@ -96,7 +95,7 @@ def finder_version() -> str:
 
 
 def packed(detections: Detections) -> bytes:
-    """Detections as the bytes of a NumPy archive."""
+    """As a NumPy archive."""
     content = io.BytesIO()
     np.savez_compressed(
         content,
@@ -111,7 +110,7 @@ def packed(detections: Detections) -> bytes:
 
 
 def unpacked(content: bytes | None, wanted: Sequence[int]) -> Detections | None:
-    """What `packed` packed; None where there is nothing, or it is not of the tags `wanted`. Nothing in it is run."""
+    """Inverse of `packed`; None if absent or not of the tags `wanted`. Executes nothing."""
     if content is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""The files of a results folder, written from what was found. Where they go and when is `folder`'s business."""
+"""Writes the files of learning results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from onebend.results.model import FILE_NAME, StoredModel, model_text, origin_of,
 from onebend.results.observations_file import save_observations
 from onebend.results.tables import write_markers, write_nuisances, write_selection, write_stiffness, write_validation
 
-Writer = Callable[[Path], None]  # fills a folder
+Writer = Callable[[Path], None]
 
 
 def learned_writer(
@@ -40,8 +40,8 @@ def learned_writer(
     made_from: Mapping[str, Any] = {},
     tables: Writer | None = None,
 ) -> Writer:
-    """Fills a folder with the results of learning, for `publish`. `pictures`: None for no report; `made_from`: the
-    result of `provenance`; `tables`: writes model and tables (None: `tables_writer`)."""
+    """Writer for `publish`. `pictures`: None for no report. `made_from`: from `provenance`. `tables`: default
+    `tables_writer`."""
     write_tables = tables or tables_writer(findings, version=version)
 
     def write(folder: Path) -> None:
@@ -57,7 +57,7 @@ def learned_writer(
 
 
 def tables_writer(findings: Run, *, version: str) -> Writer:
-    """Fills an empty folder with model, tables and observations. They are made once, however often they are written."""
+    """Writes model, tables and observations, which are computed once."""
     made: dict[str, bytes] = {}
 
     def write(folder: Path) -> None:
@@ -97,7 +97,7 @@ def write_comparisons(folder: Path, comparisons: Sequence[Comparison]) -> None:
     write_markers(folder / "markers.csv", comparisons)
 
 
-# `summary.json`: SI units; `null` for a number that is unknown or not finite.
+# `summary.json`: SI units; `null` for unknown numbers.
 
 LEARN_FORMAT = "onebend-learn-1"
 VALIDATE_FORMAT = "onebend-validate-1"
@@ -107,7 +107,7 @@ FREQUENCIES_FORMAT = "onebend-frequencies-1"
 
 
 def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
-    """What `onebend learn --json` prints and `summary.json` holds (there with `files`)."""
+    """`learn --json` and `summary.json`."""
     learned, posterior, first = findings.learned, findings.posterior, findings.recordings[0]
     uncertain = None if posterior is None else posterior.stiffness
     return {
@@ -132,7 +132,7 @@ def summary_of(findings: Run, *, written_by: str) -> dict[str, Any]:
 def validation_summary(
     model: str, pairs: Sequence[tuple[Comparison, Observations]], *, written_by: str
 ) -> dict[str, Any]:
-    """What `onebend validate --json` prints: the remarks on the recordings go with those on the comparisons."""
+    """`validate --json`."""
     rows = []
     for comparison, recording in pairs:
         remarks = [remark.as_dict() for remark in pair_remarks(comparison, recording)]
@@ -141,7 +141,7 @@ def validation_summary(
 
 
 def plan_summary(model: str, plan: Plan, *, written_by: str) -> dict[str, Any]:
-    """What `onebend plan --json` prints, in SI."""
+    """`plan --json`, in SI."""
     return {
         "format": PLAN_FORMAT,
         "written_by": written_by,
@@ -172,7 +172,7 @@ def _proposal(one: Proposal) -> dict[str, Any]:
 
 
 def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any]:
-    """What `onebend damp --json` prints."""
+    """`damp --json`."""
     return {
         "format": DAMP_FORMAT,
         "written_by": written_by,
@@ -193,7 +193,7 @@ def damp_summary(model: str, fit: SwingFit, *, written_by: str) -> dict[str, Any
 
 
 def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str) -> dict[str, Any]:
-    """What `onebend frequencies --json` prints."""
+    """`frequencies --json`."""
     names = {"frequency": "hz", "sd": "sd_hz", "multiple_of": "multiple_of_hz"}
     return {
         "format": FREQUENCIES_FORMAT,
@@ -210,7 +210,7 @@ def frequencies_summary(source: str, found: FoundFrequencies, *, written_by: str
 
 
 def comparison_summary(comparison: Comparison) -> dict[str, Any]:
-    """One recording's row of Tables IV to VI."""
+    """One recording of Tables IV to VI."""
     return {
         "recording": comparison.name,
         "frames": len(comparison.frame),

@@ -1,4 +1,4 @@
-"""`model.json`: the learned beam, all that is needed to simulate it, how sure its k(s) is, and where it comes from."""
+"""`model.json`: the learned beam, the band of its k(s), and its origin."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a model comes from. For people: nothing is computed from it."""
+    """For information only."""
 
-    recording: str  # several: with " + " between them
+    recording: str  # joined by " + "
     method: str
     family: str
-    n: int | None  # curvature modes; None where none were used
+    n: int | None  # curvature modes, if used
     m: int  # stiffness functions
-    marker_s: tuple[float, ...]  # places of the tags
-    push_s: float | None  # furthest place pushed; what lies beyond was not loaded
-    training_rms_m: tuple[float | None, ...]  # per tag
+    marker_s: tuple[float, ...]
+    push_s: float | None  # farthest; beyond was not loaded
+    training_rms_m: tuple[float | None, ...]
 
 
 def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: Sequence[Comparison]) -> Origin:
-    """The provenance written beside a learned beam: the fit's where there is one, else the regression's."""
-    from onebend.learning.frames import marker_rms  # here: who reads a model loads no fit
+    """Of the fit, else of the regression."""
+    from onebend.learning.frames import marker_rms  # here: reading a model loads no fit
 
     pushed = np.concatenate([comparison.push_s[np.isfinite(comparison.push_s)] for comparison in trainings])
     rms = marker_rms(np.concatenate([comparison.measured - comparison.predicted for comparison in trainings]))
@@ -63,26 +63,26 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
 
 FORMAT = "onebend-model"
 VERSION = 7
-# 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset` of log k,
-# 6 no `shared_mean` and `discrepancy` in `bench`
+# versions: 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset`, 6 no `shared_mean` and
+# `discrepancy` in `bench`
 READABLE = (1, 2, 3, 4, 5, 6, 7)
 FILE_NAME = "model.json"
-WIDEST = 1e3  # of log k: no band has such an sd
+WIDEST = 1e3  # sd of log k
 KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", "section", OWN_CHECKSUM}
 
 
 @dataclass(frozen=True)
 class StoredModel:
-    """What `model.json` holds."""
+    """Content of `model.json`."""
 
     beam: Beam
     origin: Origin | None
-    uncertain: UncertainStiffness | None = None  # k(s) with its band; None where none was learned
-    bench: Instruments | None = None  # what the recordings were made with, where the band is known
-    damping: Damping | None = None  # where a free swing was filmed
-    section: StatedSection | None = None  # where it was measured
-    changed: str = ""  # in words, where the file is not as onebend wrote it; its k(s) is in doubt then
-    swapped: str = ""  # in words, where it is not the one that the run of this folder wrote
+    uncertain: UncertainStiffness | None = None  # if learned with a band
+    bench: Instruments | None = None  # instruments, if there is a band
+    damping: Damping | None = None  # from a free swing
+    section: StatedSection | None = None  # if stated
+    changed: str = ""  # how the file was changed; its k(s) is then in doubt
+    swapped: str = ""  # how it differs from the folder's summary
 
 
 def save_model(
@@ -94,7 +94,6 @@ def save_model(
     uncertain: UncertainStiffness | None = None,
     bench: Instruments | None = None,
 ) -> None:
-    """Write `beam` with its band `uncertain` and its instruments `bench`; `load_model` returns an equal beam."""
     stored = StoredModel(beam, origin, uncertain, bench)
     try:
         path.write_text(model_text(stored, written_by=written_by), encoding="utf-8")
@@ -103,7 +102,7 @@ def save_model(
 
 
 def model_text(stored: StoredModel, *, written_by: str) -> str:
-    """The content of a `model.json`, for `read_model`. Raises `ResultsError` if a number is not finite."""
+    """Content of a `model.json`. Raises `ResultsError` for numbers that are not finite."""
     data: dict[str, Any] = {"format": FORMAT, "version": VERSION, "written_by": written_by}
     data["beam"] = stored.beam.as_dict()
     if stored.origin is not None:
@@ -121,14 +120,14 @@ def model_text(stored: StoredModel, *, written_by: str) -> str:
 
 
 def load_model(path: Path | str) -> Beam:
-    """The beam in `path`, a `model.json` or a results folder. Warns if the file was changed since it was written.
-    Raises `ResultsError` if it is missing, damaged, of another version, or describes no beam."""
+    """The beam in a `model.json` or results folder. Warns if the file was changed. Raises `ResultsError` if it is
+    missing, damaged, of another version, or no beam."""
     return _read_and_warn(path).beam
 
 
 def load_uncertain(path: Path | str) -> UncertainStiffness:
-    """k(s) with its band from `path`, a `model.json` or a results folder. A changed file gives a warning and a doubt.
-    Raises `ResultsError` as `load_model`, and if the model has no band."""
+    """k(s) with its band, as `load_model`. A changed file gives a warning and a doubt. Raises `ResultsError` also
+    without a band."""
     stored = _read_and_warn(path)
     if stored.uncertain is None:
         raise ResultsError(
@@ -139,14 +138,12 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
 
 
 def load_instruments(path: Path | str) -> Instruments | None:
-    """The instruments and tag places behind the model in `path`; None without a band or a force log. Warns and raises
-    as `load_model`."""
+    """Instruments and tag places behind the model; None without band or force log. Warns and raises as `load_model`."""
     return _read_and_warn(path).bench
 
 
 def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand | None:
-    """Young's modulus E(s) [Pa] at places s (S,) from `path`, as `load_uncertain`, with its band if k(s) has one; None
-    if the recordings did not state the section."""
+    """E(s) [Pa] at places s (S,), as `load_uncertain`; None without a stated section."""
     stored = _read_and_warn(path)
     section = stored.section
     if section is None:
@@ -155,7 +152,7 @@ def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand
 
 
 def model_file(path: Path | str) -> Path:
-    """The `model.json` that `path` is, or holds."""
+    """The `model.json` that `path` is or contains."""
     file = Path(path)
     return file / FILE_NAME if file.is_dir() else file
 
@@ -168,7 +165,7 @@ def _read_and_warn(path: Path | str) -> StoredModel:
 
 
 def read_model(path: Path | str) -> StoredModel:
-    """As `load_model`, with the band and the model's origin."""
+    """As `load_model`, with all content."""
     file = model_file(path)
     data = _json_object(file)
     _check_kind(file, data)
@@ -240,7 +237,7 @@ def _origin(file: Path, data: Any) -> Origin | None:
 def _bench(file: Path, data: Any) -> Instruments | None:
     if data is None:
         return None
-    from onebend.learning.instruments import Instruments  # here, and below: who reads a model loads no fit
+    from onebend.learning.instruments import Instruments  # here, and below: reading a model loads no fit
 
     try:
         return Instruments.from_dict(data)
@@ -305,7 +302,7 @@ def _check_profile(where: str, profile: Profile) -> None:
 
 
 def model_summary(stored: StoredModel) -> dict[str, Any]:
-    """What `onebend show --json` prints."""
+    """`show --json`."""
     origin = None if stored.origin is None else asdict(stored.origin)
     damping = None if stored.damping is None else stored.damping.as_dict()
     stiffness = stiffness_summary(stored.beam, stored.uncertain, stored.section)
@@ -315,7 +312,7 @@ def model_summary(stored: StoredModel) -> dict[str, Any]:
 def stiffness_summary(
     beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
 ) -> dict[str, Any]:
-    """k at eleven places; with its 95 % band where one was learned, and Young's modulus where the section is known."""
+    """k at eleven places, with band and Young's modulus if known."""
     s = np.linspace(0.0, 1.0, 11)
     found: dict[str, Any] = {"s": s.round(3), "k_N_m": beam.stiffness(s)}
     if uncertain is not None:

@@ -1,6 +1,5 @@
-"""`observations.parquet`: observations, from which a recording can be learned without its video. One row a frame, one
-column a quantity, units in the names. All other fields stand as JSON in the metadata under `onebend`, with the thinned
-force log."""
+"""`observations.parquet`: observations for learning without the video. One row per frame, one column per quantity;
+other fields and the thinned force log as JSON in the metadata under `onebend`."""
 
 from __future__ import annotations
 
@@ -21,16 +20,15 @@ from onebend.errors import ResultsError
 from onebend.files.publish import SUMMARY, is_listed_otherwise
 from onebend.records import Array, CleanForce, Observations
 
-# Frozen records as JSON by the fields of their classes. An array stands with shape, type and values in one row.
+# Frozen records as JSON by their fields; arrays as shape, type and values.
 
 
 def to_data(record: Any, leave_out: Collection[str] = ()) -> dict[str, Any]:
-    """All fields of a record but those left out."""
     return {item.name: _data(getattr(record, item.name)) for item in fields(record) if item.name not in leave_out}
 
 
 def fields_from(kind: type, data: dict[str, Any], leave_out: Collection[str] = ()) -> dict[str, Any]:
-    """The fields of a `kind` of record, typed as in its class. Raises `ValueError` for a missing or unknown field."""
+    """Fields of a record of `kind`, typed. Raises `ValueError` for a missing or unknown field."""
     types = {name: type_ for name, type_ in _types(kind).items() if name not in leave_out}
     if set(types) != set(data):
         raise ValueError(f"{kind.__name__} has other fields: {sorted(set(types) ^ set(data))}")
@@ -61,12 +59,12 @@ def _data(value: Any) -> Any:
 
 def _value(type_: Any, data: Any) -> Any:
     origin, inside = get_origin(type_), get_args(type_)
-    if origin in (Union, UnionType):  # a value or None
+    if origin in (Union, UnionType):  # optional
         (one,) = (item for item in inside if item is not type(None))
         return None if data is None else _value(one, data)
     if origin is np.ndarray:
         return np.array(data["values"], dtype=data["type"]).reshape(data["shape"])
-    if origin is tuple:  # of any length, all of one type
+    if origin is tuple:  # of any length
         return tuple(_value(inside[0], item) for item in data)
     if origin is Literal:
         if data not in inside:
@@ -82,8 +80,8 @@ def _value(type_: Any, data: Any) -> Any:
 FILE_NAME = "observations.parquet"
 _KEY = b"onebend"
 _VERSION = 5
-_ROWS_A_PERIOD = 50  # of the cut-off: straight lines between them miss 0.2 % of what the filter passes
-# Fields with one row a frame, and their columns.
+_ROWS_A_PERIOD = 50  # of the cut-off: linear interpolation is then accurate to 0.2 %
+# Fields with one row per frame.
 _COLUMNS = {
     "time": ("time_s",),
     "frame": ("frame",),
@@ -92,12 +90,12 @@ _COLUMNS = {
     "loaded": ("loaded",),
     "gravity": ("gravity_x_m_s2", "gravity_y_m_s2"),
 }
-_TAG_COLUMNS = {"xy": ("x_m", "y_m"), "angle": ("angle_rad",)}  # of each tag, after `tag_ID_`
-_COVARIANCE = "covariance"  # (3, 3) of each tag, nine values a row
+_TAG_COLUMNS = {"xy": ("x_m", "y_m"), "angle": ("angle_rad",)}  # per tag, after `tag_ID_`
+_COVARIANCE = "covariance"  # (3, 3) per tag, nine values per row
 
 
 def save_observations(path: Path, observations: Observations) -> None:
-    """Write everything; of the force log every row that a straight line between its neighbours would miss."""
+    """The force log without rows that linear interpolation reproduces."""
     o = observations
     clean = o.source.clean_force
     if clean is not None:
@@ -116,8 +114,8 @@ def save_observations(path: Path, observations: Observations) -> None:
 
 
 def load_observations(path: Path | str) -> Observations:
-    """Observations from a file, or from the results folder that holds it. Warns if the summary beside it lists another
-    checksum. Raises `ResultsError` if it is missing, damaged, of another version, or not by onebend."""
+    """From a file or results folder. Warns if the summary lists another checksum. Raises `ResultsError` if it is
+    missing, damaged, of another version, or not by onebend."""
     file = Path(path)
     if file.is_dir():
         file = file / FILE_NAME
@@ -142,13 +140,13 @@ def load_observations(path: Path | str) -> Observations:
 
 
 def observations_beside(model: Path) -> tuple[Observations, ...]:
-    """What the beam in `model` (a `model.json`, or its folder) was learned from, as far as it lies beside it."""
+    """The observations behind `model`, as far as they lie beside it."""
     found = []
     for path in sorted((model if model.is_dir() else model.parent).glob("observations*.parquet")):
         try:
             found.append(load_observations(path))
         except ResultsError:
-            continue  # what is damaged says nothing of the recordings
+            continue  # damaged: not listed
     return tuple(found)
 
 
@@ -157,7 +155,7 @@ def _tabled() -> set[str]:
 
 
 def _components(values: Array, names: tuple[str, ...]) -> dict[str, Array]:
-    """The columns of a (T,) or (T, components) array."""
+    """Columns of a (T,) or (T, components) array."""
     return dict(zip(names, values.reshape(len(values), len(names)).T, strict=True))
 
 
@@ -182,7 +180,7 @@ def _observations(table: pa.Table, data: dict[str, Any]) -> Observations:
 
 
 def _thinned(clean: CleanForce) -> CleanForce:
-    """As many rows of the log as its filter leaves it something to say."""
+    """As many rows as the filter's bandwidth needs."""
     step = float(np.median(np.diff(clean.time)))
     every = max(int(1.0 / (_ROWS_A_PERIOD * clean.cutoff * step)), 1) if np.isfinite(clean.cutoff) else 1
     rows = np.unique(np.append(np.arange(0, len(clean.time), every), len(clean.time) - 1))

@@ -1,4 +1,4 @@
-"""Where results come from: every file that was read by its SHA-256, the versions, the settings, the command."""
+"""Provenance: SHA-256 of every file read, versions, settings, command."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ LIBRARIES = ("onebend", "numpy", "scipy", "av", "pyapriltags", "pyarrow", "rosba
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file as it was when the work began."""
+    """At the beginning of the work."""
 
     path: Path
-    size: int  # bytes
+    size: int
     changed_ns: int
 
     def is_still_there(self) -> bool:
-        """Whether it is as it was, by size and time of change."""
+        """Same size and time of change."""
         try:
             now = self.path.stat()
         except OSError:
@@ -38,7 +38,7 @@ class InputFile:
 
 
 def inputs_of(paths: Iterable[Path]) -> tuple[InputFile, ...]:
-    """The files as they are now, each once; a folder stands for the files in it. What is not there is left out."""
+    """Each file once; folders stand for their files; missing ones are left out."""
     files = [file for path in paths for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
     found = []
     for file in dict.fromkeys(one for one in files if one.is_file()):
@@ -50,7 +50,7 @@ def inputs_of(paths: Iterable[Path]) -> tuple[InputFile, ...]:
 def provenance(
     inputs: Sequence[InputFile], options: Mapping[str, Any], settings: Mapping[str, Any] = {}
 ) -> dict[str, Any]:
-    """The entry `provenance` of `summary.json`. `options`: of the command, by name; `settings`: records, by name."""
+    """`provenance` of `summary.json`; `options` and `settings` by name."""
     return {
         "provenance": {
             "command": ["onebend", *sys.argv[1:]],
@@ -66,7 +66,7 @@ def provenance(
 
 
 def as_data(value: Any) -> Any:
-    """A setting as JSON knows it; what has no such form by its name."""
+    """For JSON; other types by name."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: as_data(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
@@ -82,7 +82,7 @@ def as_data(value: Any) -> Any:
 
 @cache
 def checksum_of(one: InputFile) -> str | None:
-    """SHA-256, computed when it is wanted, and once: a film is long. None where the file cannot be read."""
+    """SHA-256, computed once on demand; None if unreadable."""
     try:
         return sha256_of(one.path)
     except OSError:
@@ -97,7 +97,7 @@ def _version(name: str) -> str | None:
 
 
 def recording_files(folders: Iterable[Path]) -> list[Path]:
-    """Every file of the recordings. One that cannot be read has none: to say why is its reader's part."""
+    """Every file of the recordings; none of unreadable ones."""
     found: list[Path] = []
     for folder in folders:
         try:
@@ -109,7 +109,7 @@ def recording_files(folders: Iterable[Path]) -> list[Path]:
 
 
 def files_of(description: Recording) -> list[Path]:
-    """Every file of a recording that was read: its `recording.toml`, and those that it names."""
+    """`recording.toml` and the files that it names."""
     return [description.folder / FILE_NAME, *_named(description)]
 
 

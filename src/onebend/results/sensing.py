@@ -1,4 +1,4 @@
-"""What `onebend sense` leaves in a folder: the force of every frame, the picture, and a summary."""
+"""Files of `onebend sense`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BAG = "force.mcap"
 
 
 def sense_summary(model: str, found: Sensed, *, written_by: str) -> dict[str, Any]:
-    """What `onebend sense --json` prints and `summary.json` holds (there with `files`); SI."""
+    """`sense --json` and `summary.json`; SI."""
     fit, peak = found.misfit, found.peak
     difference = found.against_log
     return {
@@ -104,7 +104,7 @@ def _sensor(check: SensorCheck) -> dict[str, Any]:
 
 
 def force_columns(found: Sensed) -> dict[str, Array]:
-    """(T,) each: the columns of `force.csv`, those of every recording and those that were asked for."""
+    """(T,) each: columns of `force.csv`."""
     out = {
         "frame": found.frame,
         "time_s": found.time,
@@ -135,7 +135,7 @@ def _forces(name: str, force: Array, covariance: Array) -> dict[str, Array]:
 
 
 def write_forces(path: Path, found: Sensed) -> None:
-    """One row a frame; empty where a frame tells nothing."""
+    """One row per frame; empty cells for unknown."""
     columns = force_columns(found)
     cells = (map("{:.4g}".format if name == "chi2" else _cell, values.tolist()) for name, values in columns.items())
     write_csv(path, tuple(columns), zip(*cells, strict=True))
@@ -146,7 +146,7 @@ def _cell(value: float) -> str:
 
 
 def write_sensed(folder: Path, found: Sensed, *, bag: bool = False) -> None:
-    """`force.csv`; with `bag` `force.mcap` as well."""
+    """`force.csv`; with `bag` also `force.mcap`."""
     write_forces(folder / "force.csv", found)
     if bag:
         (folder / BAG).write_bytes(force_bag(found.time, found.force, found.covariance))
@@ -154,16 +154,16 @@ def write_sensed(folder: Path, found: Sensed, *, bag: bool = False) -> None:
 
 FORCE_TOPIC, COVARIANCE_TOPIC = "/beam/force", "/beam/force_covariance"
 WRENCH, NUMBERS = "geometry_msgs/msg/WrenchStamped", "std_msgs/msg/Float64MultiArray"
-FRAME = "beam_base"  # of the headers, as of the forces of a path: x along the beam at rest, from its clamp
+FRAME = "beam_base"  # x along the beam at rest, from its clamp
 _SECOND = 10**9  # ns
-_LATEST = 2**31  # s, the first that a stamp cannot hold
+_LATEST = 2**31  # s, beyond the range of stamps
 
 
 def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
-    """A .mcap file with `force` (T, 2) [N] at `time` (T,) [s] and its `covariance` (T, 2, 2) [N^2]. `/beam/force` has
-    geometry_msgs/WrenchStamped, `/beam/force_covariance` std_msgs/Float64MultiArray with the same stamps. Frames
-    without a force are left out. A stamp of zero means none in ROS and becomes 1 ns. Raises `ExportError` if no frame
-    has a force or a stamp cannot hold a time."""
+    """A .mcap file with `force` (T, 2) [N] at `time` (T,) [s] as geometry_msgs/WrenchStamped in `/beam/force`, and
+    `covariance` (T, 2, 2) [N^2] as std_msgs/Float64MultiArray in `/beam/force_covariance`. Frames without a force
+    are left out; a stamp of zero becomes 1 ns. Raises `ExportError` without a force, or if a stamp cannot hold a
+    time."""
     require(("rosbags",), "ros")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -191,7 +191,6 @@ def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
 
 
 def _wrench(store: Typestore, stamp: int, force: Array) -> Any:
-    """(2,) N as a message."""
     types = store.types
     vector = types["geometry_msgs/msg/Vector3"]
     seconds, rest = divmod(stamp, _SECOND)
@@ -204,7 +203,6 @@ def _wrench(store: Typestore, stamp: int, force: Array) -> Any:
 
 
 def _matrix(store: Typestore, covariance: Array) -> Any:
-    """(2, 2) N^2 as a message."""
     types = store.types
     side = types["std_msgs/msg/MultiArrayDimension"]
     sides = [side(label="row: fx_N, fy_N", size=2, stride=4), side(label="column: fx_N, fy_N", size=2, stride=2)]

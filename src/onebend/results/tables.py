@@ -1,4 +1,4 @@
-"""Tables of a run: comma-separated, one header line, units at the end of the names; an unknown number is `nan`."""
+"""Tables as CSV: one header line, units in the names, `nan` for unknown numbers."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from onebend.learning.outcome import Comparison, Learned
 from onebend.records import StatedSection
 from onebend.text_files import csv_cell
 
-if TYPE_CHECKING:  # for the type alone: the fit takes a quarter of a second to load
+if TYPE_CHECKING:  # for types only: the fit loads slowly
     from onebend.learning.posterior import Nuisance
 
-PLACES = 201  # rows of stiffness.csv: s = 0, 0.005, ..., 1
+PLACES = 201  # rows of stiffness.csv
 
 
 def write_stiffness(
     path: Path, beam: Beam, uncertain: UncertainStiffness | None, section: StatedSection | None = None
 ) -> None:
-    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`, with a section also `E_Pa,E_lo_Pa,E_hi_Pa`. A regression (`uncertain`
-    None) has no band, and `identified` is `unknown`. If the fit is not to be trusted, it is `no` in every row."""
+    """`s,k_N_m,k_lo_N_m,k_hi_N_m,identified`, with a section also `E_Pa,E_lo_Pa,E_hi_Pa`. Without a band (`uncertain`
+    None) `identified` is `unknown`; in doubt it is `no`."""
     s = np.linspace(0.0, 1.0, PLACES)
     low = high = np.full(PLACES, np.nan)
     said = ["unknown"] * PLACES
@@ -46,13 +46,13 @@ def write_stiffness(
 
 
 def write_nuisances(path: Path, nuisances: Sequence[Nuisance]) -> None:
-    """One row a parameter of the fit that is not k(s): its value, and one sd before and after the data, in `unit`."""
+    """One row per nuisance: value, and sd before and after the data, in `unit`."""
     rows = ([n.name, n.unit, _number(n.value), _number(n.sd), _number(n.prior_sd)] for n in nuisances)
     write_csv(path, ["name", "unit", "value", "sd", "prior_sd"], rows)
 
 
 def write_selection(path: Path, learned: Learned) -> None:
-    """One row a trial of the (n, m) table: RMS per marker, BIC, lowest k, condition, and the coefficients with `;`."""
+    """One row per (n, m): RMS per marker, BIC, lowest k, condition, coefficients joined by `;`."""
     tags = [f"rms_{tag}_m" for tag in learned.training.tag_id]
     header = ["n", "m", *tags, "bic", "lowest_k_N_m", "condition", "coefficients_N_m", "chosen", "why_out"]
     rows = (
@@ -73,7 +73,7 @@ def write_selection(path: Path, learned: Learned) -> None:
 
 
 def write_markers(path: Path, comparisons: Sequence[Comparison]) -> None:
-    """One row a recording, frame and tag: measured, predicted and residual (measured less predicted) positions."""
+    """One row per recording, frame and tag: measured, predicted, residual."""
     header = "recording,time_s,frame,tag,s,x_m,y_m,predicted_x_m,predicted_y_m,residual_x_m,residual_y_m"
     forces = ["force_x_N", "force_y_N", "push_s", "stable"]
     write_csv(
@@ -103,7 +103,7 @@ def _marker_rows(comparison: Comparison) -> Iterable[list[Any]]:
 
 
 def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
-    """Tables IV to VI: one row a recording and tag, with what the force's noise explains, and what is likely."""
+    """Tables IV to VI: one row per recording and tag, with force noise and likely error."""
     header = ["recording", "frames", "tag", "s", "rms_m", "sensor_rms_m", "likely_rms_m"]
     rows = (
         [
@@ -122,18 +122,17 @@ def write_validation(path: Path, comparisons: Sequence[Comparison]) -> None:
 
 
 def _number(value: float) -> str:
-    """Nine significant digits: a nanometre in a metre. Not for times: a log may count seconds from 1970."""
+    """Nine significant digits; not for times, which may count from 1970."""
     return f"{float(value):.9g}"
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
-    """One header line, then the rows, each cell as `csv_cell` gives it; lines end as on Unix."""
+    """Cells by `csv_cell`, Unix line ends."""
     with path.open("w", newline="", encoding="utf-8") as file:
         csv_rows(file, header, rows)
 
 
 def csv_rows(stream: TextIO, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
-    """As `write_csv`, into a stream that is open."""
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(map(csv_cell, row) for row in rows)

@@ -1,4 +1,4 @@
-"""A local page for one person: recordings, learning, and the learned beam to bend."""
+"""A local page for one person."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from onebend.wings import Place
 COMMANDS = {
     "studio": Place(
         "onebend.studio.commands:studio",
-        "Open a local page: record, learn, look at results, bend learned beams with the pointer, rehearse loops.",
+        "Open a local page to record, learn, view results, bend learned beams and simulate loops.",
         "out",
     )
 }

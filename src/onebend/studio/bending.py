@@ -1,7 +1,8 @@
-"""The room Bend: a learned beam whose point, or end, is dragged. All numbers come from `control` and `beam`."""
+"""Bend: a learned beam whose point or end is dragged."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import time
@@ -12,47 +13,47 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from PIL import Image, ImageDraw
+from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.spatial import cKDTree
 
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loaded_beam import LoadedState, PushedBeam
 from onebend.control.reach import Reach, ReachSettings, predicted_error
-from onebend.control.reach_set import DragAnswer, DraggedPoint, HeldEnd, ReachMap, reach_map
+from onebend.control.reach_set import DragAnswer, DraggedPoint, Edge, HeldEnd, ReachMap, reach_map
 from onebend.errors import ControlError, StudioError
-from onebend.records import Array
+from onebend.records import Array, BoolArray
 from onebend.results.model import StoredModel, read_model
 from onebend.studio.jobs import asked_number
 from onebend.studio.places import hand_line, reach_line
 
-# Work that takes longer than a frame, in a process of its own: the reachable set, the hand's edge, the ellipse.
-#
-# The functions here run there. A beam goes over as plain data, and is kept until another one comes.
+# Slow work for a separate process: reachable set, edge of a hand, ellipse. Beams are sent as plain data and cached.
 
-DRAWS = 200  # beams from the band, for the ellipse of a point that rests
-BEGIN_TURN = 0.35  # rad, about, by which the tip is turned to begin with
-LARGEST_TIMES = 2.0  # times `bending_force`: what a force is bounded by where nobody says it
+DRAWS = 200  # beams for the ellipse of a resting point
+BEGIN_TURN = 0.35  # rad, initial turn of the tip
+LARGEST_TIMES = 2.0  # times `bending_force`: default bound
 
 
 def bending_force(beam: Beam) -> float:
-    """N, across the tip: would turn it by about a radian if the turn grew in proportion."""
+    """N across the tip that would turn it by about a radian if linear."""
     s = np.linspace(0.0, 1.0, 201)
     return 1.0 / (float(np.mean((1.0 - s) ** 2 / np.asarray(beam.stiffness(s)))) * beam.length)
 
 
 @lru_cache(maxsize=4)
 def pushed_beam(beam: str, push_s: float, point_s: float) -> PushedBeam:
-    """The beam that this JSON describes, pushed."""
+    """From JSON."""
     return PushedBeam(Beam.from_dict(json.loads(beam)), push_s, point_s, resolution=Resolution())
 
 
 def make_map(beam: str, push_s: float, point_s: float, max_force: float) -> ReachMap:
-    """The map of the reachable set."""
     return reach_map(pushed_beam(beam, push_s, point_s), max_force)
 
 
 def hand_edge(beam: str, q: Array, load: Array, max_force: float) -> list[tuple[list[float], str]]:
-    """How far a hand gets from a state without turning, all around."""
+    """How far a hand can go from a state without turning, in all directions."""
     held = HeldEnd(pushed_beam(beam, 1.0, 1.0), LoadedState(q, load), max_force)
     return [(end.tolist(), limit) for end, limit in held.edge()]
 
@@ -60,7 +61,7 @@ def hand_edge(beam: str, q: Array, load: Array, max_force: float) -> list[tuple[
 def full_ellipse(
     beam: str, uncertain: Mapping[str, Any], push_s: float, point_s: float, q: Array, load: Array
 ) -> dict[str, Any] | None:
-    """The 95 % ellipse by drawn beams; None where too few of them stand."""
+    """The 95 % ellipse by drawn beams; None if too few are stable."""
     pushed = pushed_beam(beam, push_s, point_s)
     known = UncertainStiffness.from_dict(dict(uncertain))
     return ellipse_of(pushed, known, LoadedState(q, load), DRAWS)
@@ -69,7 +70,7 @@ def full_ellipse(
 def ellipse_of(
     pushed: PushedBeam, known: UncertainStiffness, state: LoadedState, draws: int = 0
 ) -> dict[str, Any] | None:
-    """Where the point lies with 95 % probability, for the page; to first order without draws."""
+    """The 95 % ellipse; without draws to first order."""
     pose = pushed.pose(state.q)
     found = Reach(
         pushed=pushed,
@@ -99,17 +100,17 @@ def ellipse_of(
 
 PLACES = np.linspace(0.0, 1.0, 61)  # of the drawn line
 Mode = Literal["point", "hand"]
-_SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # of the force, and N: so near the shown command comes to it
-_SAME_PLACE = 1e-10  # m: about as near as a place that `onebend reach` finds on its own grid is to the one here
+_SAME_SHARE, _SAME_FORCE = 1e-2, 1e-4  # relative, and N: accuracy of the shown command
+_SAME_PLACE = 1e-10  # m: accuracy of `onebend reach` on its own grid
 
 
 @dataclass
 class Bending:
-    """One learned beam under the pointer. Not for two threads at once."""
+    """One learned beam under the pointer; for one thread."""
 
-    model: str  # its name, as the page and the command line have it
+    model: str  # name on page and command line
     stored: StoredModel
-    beam: str  # JSON, for the process beside
+    beam: str  # JSON
     largest_first: float  # N
     push_s: float = 1.0
     point_s: float = 1.0
@@ -117,7 +118,7 @@ class Bending:
     mode: Mode = "point"
     point: DraggedPoint = field(init=False)
     hand: HeldEnd | None = None
-    version: int = 0  # of the settings; a map belongs to one
+    version: int = 0  # of the settings, for maps
 
     def __post_init__(self) -> None:
         self.max_force = self.max_force or self.largest_first
@@ -125,7 +126,7 @@ class Bending:
 
     @staticmethod
     def of(model: str, folder: Path) -> Bending:
-        """The beam in a results folder. Raises `ResultsError`, `ControlError` where it cannot be bent."""
+        """From a results folder. Raises `ResultsError`, or `ControlError` if it cannot be bent."""
         stored = read_model(folder)
         beam = stored.beam
         force = bending_force(beam)
@@ -143,7 +144,6 @@ class Bending:
         return self.point.state if self.hand is None else self.hand.state
 
     def opened(self) -> dict[str, Any]:
-        """The beam itself, and how it is held, for the page."""
         beam, known = self.stored.beam, self.stored.uncertain
         return {
             **{name: getattr(self, name) for name in ("model", "push_s", "point_s", "mode", "version")},
@@ -157,7 +157,7 @@ class Bending:
         }
 
     def change(self, wanted: dict[str, Any]) -> None:
-        """Other places, bound or mode, as far as they are named. Raises `StudioError` for one without meaning."""
+        """Changes places, bound or mode. Raises `StudioError` for invalid ones."""
         mode: Mode = "point" if wanted.get("rest") is True else wanted.get("mode", self.mode)
         if mode not in ("point", "hand"):
             raise StudioError("a beam is bent at a point or by a hand")
@@ -179,13 +179,13 @@ class Bending:
             self.hand = HeldEnd(self.pushed, self.point.state, max_force)
 
     def take_map(self, version: int, found: ReachMap) -> bool:
-        """The map, where it is still of these settings."""
+        """Accepts a map of the present settings."""
         if version == self.version:
             self.point.map = found
         return version == self.version
 
     def drag(self, goal: list[float]) -> dict[str, Any]:
-        """The beam with its point, or its end, on a goal, or as near as may be."""
+        """The beam with its point or end as near to a goal as possible."""
         began = time.perf_counter()
         if not 2 <= len(goal) <= 3 or not all(math.isfinite(one) for one in goal):
             raise StudioError("a goal is (x, y) in m, for a hand with its angle in rad")
@@ -197,14 +197,12 @@ class Bending:
         return self.shown(answer, began)
 
     def still(self) -> dict[str, Any]:
-        """The beam as it stands."""
         began = time.perf_counter()
         pose = self.pushed.pose(self.state.q)
         answer = self.point.answer(pose[:2]) if self.hand is None else self.hand.answer(pose)
         return self.shown(answer, began)
 
     def shown(self, answer: DragAnswer, began: float) -> dict[str, Any]:
-        """An answer for the page."""
         state, pose, known = answer.state, answer.pose, self.stored.uncertain
         return {
             "goal_m": answer.goal[:2].tolist(),
@@ -225,14 +223,14 @@ class Bending:
         }
 
     def _command(self, pose: list[float]) -> str:
-        """The command that gives the same load; empty where there is none, as along a straight beam."""
+        """The equivalent command; empty where there is none, as along a straight beam."""
         size = float(np.hypot(*self.state.load[:2]))
         if size == 0.0 and self.state.load[2] == 0.0:
             return ""
         if self.hand is not None:
             return hand_line(self.model, pose)
         yields = float(np.linalg.svd(self.pushed.response(self.state)[:2, :2], compute_uv=False)[-1])
-        finest = max(_SAME_SHARE * size, _SAME_FORCE) * yields  # m: as far as the goal may be off
+        finest = max(_SAME_SHARE * size, _SAME_FORCE) * yields  # m: allowed error of the goal
         if not finest >= _SAME_PLACE:
             return ""
         digits = max(math.ceil(-math.log10(0.1 * finest)), 6)
@@ -254,9 +252,87 @@ class Bending:
         return np.array([np.interp(s, PLACES, row) for row in self._line(q).T])
 
 
+# The edge of the reachable set as it is drawn. Its triangles lie in sheets, one over the other and folded, so that the
+# ends of one sheet may lie in the midst of another: the edge is taken from a picture of what they cover together.
+
+PIXELS = 1500  # across the picture
+_ROOM = 4  # pixels around it
+_SMOOTH, _EACH = 9, 3  # steps along the edge that are averaged, and from point to point
+_SHORTEST = 60  # steps: a smaller hole is none
+_BY_FORCE = 4.0  # pixels: nearer to where the largest force ends a sheet, it is that which ends the whole
+_SHORT_RUN = 8  # points: shorter, what limits the beam is that of the points around
+
+
 def outline_of(found: ReachMap) -> dict[str, Any]:
-    """The map's edge for the page."""
-    lines = [{"limit": limit, "line_m": np.round(line, 6).tolist()} for line, limit in found.outline()]
-    corners = found.triangles
-    points = np.round(np.nan_to_num(found.points), 6)  # those without a shape stand in no triangle
-    return {"edges": lines, "points_m": points.tolist(), "triangles": corners.tolist()}
+    """Edge and triangles of the map."""
+    lines = [{"limit": limit, "line_m": np.round(line, 6).tolist()} for line, limit in edge_lines(found)]
+    points = np.round(np.nan_to_num(found.points), 6)  # points without a shape are in no triangle
+    return {"edges": lines, "points_m": points.tolist(), "triangles": found.triangles.tolist()}
+
+
+def edge_lines(found: ReachMap) -> list[tuple[Array, Edge]]:
+    """Lines (P, 2) m around the union of the triangles, each with its limit."""
+    corners = found.points[found.triangles]
+    low = corners.min(axis=(0, 1))
+    pixel = float(np.max(corners.max(axis=(0, 1)) - low)) / PIXELS
+    bounds = found.points[found.edges[found.edge_is_force]]
+    ends = [np.linspace(one, other, 2 + int(np.linalg.norm(other - one) / pixel)) for one, other in bounds]
+    by_force = cKDTree(np.concatenate([np.full((1, 2), np.inf), *ends])[1:]) if ends else None
+    lines: list[tuple[Array, Edge]] = []
+    for loop in _loops(_painted((corners - low) / pixel + _ROOM)):
+        places = low + pixel * (loop - _ROOM)
+        away = np.full(len(places), np.inf) if by_force is None else by_force.query(places)[0]
+        lines += _runs(places, away < _BY_FORCE * pixel)
+    return lines
+
+
+def _painted(corners: Array) -> BoolArray:
+    """(Y, X), the pixels under triangles (T, 3, 2) px."""
+    width, height = (np.ceil(corners.max(axis=(0, 1))).astype(int) + _ROOM + 1).tolist()
+    picture = Image.new("L", (width, height))
+    pen = ImageDraw.Draw(picture)
+    for one in corners.reshape(-1, 6).tolist():
+        pen.polygon(one, fill=1)
+    return np.asarray(picture, dtype=bool)
+
+
+def _loops(picture: BoolArray) -> list[Array]:
+    """Smoothed closed lines (P, 2) px around the covered regions and their holes; the last point is the first."""
+    sides = []  # of pixels, as pairs of corner numbers, the covered pixel on the left
+    wide = picture.shape[1] + 1
+    for axis, along in ((0, 1), (1, wide)):
+        change = np.diff(picture.astype(np.int8), axis=axis)
+        for sign in (1, -1):
+            y, x = np.nonzero(change == sign)
+            near = wide * (y + 1 - axis) + x + axis
+            sides.append(np.stack([near, near + along][:: sign if axis == 0 else -sign], axis=1))
+    after: dict[int, list[int]] = {}
+    for begin, end in np.concatenate(sides).tolist():
+        after.setdefault(begin, []).append(end)
+    loops = []
+    while after:
+        line = [next(iter(after))]
+        while following := after.get(line[-1]):
+            line.append(following.pop())
+            if not following:
+                del after[line[-2]]
+        if len(line) > _SHORTEST:
+            loops.append(np.array(line[:-1]))
+    turned = (np.stack([loop % wide, loop // wide], axis=1) - 0.5 for loop in loops)
+    smooth = (uniform_filter1d(loop.astype(float), _SMOOTH, axis=0, mode="wrap")[::_EACH] for loop in turned)
+    return [np.concatenate([loop, loop[:1]]) for loop in smooth]
+
+
+def _runs(places: Array, forced: BoolArray) -> list[tuple[Array, Edge]]:
+    """Parts of a closed line by limit."""
+    same = median_filter(forced.astype(np.int8), 2 * _SHORT_RUN + 1, mode="wrap").astype(bool)
+    changes = np.flatnonzero(np.diff(same)) + 1
+    if len(changes):  # begin at a change, so that no run is cut in two
+        same, places = (np.concatenate([one[changes[0] : -1], one[: changes[0] + 1]]) for one in (same, places))
+        changes = np.flatnonzero(np.diff(same)) + 1
+    parts = [0, *changes.tolist(), len(places) - 1]
+    return [
+        (places[first : last + 1], "force" if same[first] else "stability")
+        for first, last in itertools.pairwise(parts)
+        if last > first
+    ]

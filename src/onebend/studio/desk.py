@@ -1,8 +1,5 @@
-"""The state that all tabs share: the beams that are bent, the work that runs, and everybody who looks on.
-
-All tabs see the same: each answer goes to all of them. Of drags that come faster than they are answered, the last
-counts.
-"""
+"""State shared by all tabs: bent beams, running work, tabs. Every answer goes to all tabs; of fast drags the last
+counts."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 import onebend
 from onebend.crash import kept, tell, words
 from onebend.errors import OnebendError, StudioError
-from onebend.progress import end_with_parent
+from onebend.progress import end_now, end_with_parent
 from onebend.studio.filming import RecorderProcess
 from onebend.studio.jobs import Jobs
 from onebend.studio.places import StudioFolder
@@ -33,15 +30,11 @@ if TYPE_CHECKING:
     from onebend.studio.bending import Bending
 
 
-# The tabs that look on, and what is sent to each.
-
 _MOST_WAITING = 64
-_ENOUGH = 3  # messages that wait for a slow tab: it does without the next one that passes
+_ENOUGH = 3  # waiting messages of a slow tab, beyond which it skips passing ones
 
 
 class Client:
-    """One tab."""
-
     count = itertools.count(1)
 
     def __init__(self, socket: WebSocket) -> None:
@@ -49,8 +42,7 @@ class Client:
         self.waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
 
     def put(self, message: dict[str, Any], *, passing: bool = False) -> None:
-        """Send, soon; a tab that takes nothing any more misses it, and asks again when it is back. `passing`: a newer
-        one will take its place."""
+        """A closed tab misses the message and asks again when it returns. `passing`: a newer one will replace it."""
         size = self.waiting.qsize()
         if size < _MOST_WAITING and not (passing and size > _ENOUGH):
             self.waiting.put_nowait(message)
@@ -58,11 +50,16 @@ class Client:
     async def write(self) -> None:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                await self.socket.send_text(text_of(await self.waiting.get()))
+                message = await self.waiting.get()
+                try:
+                    text = text_of(message)
+                except (ValueError, TypeError, RecursionError) as error:  # ours: the tab is told, and goes on
+                    text = text_of({"what": "error", "text": said_of(error)})
+                await self.socket.send_text(text)
 
 
 def text_of(message: dict[str, Any]) -> str:
-    """JSON; a number that is not finite as null."""
+    """JSON; null for numbers that are not finite."""
     try:
         return json.dumps(message, allow_nan=False)
     except ValueError:
@@ -70,27 +67,27 @@ def text_of(message: dict[str, Any]) -> str:
 
 
 _MOST_BEAMS = 8
-_TURN = 5e-4  # s that a thread keeps the interpreter while the mechanics are loaded
-_RESTS = 0.3  # s without a drag, after which the ellipse is made exactly
+_TURN = 5e-4  # s of the thread switch while mechanics load
+_RESTS = 0.3  # s without a drag before the exact ellipse
 
 
 class Desk:
-    """State of the studio. All methods run in the server's loop."""
+    """All methods run in the server's loop."""
 
     def __init__(self, places: StudioFolder) -> None:
         self.places = places
         self.clients: set[Client] = set()
         self.jobs = Jobs("learner", self._job_changed)
-        rooms = {"check": "recordings", "rehearse": "rehearsing"}
+        rooms = {"check": "recordings", "loop": "looping"}
         self.works = {room: Jobs(module, partial(self._work_changed, room)) for room, module in rooms.items()}
         self.recorder = RecorderProcess(lambda message, passing: self.tell(message, passing=passing))
         self.beams: dict[str, Bending] = {}
-        self.thread = ThreadPoolExecutor(1, "bend")  # a beam is no thing for two threads
+        self.thread = ThreadPoolExecutor(1, "bend")  # beams are for one thread
         self.beside = self._process()
         self._wanted: dict[str, tuple[int, int, list[float]]] = {}  # by model: tab, number, goal
         self._drags = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._busy: set[str] = set()  # models whose hand's edge is being looked for
+        self._busy: set[str] = set()  # models whose hand's edge is being computed
         self._moves: dict[str, int] = {}
         self._last_state = ("", False)
 
@@ -100,33 +97,32 @@ class Desk:
         return ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
 
     def begin(self) -> None:
-        """Load the mechanics, here and beside, while the page is already being looked at."""
+        """Loads the mechanics while the page is already shown."""
         loaded = self.thread.submit(_load)
-        loaded.add_done_callback(lambda _: self._load_beside())  # then: the first picture has both cores
+        loaded.add_done_callback(lambda _: self._load_beside())  # so that the first picture has both cores
         self._spawn(self._answer_drags())
 
     def _load_beside(self) -> None:
-        with contextlib.suppress(RuntimeError):  # it was ended meanwhile
+        with contextlib.suppress(RuntimeError):  # ended meanwhile
             self.beside.submit(_load)
 
     async def load(self, module: str) -> None:
-        """Load a module that the first picture did without, after the mechanics: no two threads load at once."""
+        """Loads a module after the mechanics; never two at once."""
         await self._in_thread(lambda: import_module(module))
 
     async def end(self) -> None:
-        """Stop what runs."""
         await asyncio.gather(self.jobs.stop(), *(one.stop() for one in self.works.values()), self.recorder.end())
         for task in self._tasks:
             task.cancel()
         self.thread.shutdown(wait=False, cancel_futures=True)
-        self.beside.shutdown(wait=False, cancel_futures=True)
+        end_now(self.beside)
 
     async def serve(self, socket: WebSocket) -> None:
-        """One tab, from its coming to its going."""
+        """One tab from start to end."""
         await socket.accept()
         client = Client(socket)
         self.clients.add(client)
-        writer = asyncio.create_task(client.write())
+        writer = asyncio.create_task(self._watched(client.write(), self.tell))
         about = {"folder": str(self.places.root), "job": self.jobs.shown(), "recording": self.recorder.shown()}
         client.put({"what": "hello", "you": client.number, **about})
         try:
@@ -151,7 +147,7 @@ class Desk:
             await self._set(model, settings)
 
     async def _watched(self, work: Awaitable[None], put: Callable[[dict[str, Any]], None]) -> None:
-        """Do the work; send what ends it, so that nothing fails unseen."""
+        """Reports any failure of the work."""
         try:
             await work
         except Exception as error:
@@ -177,7 +173,7 @@ class Desk:
             self._spawn(self._edge(model))
 
     def forget(self, model: str) -> None:
-        """A beam that was learned anew, or one too many; who looks at it opens it again."""
+        """Drops a beam that was learned again, or one too many; viewers open it again."""
         if self.beams.pop(model, None) is not None:
             self.tell({"what": "forgotten", "model": model})
 
@@ -224,7 +220,7 @@ class Desk:
                     self._spawn(self._edge(model))
 
     async def _aside(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        """Work in the process beside; it is made anew where it died."""
+        """Work in the second process, which is restarted if it died."""
         try:
             return await asyncio.get_running_loop().run_in_executor(self.beside, work, *arguments)
         except BrokenExecutor:
@@ -232,8 +228,8 @@ class Desk:
             raise StudioError("the process that makes maps ended. Try again") from None
 
     async def reach(self, beam: str, push_s: float, point_s: float, most: float) -> dict[str, Any]:
-        """The outline of what forces up to `most` N can hold, of a beam as JSON."""
-        from onebend.studio import bending  # here and below: loaded beside the page's first picture
+        """Outline reachable by forces up to `most` N, of a beam as JSON."""
+        from onebend.studio import bending  # here and below: loaded after the page's first picture
 
         return bending.outline_of(await self._aside(bending.make_map, beam, push_s, point_s, most))
 
@@ -287,7 +283,7 @@ class Desk:
                 self.tell({"what": "ellipse", "model": model, "ellipse": found})
 
     def tell(self, message: dict[str, Any], *, passing: bool = False) -> None:
-        """To all tabs; a slow one does without what is `passing`."""
+        """To all tabs; slow ones skip `passing` messages."""
         for client in tuple(self.clients):
             client.put(message, passing=passing)
 
@@ -312,7 +308,7 @@ class Desk:
 
 
 def request_of(text: str) -> dict[str, Any] | None:
-    """The request of a tab; None where it is no message of the page."""
+    """A tab's request; None if invalid."""
     try:
         message = json.loads(text)
         return {
@@ -327,7 +323,7 @@ def request_of(text: str) -> dict[str, Any] | None:
 
 
 def said_of(error: Exception) -> str:
-    """The error in words. A fault of onebend's own is written to a file, and named in the terminal too."""
+    """In words. Faults of onebend are written to a file named in the terminal."""
     if isinstance(error, OnebendError):
         return str(error)
     text = f"{words(error)} {kept(error, onebend.__version__)}"

@@ -1,4 +1,4 @@
-"""The room Record: the recording that is under way in a process of its own, and what the page asks of it."""
+"""Record: the recording process, and the page's requests to it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from onebend.errors import OnebendError, StudioError
 from onebend.studio.jobs import asked_number, begun, ended, lines_of
 from onebend.studio.places import RECORDING, StudioFolder, is_file, plain_word, record_line
 
-_PATIENCE = 20.0  # s in which a recorder that was told to stop puts all there is on disk
+_PATIENCE = 20.0  # s for a stopped recorder to write everything
 _KEPT = 8  # pictures
 _LONGEST_SPEC = 1000
-_FILES = ("film", "log", "csv", "bag")  # kinds of sources that are files
+_FILES = ("film", "log", "csv", "bag")  # source kinds that are files
+_OF_A_RECORDING = {"film": "video", "log": "force"}  # their parts of a recording
 _CAMERA_FORMATS = ("avfoundation", "dshow")
 _STREAMS = ("rtsp://", "rtsps://", "rtmp://", "http://", "https://", "udp://", "tcp://", "srt://")
 _GOING = ("starting", "recording", "stopping", "checking")
@@ -28,14 +29,14 @@ _DEVICES = ("video*", "serial/by-id/*", "ttyUSB*", "ttyACM*")
 
 @dataclass
 class MadeRecording:
-    """One recording that is being made, or was."""
+    """A recording in progress, or the last one."""
 
     wanted: dict[str, Any]
-    length_m: float = 0.0  # of the beam
+    length_m: float = 0.0
     phase: str = "starting"  # recording, stopping, checking, done, failed
-    state: dict[str, Any] = field(default_factory=dict)  # as `recorder.state_data` says
+    state: dict[str, Any] = field(default_factory=dict)  # from `recorder.state_data`
     curve: dict[str, Any] | None = None  # k(s) so far
-    picture: int = 0  # the number of the newest
+    picture: int = 0  # of the newest
     outcome: dict[str, Any] | None = None
     check: dict[str, Any] | None = None
     error: str = ""
@@ -50,10 +51,10 @@ class MadeRecording:
 
 
 class RecorderProcess:
-    """At most one recording at a time. All methods run in the server's loop."""
+    """At most one recording at a time, in the server's loop."""
 
     def __init__(self, tell: Callable[[dict[str, Any], bool], None]) -> None:
-        """`tell`: a message to all tabs, and whether a slow one may do without it."""
+        """`tell`: a message to all tabs, and whether slow ones may skip it."""
         self._tell = tell
         self.made: MadeRecording | None = None
         self._pictures: dict[int, bytes] = {}
@@ -62,17 +63,17 @@ class RecorderProcess:
         self._task: asyncio.Task[None] | None = None
 
     def shown(self) -> dict[str, Any] | None:
-        """For the page; None before the first recording."""
+        """None before the first recording."""
         return None if self.made is None else self.made.shown()
 
     def picture(self, number: int) -> bytes:
-        """A picture as JPEG; where that is no more, the newest. Raises `StudioError` before the first."""
+        """A JPEG, or the newest. Raises `StudioError` before the first."""
         if not self._pictures:
             raise StudioError("no picture came yet")
         return self._pictures.get(number) or self._pictures[max(self._pictures)]
 
     async def start(self, wanted: dict[str, Any]) -> None:
-        """Begin. Raises `StudioError` while another recording goes on."""
+        """Raises `StudioError` during another recording."""
         if self.made is not None and self.made.goes_on:
             raise StudioError(f"{self.made.wanted['out']} is being recorded. Stop it, or wait")
         self.made = made = MadeRecording(wanted)
@@ -83,19 +84,19 @@ class RecorderProcess:
         self._changed()
 
     def begin(self) -> None:
-        """Begin the film in spite of what is wrong with the picture."""
+        """Begins the film despite a poor picture."""
         if self.made is not None and self.made.goes_on:
             self._write("begin")
 
     def stop(self) -> None:
-        """End the film; what there is stays."""
+        """Ends the film and keeps it."""
         if self.made is not None and self.made.phase in ("starting", "recording"):
             self.made.phase = "stopping"
             self._write("stop")
             self._changed()
 
     async def end(self) -> None:
-        """The studio ends: stop, and wait until all there is is on disk; a recorder that does not end is killed."""
+        """Stops and waits until all is on disk; kills a recorder that does not end."""
         process = self._process
         if process is None or process.returncode is not None:
             return
@@ -106,7 +107,7 @@ class RecorderProcess:
     def _write(self, line: str) -> None:
         assert self._process is not None
         assert self._process.stdin is not None
-        with contextlib.suppress(OSError, RuntimeError):  # it ended by itself
+        with contextlib.suppress(OSError, RuntimeError):  # already ended
             self._process.stdin.write(f"{line}\n".encode())
 
     async def _follow(self, made: MadeRecording, process: asyncio.subprocess.Process) -> None:
@@ -117,7 +118,7 @@ class RecorderProcess:
             failed = made.outcome is None or bool(made.outcome["fault"]) or not made.outcome["begun"]
             made.phase = "failed" if failed else "done"
         if made.outcome is None and not made.error:
-            kept = f"What it wrote by then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
+            kept = f"The recording up to then is in {made.wanted['out']}" if made.state.get("frames") else "Try again"
             made.error = f"the recorder ended with {code}. {kept}"
         self._changed()
         self._tell({"what": "places"}, False)
@@ -145,10 +146,8 @@ class RecorderProcess:
 
 
 def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The request of the page, as the recorder takes it.
-
-    Raises `StudioError` where something is missing, has no meaning, or leads out of the studio's folder.
-    """
+    """The page's request for the recorder. Raises `StudioError` for missing or invalid entries, or paths outside the
+    studio's folder."""
     out, like, camera, force = (asked_text(asked, key) for key in ("out", "like", "camera", "force"))
     if not camera:
         raise StudioError("name a camera: /dev/video0, or film:REC to play a recording")
@@ -157,7 +156,9 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
     if is_file(places.path(out) / RECORDING):
         places.recording(out)
     if like:
-        places.recording(like)
+        beam = getattr(_described(places, places.recording(like)), "beam", None)
+        for table in filter(None, (getattr(beam, name, None) for name in ("mass_file", "section_file"))):
+            _check_inside(places, table)
     for spec in (camera, force):
         check_source(places, spec)
     flags = {key: asked.get(key) is True for key in ("now", "no_learning", "fast", "overwrite")}
@@ -177,10 +178,8 @@ def wanted_recording(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str
 
 
 def check_source(places: StudioFolder, spec: str) -> None:
-    """Raises `StudioError` for a source that is a file out of the studio's folder, or no camera's or sensor's device.
-
-    What FFmpeg opens may be a camera or a stream of the network alone; it would open any file besides.
-    """
+    """Raises `StudioError` for a file outside the studio's folder, or no device. FFmpeg would open any file, so it may
+    only open cameras and network streams."""
     head, *options = spec.split(",")
     kind, _, place = ("v4l2", ":", head) if head.startswith("/") else head.partition(":")
     how = next((one.partition("=")[2] for one in options if one.startswith("format=")), "")
@@ -188,7 +187,7 @@ def check_source(places: StudioFolder, spec: str) -> None:
         if not re.fullmatch(r"/dev/video\d+", place):
             raise StudioError(f"{place[:100]} is no camera. Cameras of Linux are named as /dev/video0")
     elif kind in _FILES:
-        places.path(place)
+        _check_played(places, kind, places.path(place))
     elif kind == "serial":
         if not re.fullmatch(r"/dev/[\w./-]+|COM\d+", place) or ".." in PurePosixPath(place).parts:
             raise StudioError(f"{place[:100]} is no serial port. They are named as /dev/ttyUSB0 or COM3")
@@ -199,24 +198,44 @@ def check_source(places: StudioFolder, spec: str) -> None:
         )
 
 
+def _check_played(places: StudioFolder, kind: str, path: Path) -> None:
+    """Raises `StudioError` where what is played lies out of the studio's folder, by a recording's own words or a
+    link."""
+    folder = path.parent if path.name == RECORDING else path
+    if kind in _OF_A_RECORDING and is_file(folder / RECORDING):
+        entry = getattr(_described(places, folder), _OF_A_RECORDING[kind], None)
+        path = folder if entry is None else entry.file
+    _check_inside(places, path)
+
+
+def _check_inside(places: StudioFolder, path: Path) -> None:
+    for one in (path, *(path.iterdir() if path.is_dir() else ())):  # a bag is a folder of files
+        places.inside(one, str(one))
+
+
+def _described(places: StudioFolder, folder: Path) -> Any:
+    """The recording; None where it cannot be read: to say why is its reader's part."""
+    from onebend.recording.folder import read_recording  # here: loaded after the page's first picture
+
+    places.inside(folder / RECORDING, str(folder / RECORDING))
+    try:
+        return read_recording(folder, filmed=False)
+    except OnebendError:
+        return None
+
+
 def sources_data(places: StudioFolder) -> dict[str, Any]:
-    """Kinds of cameras and force sensors, those that are plugged in, and the recordings that can be played."""
+    """Kinds of sources, connected devices, and recordings to play."""
     from onebend.live.specs import CAMERAS, FORCES
-    from onebend.recording.folder import read_recording
 
     films, logs, begun = [], [], []
     for one in places.found():
-        if one.kind != "recording":
-            continue
-        try:
-            rec = read_recording(places.recording(one.name), filmed=False)
-        except OnebendError:
-            continue
-        if rec.video is None or rec.video.topic:
+        rec = _described(places, places.recording(one.name)) if one.kind == "recording" else None
+        if rec is None or rec.video is None or rec.video.topic:
             continue
         begun += [] if rec.video.file.exists() else [one.name]
-        films += [one.name] if rec.video.file.exists() else []
-        logs += [one.name] if rec.force is not None and rec.force.file.exists() else []
+        films += [one.name] if _is_playable(places, rec.video) else []
+        logs += [one.name] if _is_playable(places, rec.force) else []
     plugged = sorted(str(path) for pattern in _DEVICES for path in Path("/dev").glob(pattern))
     kinds = {
         name: [{"example": one.example, "says": one.says, "keys": list(one.keys)} for one in table.values()]
@@ -225,8 +244,19 @@ def sources_data(places: StudioFolder) -> dict[str, Any]:
     return {**kinds, "devices": plugged, "films": films, "logs": logs, "begun": begun}
 
 
+def _is_playable(places: StudioFolder, entry: Any) -> bool:
+    """Whether the film or log of a recording is there, in the studio's folder."""
+    if entry is None or not entry.file.exists():
+        return False
+    try:
+        _check_inside(places, entry.file)
+    except StudioError:
+        return False
+    return True
+
+
 def asked_text(asked: Mapping[str, Any], key: str) -> str:
-    """The text under this key, empty where there is none. Raises `StudioError` where it is no text, or too long."""
+    """Text under this key, or "". Raises `StudioError` for other types or long text."""
     found = asked.get(key) or ""
     if not isinstance(found, str) or len(found) > _LONGEST_SPEC or not found.isprintable():
         raise StudioError(f"{key}: give it as text, in at most {_LONGEST_SPEC} characters")

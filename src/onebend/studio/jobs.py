@@ -1,4 +1,4 @@
-"""Long work in a process of its own, which can be stopped, and what it says of how far it is: both ends of the line."""
+"""Long work in a separate process that can be stopped, and its progress: both ends."""
 
 from __future__ import annotations
 
@@ -18,22 +18,20 @@ from typing import Any
 from onebend.errors import OnebendError, StudioError
 from onebend.text_files import to_json
 
-_PATIENCE = 8.0  # s that a process has to end after an interrupt
+_PATIENCE = 8.0  # s to end after an interrupt
 _LONGEST_LINE = 2**22  # bytes
-_OFTEN = 0.1  # s between two lines of one stage
+_OFTEN = 0.1  # s between lines of one stage
 
 
 @dataclass
 class Job:
-    """One piece of work that runs or ran."""
-
     wanted: dict[str, Any]
     began: float = field(default_factory=time.time)
-    stages: list[dict[str, Any]] = field(default_factory=list)  # in the order in which they began
+    stages: list[dict[str, Any]] = field(default_factory=list)  # by start
     state: str = "running"  # running, stopping, done, stopped, failed
     error: str = ""
     published: bool = False  # k(s) is in place; the report may still be drawn
-    found: list[dict[str, Any]] = field(default_factory=list)  # what it found by now
+    found: list[dict[str, Any]] = field(default_factory=list)  # results so far
     ended: float | None = None
 
     def shown(self) -> dict[str, Any]:
@@ -49,7 +47,6 @@ class Job:
         }
 
     def hear(self, said: dict[str, Any]) -> None:
-        """One line of the process."""
         if "stage" in said:
             row = {name: said.get(name) for name in ("stage", "done", "total")}
             if self.stages and self.stages[-1]["stage"] == row["stage"]:
@@ -65,21 +62,21 @@ class Job:
 
 
 class Jobs:
-    """Work of one kind, at most one piece of it at a time: two would only be slower."""
+    """Work of one kind, one at a time."""
 
     def __init__(self, module: str, changed: Callable[[], None]) -> None:
-        """`module`: the one in this folder that does it, run as a process."""
+        """`module`: of this folder, run as a process."""
         self.module, self.changed = module, changed
         self.job: Job | None = None
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
 
     def shown(self) -> dict[str, Any] | None:
-        """The job, for the page; None before the first."""
+        """None before the first."""
         return None if self.job is None else self.job.shown()
 
     async def start(self, wanted: dict[str, Any]) -> None:
-        """Begin. Raises `StudioError` while another job of this kind runs."""
+        """Raises `StudioError` while a job of this kind runs."""
         if self.job is not None and self.job.state in ("running", "stopping"):
             raise StudioError(f"another runs: {self.job.wanted['command']}. Stop it, or wait")
         self.job = Job(wanted)
@@ -91,7 +88,7 @@ class Jobs:
         self.changed()
 
     async def stop(self) -> None:
-        """Interrupt the job; one that does not end is killed."""
+        """Interrupts the job, and kills it if it does not end."""
         job, process = self.job, self._process
         if job is None or process is None or process.returncode is not None:
             return
@@ -119,7 +116,7 @@ class Jobs:
 
 
 async def begun(module: str) -> asyncio.subprocess.Process:
-    """The module of this folder as a process of its own, which is told and tells what it does by lines."""
+    """A module of this folder as a process that communicates by lines."""
     return await asyncio.create_subprocess_exec(
         sys.executable,
         *("-m", f"onebend.studio.{module}"),
@@ -127,13 +124,13 @@ async def begun(module: str) -> asyncio.subprocess.Process:
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.DEVNULL,
         limit=_LONGEST_LINE,
-        start_new_session=True,  # it ends when it is told to, not when the terminal is
+        start_new_session=True,  # ends when told to, not with the terminal
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
 
 
 async def lines_of(process: asyncio.subprocess.Process) -> AsyncIterator[dict[str, Any]]:
-    """JSON objects that the process writes, one a line; other lines are left out."""
+    """JSON objects, one per line; other lines are skipped."""
     assert process.stdout is not None
     async for line in process.stdout:
         with contextlib.suppress(ValueError):
@@ -141,7 +138,7 @@ async def lines_of(process: asyncio.subprocess.Process) -> AsyncIterator[dict[st
 
 
 async def ended(process: asyncio.subprocess.Process, patience: float) -> None:
-    """Wait for the end of the process; it is killed after `patience` [s]."""
+    """Waits; kills the process after `patience` [s]."""
     try:
         await asyncio.wait_for(process.wait(), patience)
     except TimeoutError:
@@ -150,7 +147,7 @@ async def ended(process: asyncio.subprocess.Process, patience: float) -> None:
 
 
 def asked_number(asked: Mapping[str, Any], key: str, least: float, most: float, usual: float) -> float:
-    """A number that the page asks for, `usual` where it says none. Raises `StudioError` where it is out of range."""
+    """A number of the request, default `usual`. Raises `StudioError` if out of range."""
     found = asked.get(key, usual)
     if isinstance(found, bool) or not isinstance(found, int | float) or not least <= found <= most:
         raise StudioError(f"{key}: a number from {least:g} to {most:g}")
@@ -158,7 +155,7 @@ def asked_number(asked: Mapping[str, Any], key: str, least: float, most: float, 
 
 
 class Lines:
-    """A `Progress` that writes lines of JSON."""
+    """A `Progress` that writes JSON lines."""
 
     def __init__(self) -> None:
         self._stack: list[list[Any]] = []  # stage, done, total
@@ -184,26 +181,23 @@ class Lines:
 
 
 def tell(data: Mapping[str, Any]) -> None:
-    """One line; nobody may be there any more to read it."""
+    """A line; the reader may be gone."""
     with contextlib.suppress(BrokenPipeError, OSError):
         sys.stdout.write(to_json(data, ascii_only=True, readable=False) + "\n")
         sys.stdout.flush()
 
 
 def process(work: Callable[[Mapping[str, Any]], None], *, alone: bool = True) -> int:
-    """Main function of a process of `Jobs`: `work` on the JSON object on standard input, in the folder that it names.
+    """Main function of a `Jobs` process: `work` on the JSON object on standard input, in the folder that it names. With
+    `alone` it outlives the studio.
 
-    Args:
-        alone: it goes on when the studio is gone; else it ends then.
-
-    Returns:
-        0: done; 2: it cannot be done; 130: interrupted.
+    Returns 0: done; 2: failed; 130: interrupted.
     """
     wanted = json.loads(sys.stdin.readline())
     if not alone:
         threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
     os.chdir(wanted["folder"])
-    sys.argv = shlex.split(wanted["command"])  # what a result says that it comes from
+    sys.argv = shlex.split(wanted["command"])  # for provenance
     try:
         work(wanted)
     except OnebendError as error:

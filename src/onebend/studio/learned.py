@@ -1,4 +1,4 @@
-"""The room Learn: what a result says, and the film with the fitted beam over it as the report keeps it."""
+"""Learn: contents of a result, and the film with the fitted beam."""
 
 from __future__ import annotations
 
@@ -22,10 +22,7 @@ _LEVELS = (0.95, 0.8, 0.5)
 
 
 def result_data(name: str, folder: Path) -> dict[str, Any]:
-    """Verdict, k(s) with its bands, errors and remarks of a results folder.
-
-    Raises `ResultsError` where the model cannot be read.
-    """
+    """Verdict, k(s) with bands, errors and remarks. Raises `ResultsError` for an unreadable model."""
     stored = read_model(folder)
     summary = read_object(folder / SUMMARY, LARGEST) or {}
     fit, origin = _object(summary.get("fit")), _object(summary.get("provenance"))
@@ -48,13 +45,13 @@ def result_data(name: str, folder: Path) -> dict[str, Any]:
 
 
 def curve(stored: StoredModel) -> dict[str, Any]:
-    """k(s) in N m at 101 places, with its bands."""
+    """k(s) in N m at 101 places, with bands."""
     known = {} if stored.uncertain is None else known_curve(stored.uncertain)
     return {"bands": [], **known, "s": _S.tolist(), "k_N_m": np.asarray(stored.beam.stiffness(_S)).tolist()}
 
 
 def known_curve(known: UncertainStiffness) -> dict[str, Any]:
-    """The same of k(s) as it is known without a model of it."""
+    """The same without a model."""
     found: dict[str, Any] = {"s": _S.tolist(), "k_N_m": np.asarray(known.profile(_S)).tolist(), "bands": []}
     for level in _LEVELS:
         band = known.band(_S, level)
@@ -65,12 +62,12 @@ def known_curve(known: UncertainStiffness) -> dict[str, Any]:
 
 
 def film_data(folder: Path) -> dict[str, Any] | None:
-    """The frames that the report shows, the fitted beam in their pixels; None where the report has no film.
-
-    Raises `StudioError` where there is no report, or one that is not onebend's.
-    """
+    """The report's frames with the fitted beam in pixels; None without a film. Raises `StudioError` without a report of
+    onebend."""
     path = folder / REPORT
     try:
+        if path.is_symlink():  # which may lead anywhere
+            raise OSError(f"{path.name} is a link")
         if path.stat().st_size > _LARGEST_REPORT:
             raise StudioError(f"{path.name} is larger than any report. Learn again")
         text = path.read_text(encoding="utf-8")
@@ -90,7 +87,7 @@ def film_data(folder: Path) -> dict[str, Any] | None:
 
 
 def _object(value: Any) -> dict[str, Any]:
-    """The value where it is an object; else an empty one."""
+    """The value if it is an object, else an empty one."""
     return value if isinstance(value, dict) else {}
 
 

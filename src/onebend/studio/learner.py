@@ -1,8 +1,7 @@
-"""The process that learns: `python -m onebend.studio.learner`, one JSON object of what to do on standard input.
+"""The learning process, `python -m onebend.studio.learner`, with one JSON object on standard input.
 
-It does what `onebend learn` does, and says how far it is as lines of JSON on standard output. Interrupted, it keeps the
-tags that it found, and leaves earlier results as they are. It goes on when the studio is gone: its result is published
-whole, by the same steps.
+It does what `onebend learn` does, with progress as JSON lines. Interrupted, it keeps the tags and earlier results. It
+outlives the studio.
 """
 
 from __future__ import annotations
@@ -26,11 +25,7 @@ from onebend.studio.jobs import Lines, process, tell
 
 
 def work(wanted: Mapping[str, Any]) -> None:
-    """Learn, and publish.
-
-    Args:
-        wanted: "recordings" and "validate", names; "out"; "replace".
-    """
+    """`wanted`: "recordings" and "validate" (names), "out", "replace"."""
     recordings, validate = [Path(one) for one in wanted["recordings"]], [Path(one) for one in wanted["validate"]]
     place = prepare(Path(wanted["out"]), kind=LEARN_FORMAT, overwrite=bool(wanted["replace"]))
     try:
@@ -40,9 +35,9 @@ def work(wanted: Mapping[str, Any]) -> None:
         run = learn(recordings[0], *recordings[1:], validate_on=validate, detect=detect, progress=progress)
         settings = {"fit": FitSettings(), "regression": RegressionSettings(), "observing": ObserveSettings()}
         made_from = provenance(inputs, wanted, settings)
-        _put(place, run, Pictures(), made_from)  # the fit is safe before a picture is drawn
+        _put(place, run, Pictures(), made_from)  # the fit is safe before pictures are drawn
         tell({"published": True})
-        from onebend.report.figures import draw_all  # here: Matplotlib is for pictures alone
+        from onebend.report.figures import draw_all  # here: loads Matplotlib
 
         _put(place, run, draw_all(run, progress=progress), made_from)
     except BaseException:

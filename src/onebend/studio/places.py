@@ -1,4 +1,4 @@
-"""The folder that the studio works in: what lies there, and nothing from outside."""
+"""The studio's folder, its access rules, and equivalent command lines."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import os
 import secrets
 import shlex
+from asyncio import BaseTransport, Transport
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
@@ -22,15 +23,15 @@ from onebend.files.publish import read_object
 from onebend.files.single_file import FILMS, LOGS
 
 RECORDING, RESULT_SUMMARY, MODEL = "recording.toml", "summary.json", "model.json"
-_DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search for recordings and results
+_DEEPEST, _MOST_FOLDERS = 5, 5000  # of the search
 _LEFT_OUT = frozenset({"node_modules", "__pycache__", "site-packages"})
-_LONGEST_PART = 255  # bytes, of what stands between two /: no common file system takes more
+_LONGEST_PART = 255  # bytes between two /
 _LARGEST_SUMMARY = 16 * 2**20  # bytes
 
 
 @dataclass(frozen=True)
 class Found:
-    """A recording or a result below the studio's folder, or a film with a log that nothing describes yet."""
+    """A recording, a result, or an undescribed film with a log."""
 
     name: str  # relative, with /; "." is the folder itself
     kind: Literal["recording", "result", "film"]
@@ -40,40 +41,33 @@ class Found:
 
 @dataclass(frozen=True)
 class StudioFolder:
-    """A folder, and the names below it."""
-
     root: Path
 
     @staticmethod
     def of(folder: Path) -> StudioFolder:
-        """Raises `StudioError` where there is no such folder."""
+        """Raises `StudioError` if there is no such folder."""
         if not folder.is_dir():
             raise StudioError(f"{folder} is not a folder. Give the one that holds your recordings and results")
         return StudioFolder(folder.resolve())
 
     def path(self, name: str) -> Path:
-        """The place of this name below the folder.
-
-        Raises `StudioError` where the name leads out of it, by dots, a root or a link.
-        """
+        """The path of this name. Raises `StudioError` if it leads out of the folder, by dots, a root or a link."""
         parts = PurePosixPath(name).parts
         odd = not name or any(part in name for part in ("\0", "\\", ":")) or len(name) > 1000
         if odd or not _is_text(name) or PurePosixPath(name).is_absolute() or ".." in parts:
             raise StudioError(f"{name[:100]!r} is no name in this folder")
         if any(len(part.encode()) > _LONGEST_PART for part in parts):
             raise StudioError(f"{name[:30]!r}... is too long a name: a folder's has at most {_LONGEST_PART} bytes")
-        return self._inside(self.root / name, name, "")
+        return self.inside(self.root / name, name)
 
     def beside(self, name: str, file: str) -> Path:
-        """A file that is named in the folder `name`, as it leads on from there.
-
-        Raises `StudioError` where it lies outside of the studio's folder, or names nothing.
-        """
+        """A file named in folder `name`. Raises `StudioError` if it is outside or missing."""
         if not file or "\0" in file or len(file) > 1000 or not _is_text(file):
             raise StudioError("no file is named")
-        return self._inside(self.path(name) / file, file, ": the page does not look there. A check does")
+        return self.inside(self.path(name) / file, file, ": the page does not look there. A check does")
 
-    def _inside(self, path: Path, name: str, advice: str) -> Path:
+    def inside(self, path: Path, name: str, advice: str = "") -> Path:
+        """The path without links. Raises `StudioError`, which says `name`, where it leads out of the folder."""
         try:
             path = path.resolve()
         except (OSError, RuntimeError) as error:
@@ -83,11 +77,11 @@ class StudioFolder:
         return path
 
     def recording(self, name: str) -> Path:
-        """The folder of a recording. Raises `StudioError` where there is none."""
+        """Raises `StudioError` if there is none."""
         return self._holding(name, RECORDING, "")
 
     def result(self, name: str) -> Path:
-        """The folder of a learned beam. Raises `StudioError` where there is none."""
+        """Raises `StudioError` if there is none."""
         return self._holding(name, MODEL, ": learn a recording first")
 
     def _holding(self, name: str, file: str, advice: str) -> Path:
@@ -98,7 +92,7 @@ class StudioFolder:
         return path
 
     def found(self) -> list[Found]:
-        """All recordings and results, by name; hidden folders, links and names that are no text are left out."""
+        """All recordings and results by name, without hidden folders, links and undecodable names."""
         rows, waiting, seen = [], [(self.root, 0)], 0
         while waiting and seen < _MOST_FOLDERS:
             folder, depth = waiting.pop()
@@ -131,7 +125,7 @@ def _is_text(name: str) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; where its name is too long, there is none."""
+    """False also for too long names."""
     try:
         return path.is_file()
     except OSError:
@@ -163,24 +157,46 @@ def _about(path: Path) -> dict[str, Any]:
         return {}
 
 
-# Who may ask: nobody but the page of this studio, in a browser on this computer that was given the token.
-#
-# Every request must name this very host (a name on the internet that leads here is refused: DNS rebinding), show the
-# cookie that the token was exchanged for, and, where it changes something or opens a socket, come from this page
-# (`Origin`). Bodies are bounded before they are read.
+# Access: only the page of this studio in a browser on this computer with the token. Every request must name this host
+# (against DNS rebinding) and show the cookie; changes and sockets must come from this page (`Origin`). Bodies are
+# bounded.
 
-LARGEST_BODY = 256 * 1024  # bytes: the longest thing sent is a recording.toml
+MOST_STRANGERS = 64  # connections: as many as a system lets wait
+Address = tuple[str, int]
+LARGEST_BODY = 256 * 1024  # bytes
 SAFE_METHODS = ("GET", "HEAD")
 REFUSED = "Open the address that `onebend studio` shows in the terminal: it holds the key to this page.\n"
 
 
+class Strangers:
+    """Connections on which nobody has shown the cookie yet: of too many the oldest ends, so that there is always room
+    for the page."""
+
+    def __init__(self, most: int = MOST_STRANGERS) -> None:
+        self._most = most
+        self._open: dict[Address, BaseTransport] = {}
+
+    def came(self, transport: BaseTransport) -> None:
+        self._open[transport.get_extra_info("peername")] = transport
+        if len(self._open) > self._most:
+            self._open = {who: one for who, one in self._open.items() if not one.is_closing()}
+        while len(self._open) > self._most:
+            oldest = self._open.pop(next(iter(self._open)))
+            oldest.abort() if isinstance(oldest, Transport) else oldest.close()
+
+    def known(self, who: Address) -> None:
+        """The cookie was shown on this connection."""
+        self._open.pop(who, None)
+
+
 class Guard:
-    """An ASGI application that lets through only what it may."""
+    """ASGI middleware."""
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
         self.app, self.token, self.port = app, token, port
+        self.strangers = Strangers()
         self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
-        self.cookie = f"onebend-studio-{port}"  # cookies do not tell ports apart
+        self.cookie = f"onebend-studio-{port}"  # cookies ignore ports
         self.session = secrets.token_urlsafe(32)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -189,6 +205,8 @@ class Guard:
             return
         headers = Headers(scope=scope)
         answer = self._refusal(scope, headers)
+        if answer is None and scope.get("client"):
+            self.strangers.known(tuple(scope["client"]))
         if scope["type"] == "websocket":
             if answer is None:
                 await self.app(scope, receive, send)
@@ -202,7 +220,7 @@ class Guard:
         await self._bounded(scope, receive, with_headers)
 
     def _refusal(self, scope: Scope, headers: Headers) -> PlainTextResponse | RedirectResponse | None:
-        """The refusal; None where the request may go on."""
+        """None: allowed."""
         host = headers.getlist("host")
         if len(host) != 1 or host[0] not in self.hosts:
             return PlainTextResponse("This host is not known here.\n", 403)
@@ -217,7 +235,7 @@ class Guard:
         return self._first_visit(scope) or PlainTextResponse(REFUSED, 403)
 
     def _first_visit(self, scope: Scope) -> RedirectResponse | None:
-        """The token in the address, exchanged for a cookie; None where there is no token, or another."""
+        """Exchanges the token in the address for a cookie; None for a wrong token."""
         if scope["type"] != "http" or scope["path"] != "/" or scope["method"] not in SAFE_METHODS:
             return None
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])
@@ -235,7 +253,7 @@ class Guard:
         return found is not None and _same(found.value, self.session)
 
     def _sealed(self, send: Send) -> Send:
-        """`send`, with the headers that bind the page to itself."""
+        """`send` with security headers."""
 
         async def sealed(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -256,7 +274,7 @@ class Guard:
         return sealed
 
     async def _bounded(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """The application, with a body no longer than `LARGEST_BODY`, whatever length it says to have."""
+        """The application with a body of at most `LARGEST_BODY`, whatever its stated length."""
         said = Headers(scope=scope).get("content-length", "0")
         too_large = PlainTextResponse(f"At most {LARGEST_BODY} bytes are taken here.\n", 413)
         if not said.isdecimal() or int(said) > LARGEST_BODY:
@@ -290,59 +308,56 @@ def _same(one: str, other: str) -> bool:
     return secrets.compare_digest(one.encode("utf-8", "replace"), other.encode())
 
 
-# The command lines that would do what the page does.
+# Command lines equivalent to the page's actions.
 
-MOST_DIGITS = 12  # behind the point, of a goal in metres
+MOST_DIGITS = 12  # decimals of a goal in metres
 
 
 def line(*words: str) -> str:
-    """`onebend ...`, for a shell."""
     return shlex.join(["onebend", *words])
 
 
 def number(value: float) -> str:
-    """Short, and exact to a micrometre or a millionth of the unit."""
+    """To a micrometre, or a millionth of the unit."""
     return (f"{value:.6f}".rstrip("0").rstrip(".") or "0") if math.isfinite(value) else "inf"
 
 
 def rounded(value: float, digits: int) -> str:
-    """With so many digits behind the point, less the zeros at the end."""
+    """Without trailing zeros."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
 
 def reach_line(model: str, goal: Sequence[float], digits: int, push_s: float, point_s: float, max_force: float) -> str:
-    """The command that gives the force of a dragged point; `digits` of the goal in metres."""
+    """Force for a dragged point; `digits` of the goal in metres."""
     goals = [rounded(one, digits) for one in goal[:2]]
     return line("reach", model, "--goal", *goals, *_places(push_s, point_s), "--max-force-N", number(max_force))
 
 
 def _places(push_s: float, point_s: float) -> list[str]:
-    """Options of the push's place and the point's, where they are not the tip."""
+    """Options for places other than the tip."""
     pairs = (("--push-at", push_s), ("--point", point_s))
     return [word for name, s in pairs if s != 1.0 for word in (name, number(s))]
 
 
 def hand_line(model: str, goal: Sequence[float]) -> str:
-    """The command that gives the wrench of a hand at the beam's end."""
+    """Wrench of a hand at the end."""
     angle = rounded(math.degrees(goal[2]), MOST_DIGITS - 2)
     goals = [rounded(one, MOST_DIGITS) for one in goal[:2]]
     return line("reach", model, "--goal", *goals, "--goal-angle-deg", angle, "--moment")
 
 
 def learn_line(recordings: Sequence[str], validate: Sequence[str], out: str, replace: bool) -> str:
-    """The command that learns the same."""
     checks = [word for one in validate for word in ("--validate", one)]
     return line("learn", *recordings, "--output", out, *checks, *(["--force"] if replace else []))
 
 
 def check_line(name: str) -> str:
-    """The command that checks the same."""
     return line("check", plain_word(name), "--output", f"{plain_word(name)}/check.png")
 
 
 def loop_line(wanted: Mapping[str, Any]) -> str:
-    """The command that rehearses the same; `wanted` as from `rehearsing.wanted_work`."""
+    """`wanted`: from `looping.wanted_work`."""
     places = _places(wanted["push_s"], wanted["point_s"])
     beams = ["--draws", str(wanted["draws"])] if wanted["draws"] else ["--k-error", number(wanted["k_error"])]
     bound = [] if wanted["max_force_N"] is None else ["--max-force-N", number(wanted["max_force_N"])]
@@ -358,7 +373,7 @@ def plain_word(name: str) -> str:
 
 
 def record_line(wanted: Mapping[str, Any]) -> str:
-    """The command that records the same; `wanted` as from `filming.wanted_recording`."""
+    """`wanted`: from `filming.wanted_recording`."""
     given = [(f"--{key}", wanted[key]) for key in ("camera", "force", "like") if wanted[key]]
     if wanted["until_percent"] is not None:
         given.append(("--until", f"{number(wanted['until_percent'])}%"))

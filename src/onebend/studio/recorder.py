@@ -1,9 +1,8 @@
-"""The process that records: `python -m onebend.studio.recorder`, one JSON object of what to do on standard input, then
-a line for each `begin` and `stop`.
+"""The recording process, `python -m onebend.studio.recorder`, with one JSON object on standard input, then lines
+`begin` and `stop`.
 
-It does what `onebend record` does, then what `onebend check` does, and says what is known meanwhile as lines of JSON on
-standard output. An interrupt stops it, and so does the end of its input: a studio that is gone leaves a whole
-recording.
+It does what `onebend record` and then `onebend check` do, with JSON lines on standard output. An interrupt or the end
+of its input stops it, with a complete recording.
 """
 
 from __future__ import annotations
@@ -33,18 +32,18 @@ from onebend.report.overview import overview
 from onebend.studio.learned import known_curve
 from onebend.text_files import to_json
 
-OFTEN = 0.2  # s between two pictures
-WIDEST = 800  # px of a picture that is shown
+OFTEN = 0.2  # s between pictures
+WIDEST = 800  # px
 QUALITY = 60  # of JPEG
 _AS_THEY_ARE = (
-    *("advice", "displacement", "largest", "half_width", "until", "seconds", "frames", "drops", "samples"),
+    *("advice", "displacement", "largest", "half_width", "wider", "until", "seconds", "frames", "drops", "samples"),
     *("lost_samples", "bytes", "disk_left"),
 )
-_PATIENCE = 3.0  # s for what is still to be said at the end
+_PATIENCE = 3.0  # s for the last messages
 
 
 class Talk:
-    """Lines of JSON to the studio, the states by a thread of its own: a studio that is slow never holds up the film."""
+    """JSON lines to the studio from a separate thread, so that a slow studio never delays the film."""
 
     def __init__(self, out: BinaryIO) -> None:
         self._out, self._one = out, threading.Lock()
@@ -54,18 +53,18 @@ class Talk:
         self._thread.start()
 
     def tell(self, data: Mapping[str, Any]) -> None:
-        """One line; nobody may be there any more to read it."""
+        """The reader may be gone."""
         with self._one, suppress(OSError, ValueError):
             self._out.write((to_json(data, ascii_only=True, readable=False) + "\n").encode())
             self._out.flush()
 
     def watch(self, state: live.CaptureState) -> None:
-        """Take a state; of states that come faster than they are sent, the newest counts."""
+        """Of fast states the newest counts."""
         self._newest = state
         self._new.set()
 
     def end(self) -> None:
-        """Tell the last state; no other comes."""
+        """Sends the last state."""
         self._over = True
         self._new.set()
         self._thread.join(_PATIENCE)
@@ -85,7 +84,7 @@ class Talk:
 
 
 def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[str, Any]:
-    """A state as a line; its picture and its curve only where they are new."""
+    """A state as a line; picture and curve only if new."""
     said: dict[str, Any] = {"state": state_data(state)}
     if state.picture is not None and (before is None or state.picture is not before.picture):
         said["picture"] = base64.b64encode(small_jpeg(state.picture)).decode("ascii")
@@ -95,7 +94,6 @@ def _said(state: live.CaptureState, before: live.CaptureState | None) -> dict[st
 
 
 def state_data(state: live.CaptureState) -> dict[str, Any]:
-    """The state of a recording, for the page."""
     order = list(STAGE_NAMES)
     tags = [
         {"id": tag.id, "side_px": tag.side_px, "corners_px": tag.corners.round(1) if tag.seen else None}
@@ -116,7 +114,7 @@ def state_data(state: live.CaptureState) -> dict[str, Any]:
 
 
 def small_jpeg(picture: Picture) -> bytes:
-    """A picture (H, W) as JPEG, no wider than `WIDEST`."""
+    """A picture (H, W), at most `WIDEST` wide."""
     image = Image.fromarray(picture)
     image = image.reduce(math.ceil(image.width / WIDEST)) if image.width > WIDEST else image
     memory = io.BytesIO()
@@ -125,7 +123,6 @@ def small_jpeg(picture: Picture) -> bytes:
 
 
 def settings_of(wanted: Mapping[str, Any]) -> live.CaptureSettings:
-    """How the page wants it."""
     until = wanted["until_percent"]
     return live.CaptureSettings(
         until=math.nan if until is None else until / 100.0,
@@ -138,7 +135,7 @@ def settings_of(wanted: Mapping[str, Any]) -> live.CaptureSettings:
 
 
 def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: threading.Event) -> live.CaptureOutcome:
-    """Record, as `onebend record` does. Raises `OnebendError` where nothing could be recorded."""
+    """As `onebend record`. Raises `OnebendError` if nothing could be recorded."""
     try:
         force = live.force_of(wanted["force"]) if wanted["force"] else None
         camera = live.camera_of(wanted["camera"])
@@ -153,7 +150,6 @@ def work(wanted: Mapping[str, Any], talk: Talk, stop: threading.Event, begin: th
 
 
 def check_data(folder: Path) -> dict[str, Any]:
-    """Findings of `onebend check`."""
     try:
         found = overview(folder)
     except OnebendError as error:
@@ -169,10 +165,10 @@ def _lines(handle: int) -> Iterator[str]:
 
 
 def main() -> int:
-    """0: recorded; 2: nothing could be recorded, or a cable or the disk ended it."""
+    """0: recorded; 2: nothing recorded, or ended by a cable or the disk."""
     lines, talk = _lines(os.dup(0)), Talk(os.fdopen(os.dup(1), "wb"))
     nothing = os.open(os.devnull, os.O_RDWR)
-    for handle in (0, 1):  # no process that is begun here holds on to the studio's pipes
+    for handle in (0, 1):  # child processes must not hold the studio's pipes
         os.dup2(nothing, handle)
     stop, begin, gone = threading.Event(), threading.Event(), threading.Event()
     wanted = json.loads(next(lines))

@@ -1,7 +1,7 @@
-"""The room Recordings: `recording.toml` checked as it is typed and saved whole, the film's first frame, and `check`.
+"""Recordings: `recording.toml` checked while typed and saved whole, the first frame, and `check`.
 
-Nothing here decides what is right: the mistakes are those of `recording.folder.check_text`, the findings those of
-`report.overview`. As a process (`python -m onebend.studio.recordings`) it does what `onebend check` does.
+Mistakes come from `recording.folder.check_text`, findings from `report.overview`. As a process
+(`python -m onebend.studio.recordings`) it does what `onebend check` does.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from onebend.text_files import MOST_TOML
 
 PICTURE = "check.png"
 LARGEST_PICTURE = 16 * 2**20  # bytes
-WIDEST = 1100  # px of the first frame as it is shown
-QUALITY = 82  # of its JPEG
+WIDEST = 1100  # px
+QUALITY = 82  # of JPEG
 MOST_SHOWN = 200  # mistakes
-_saving = threading.Lock()  # of this studio's tabs; other programs are met by `replace_file`
+_saving = threading.Lock()  # for tabs of this studio; `replace_file` handles other programs
 
 
 def answer(places: StudioFolder, what: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The answer to a request of the page. Raises an `OnebendError` where it cannot be had."""
+    """Raises an `OnebendError`."""
     name = str(asked.get("name", ""))
     try:
         if what == "read":
@@ -65,10 +65,7 @@ def _text(asked: Mapping[str, Any]) -> str:
 
 
 def read(places: StudioFolder, name: str) -> dict[str, Any]:
-    """The text of a recording's file, its version, and what a check says of it.
-
-    Raises `StudioError` where it is no text, or longer than one can be.
-    """
+    """Text, version and check. Raises `StudioError` if it is no text, or too long."""
     folder = places.recording(name)
     data = (folder / RECORDING).read_bytes()[: MOST_TOML + 1]
     text = as_text(data)
@@ -82,7 +79,7 @@ def read(places: StudioFolder, name: str) -> dict[str, Any]:
 
 
 def as_text(data: bytes) -> str:
-    """With one kind of line end, as a page has it."""
+    """With one kind of line end."""
     if len(data) > MOST_TOML:
         raise StudioError(f"{RECORDING} is longer than {MOST_TOML} bytes: is it the right file?")
     try:
@@ -93,7 +90,7 @@ def as_text(data: bytes) -> str:
 
 
 def as_bytes(text: str, before: bytes) -> bytes:
-    """As the file has it: with its line ends, and with its mark at the beginning where it had one."""
+    """With the file's line ends and byte-order mark."""
     lines = text.replace("\r\n", "\n")
     try:
         data = (lines.replace("\n", "\r\n") if b"\r\n" in before else lines).encode()
@@ -104,12 +101,11 @@ def as_bytes(text: str, before: bytes) -> bytes:
 
 
 def version_of(data: bytes) -> str:
-    """A checksum of a file's content."""
     return hashlib.sha256(data).hexdigest()
 
 
 def checked(folder: Path, text: str) -> dict[str, Any]:
-    """The mistakes in the text, line by line, and its tags and film for the page."""
+    """Mistakes line by line, tags and film."""
     found = check_text(folder, text)
     tags, video = _table(found.data, "tags"), _table(found.data, "video")
     return {
@@ -137,11 +133,8 @@ def _rows(found: Any) -> list[dict[str, Any]]:
 
 
 def save(folder: Path, text: str, version: str) -> dict[str, Any]:
-    """Put the text in the place of a recording's file, if that is of this version.
-
-    Returns:
-        The new "version"; or, where the file changed meanwhile, "conflict" with the "text" and "version" that it has.
-    """
+    """Replaces the file if it has this version. Returns the new "version", or "conflict" with the file's "text" and
+    "version"."""
     path = folder / RECORDING
     with _saving:
         before = path.read_bytes()
@@ -155,7 +148,7 @@ def save(folder: Path, text: str, version: str) -> dict[str, Any]:
 
 
 def begun(places: StudioFolder, name: str) -> dict[str, Any]:
-    """A new file from the template, in a folder that has none."""
+    """A new file from the template."""
     folder = places.path(name)
     if not folder.is_dir():
         raise StudioError(f"there is no folder {name}")
@@ -164,10 +157,8 @@ def begun(places: StudioFolder, name: str) -> dict[str, Any]:
 
 
 def first_frame(places: StudioFolder, name: str, file: str, topic: str, family: str) -> dict[str, Any]:
-    """The film's first frame as a picture, and the tags that are found in it, in its pixels.
-
-    Raises `StudioError` where the film lies elsewhere than in the studio's folder, `RecordingError` where it has none.
-    """
+    """The first frame, and its tags in pixels. Raises `StudioError` for a film outside the studio's folder,
+    `RecordingError` if it has no frame."""
     path = places.beside(name, file)
     if family not in FAMILIES:
         raise StudioError(f"{family[:100]!r} is no family of tags")
@@ -199,7 +190,7 @@ def _frame(path: Path, topic: str, family: str, _changed: int, _size: int) -> di
 
 
 def check_picture_of(places: StudioFolder, name: str) -> bytes:
-    """The picture that a check left in the recording's folder. Raises `StudioError` where there is none."""
+    """Raises `StudioError` if there is none."""
     places.recording(name)
     path = places.path(f"{name}/{PICTURE}")
     try:
@@ -214,20 +205,20 @@ def check_picture_of(places: StudioFolder, name: str) -> bytes:
 
 
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The work as the process takes it. Raises `StudioError` where there is no such recording."""
+    """Raises `StudioError` for an unknown recording."""
     name = str(asked.get("name", ""))
     places.recording(name)
     return {"folder": str(places.root), "name": name, "command": check_line(name)}
 
 
 def work(wanted: Mapping[str, Any]) -> None:
-    """Check a recording, and draw `check.png` into its folder."""
+    """Checks a recording and draws `check.png`."""
     folder = Path(wanted["name"])
     tell({"stage": "reading the files, looking for tags", "done": 0, "total": None})
     found = overview(folder)
     said = {"name": wanted["name"], **found.as_dict(), "faults": list(found.faults), "picture": False, "unwritten": ""}
     tell({"stage": "drawing the picture", "done": 0, "total": None})
-    from onebend.report.figures import check_png  # here: Matplotlib is for pictures alone
+    from onebend.report.figures import check_png  # here: loads Matplotlib
 
     drawn = check_png(found)
     try:

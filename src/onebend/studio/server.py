@@ -1,9 +1,10 @@
-"""The studio's server: the page, what it asks for, and its socket; on this computer alone."""
+"""The studio's server, on this computer alone."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -14,27 +15,28 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp
 
+from onebend.crash import tell
 from onebend.errors import OnebendError, StudioError
-from onebend.studio.desk import Desk
+from onebend.studio.desk import Desk, said_of
 from onebend.studio.filming import asked_text, sources_data, wanted_recording
 from onebend.studio.jobs import Jobs
-from onebend.studio.places import Guard, StudioFolder, learn_line, plain_word
+from onebend.studio.places import MOST_STRANGERS, Guard, StudioFolder, learn_line, plain_word
 from onebend.text_files import to_json
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
-LONGEST_MESSAGE = 64 * 1024  # bytes of the socket
+LONGEST_MESSAGE = 64 * 1024  # bytes
+FAULT = "Exception in ASGI application"  # as uvicorn logs an error that no handler has caught
 _MOST_RECORDINGS = 50
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 
 
-def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
-    """The whole studio as an ASGI application that answers only to this token, at this port."""
+def application(places: StudioFolder, token: str, port: int) -> Guard:
+    """The studio as an ASGI application for this token and port."""
     desk = Desk(places)
     asked = Asked(desk)
 
@@ -69,8 +71,7 @@ def application(places: StudioFolder, token: str, port: int) -> ASGIApp:
 
 @lru_cache
 def page_files() -> dict[str, tuple[bytes, str]]:
-    """Bytes and media type of each file of the page, by name. All are read at once: while the mechanics are loaded, a
-    thread for each would wait."""
+    """Bytes and media type of each file, read at once: threads would wait for the mechanics to load."""
     return {one.name: (one.read_bytes(), _TYPES[one.suffix]) for one in sorted(PAGE.iterdir()) if one.suffix in _TYPES}
 
 
@@ -82,7 +83,7 @@ async def _page_file(request: Request) -> Response:
 
 
 class Asked:
-    """Handlers of the page's HTTP requests."""
+    """Handlers of HTTP requests."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -117,11 +118,11 @@ class Asked:
 
     async def beam(self, request: Request) -> Response:
         name = _name(request)
-        return _said(await _of_room("rehearsing", "beam_data", name, self.desk.places.result(name)))
+        return _said(await _of_room("looping", "beam_data", name, self.desk.places.result(name)))
 
     async def reach(self, request: Request) -> Response:
         asked = await _posted(request)
-        wanted = await _of_room("rehearsing", "reach_asked", self.desk.places, asked)
+        wanted = await _of_room("looping", "reach_asked", self.desk.places, asked)
         return _said(await self.desk.reach(*wanted))
 
     async def work(self, request: Request) -> Response:
@@ -159,7 +160,9 @@ class Asked:
     async def record(self, request: Request) -> Response:
         what, recorder = request.path_params["what"], self.desk.recorder
         if what == "start":
-            wanted = wanted_recording(self.desk.places, await _posted(request))
+            asked = await _posted(request)
+            await self.desk.load("onebend.recording.folder")
+            wanted = await run_in_threadpool(wanted_recording, self.desk.places, asked)
             await recorder.start(wanted)
             return _said({"out": wanted["out"]})
         if what not in ("begin", "stop"):
@@ -189,13 +192,15 @@ class Asked:
 
 
 def clean(work: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
-    """`work`; what cannot be done is said in one sentence."""
+    """`work` with errors in one sentence."""
 
     async def inside(request: Request) -> Response:
         try:
             return await work(request)
         except OnebendError as error:
             return _said({"error": str(error)}, 422)
+        except ClientDisconnect:  # nobody is there to be answered
+            return Response(status_code=400)
 
     return inside
 
@@ -205,7 +210,7 @@ def _said(data: Any, status: int = 200) -> Response:
 
 
 async def _of_room(room: str, function: str, *arguments: Any) -> Any:
-    """The result of a room's function; the room is loaded when it is first asked, by the thread that asks."""
+    """Loads the room on first use, in the asking thread."""
     return await run_in_threadpool(lambda: getattr(import_module(f"onebend.studio.{room}"), function)(*arguments))
 
 
@@ -230,8 +235,24 @@ def _names(asked: dict[str, Any], key: str) -> list[str]:
     return [plain_word(one) for one in found]
 
 
+class OneLine(logging.Handler):
+    """What the server logs, in one line each, and the same not twice in a row; a fault goes to a file of its own."""
+
+    _said = ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        error, said = record.exc_info and record.exc_info[1], record.getMessage().partition("\n")[0]
+        if said == self._said:
+            return
+        self._said = said
+        if isinstance(error, Exception) and said.startswith(FAULT):
+            said_of(error)
+        else:
+            tell(said)
+
+
 def opened_socket(port: int) -> socket.socket:
-    """A socket on this computer alone; port 0: a free one. Raises `StudioError` where the port is taken."""
+    """Local; port 0: any. Raises `StudioError` if the port is taken."""
     found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -245,13 +266,20 @@ def opened_socket(port: int) -> socket.socket:
 
 
 def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
-    """Serve until interrupted; `ready` is given the address, with its token, when the page is there. Raises
-    `StudioError`: no such folder, or the port is taken."""
-    import uvicorn  # here: the application itself is made and tested without
+    """Serves until interrupted; `ready` gets the address with its token. Raises `StudioError`: no such folder, or the
+    port is taken."""
+    import uvicorn  # here: tests do without
+    from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
     places = StudioFolder.of(folder)
     listening = opened_socket(port)
     number, token = listening.getsockname()[1], secrets.token_urlsafe(24)
+    guard = application(places, token, number)
+
+    class Protocol(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
+        def connection_made(self, transport: Any) -> None:
+            guard.strangers.came(transport)
+            super().connection_made(transport)
 
     class Server(uvicorn.Server):
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -259,8 +287,10 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
             ready(f"http://{HOST}:{number}/?token={token}")
 
     config = uvicorn.Config(
-        application(places, token, number),
-        log_level="warning",
+        guard,
+        http=Protocol,
+        backlog=MOST_STRANGERS,  # more are not taken at once, before the oldest of them end
+        log_config=None,
         access_log=False,
         ws="websockets-sansio",
         ws_max_size=LONGEST_MESSAGE,
@@ -268,5 +298,9 @@ def serve(folder: Path, *, port: int = 0, ready: Callable[[str], None]) -> None:
         server_header=False,
         timeout_graceful_shutdown=2,
     )
+    for name in ("uvicorn", "asyncio"):
+        log = logging.getLogger(name)
+        log.handlers, log.propagate = [OneLine()], False
+        log.setLevel(logging.WARNING)
     with contextlib.suppress(KeyboardInterrupt):  # the way to end it
         Server(config).run(sockets=[listening])

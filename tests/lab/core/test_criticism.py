@@ -169,7 +169,7 @@ def test_a_tag_off_its_place_is_named_with_its_distance() -> None:
     assert critic.causes[0].score.value[0] == pytest.approx(4e-3, abs=2e-3)
     warned = [remark.text for remark in worded(fit_notices(one)) if MORE in remark.text]
     assert len(warned) == 1
-    assert "tag 2 sits" in warned[0]
+    assert "tag 2 is 4" in warned[0]
     kept = json.loads(json.dumps(plain(critic.as_dict()), allow_nan=False))
     assert kept["trusted"] is False
     assert kept["causes"][0]["name"] == "along"
@@ -217,7 +217,7 @@ def test_every_suspect_has_words(suspect: Suspect, value: float) -> None:
     small = replace(fitted(), criticism=Criticism((replace(finding, sds=0.4),)))
     assert small.criticism.trusted
     assert any(
-        remark.level == "note" and "too little to matter" in remark.text for remark in worded(fit_notices(small))
+        remark.level == "note" and "less than half of its sd" in remark.text for remark in worded(fit_notices(small))
     )
 
 

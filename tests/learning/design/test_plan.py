@@ -47,7 +47,7 @@ def test_band_and_bench_come_back_with_the_model(known: Posterior, model: Path) 
 def test_a_plan_in_words(model: Path) -> None:
     found = run("plan", model, "--quiet", "--max-tip-angle-deg", "60")
     assert found.exit_code == 0, found.output
-    for words in ("What to do next", "identified to s = 0.", "best two with what there is", "the same once more"):
+    for words in ("Next pushes", "identified to s = 0.", "best pair with the present bench", "the same once more"):
         assert words in found.stdout, found.stdout
 
 

@@ -78,7 +78,7 @@ def test_one_number_is_learned_where_the_spread_is_stated(tmp_path: Path, along:
     np.testing.assert_allclose(posterior.beam.mass_per_length(s), rod(power).mass_per_length(s), rtol=0.1)
     text = words(*mass_notices(mass))
     assert f'mass_along = "{along}"' in text
-    assert "learned with k(s)" in text
+    assert "estimated with k(s)" in text
 
 
 def test_a_stated_table_is_only_scaled(tmp_path: Path) -> None:

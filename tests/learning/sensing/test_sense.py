@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from rich.console import Console
 
 from onebend.beam.model import Beam
@@ -22,6 +23,7 @@ from onebend.records import Array, Observations
 from onebend.report.control_figures import sensed_regions, sensing
 from onebend.report.pictures import draw
 from onebend.report.sentences import worded
+from onebend.report.style import png_of
 from onebend.results.sensing import sense_summary, write_sensed
 from onebend.text_files import to_json
 from tests.learning.bench import SOFT, forces, observed
@@ -201,6 +203,16 @@ def test_a_beam_without_stiffness_is_refused_in_words() -> None:
         sense(replace(SOFT, stiffness=Table((0.0, 1.0), (1e-300, 1e-300))), observed(SOFT, few()))
 
 
+def test_the_legend_of_the_force_stands_clear_of_its_title() -> None:
+    found = sense(SOFT, observed(SOFT, few(4), noise=(3e-5, 1e-3)), settings=replace(SOUGHT, smooth=True))
+    figure = sensing(replace(found, prior_share=np.ones_like(found.prior_share)))
+    png_of(figure)
+    [legend] = figure.legends
+    assert len(legend.get_texts()) == 4
+    [title] = figure.findobj(lambda one: isinstance(one, Text) and one.get_text().startswith("Force from the shape"))
+    assert not legend.get_window_extent().overlaps(title.get_window_extent())
+
+
 def test_files_screen_and_picture(tmp_path: Path) -> None:
     found = sense(SOFT, observed(SOFT, few(4), noise=(3e-5, 1e-3)), settings=SOUGHT)
     summary = sense_summary("model.json", found, written_by="test")
@@ -221,4 +233,4 @@ def test_files_screen_and_picture(tmp_path: Path) -> None:
     stream = io.StringIO()
     show_sensed(Console(file=stream, width=100), found, tmp_path)
     assert "largest force" in stream.getvalue()
-    assert "from the prior" in stream.getvalue()
+    assert "weight of the prior" in stream.getvalue()

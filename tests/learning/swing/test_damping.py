@@ -14,6 +14,7 @@ from onebend import cli
 from onebend.beam.stiffness import Scaled, UncertainStiffness, Uniform
 from onebend.errors import LearningError, ResultsError
 from onebend.export.export import export
+from onebend.export.sample import rod_sample
 from onebend.learning.swing import Damping, DampingSettings, FilmPart, SwingFit, find_swing, glance, learn_damping
 from onebend.records import Observations
 from onebend.report.sentences import worded
@@ -163,7 +164,7 @@ def test_the_command_writes_what_export_takes(
     assert data["k_over_mass"]["factor"] == found.factor
     assert "damping d / k" in run("show", second).stdout
     assert run("export", second, "--to", "mujoco", "-o", tmp_path / "a.xml").exit_code == 0
-    mine = export(found.beam, "mujoco", damping_time=found.damping.loss_time)
+    mine = export(rod_sample(found.beam, damping_time=found.damping.loss_time), "mujoco")
     assert (tmp_path / "a.xml").read_text(encoding="utf-8") == mine
     assert run("export", second, "--to", "mujoco", "--damping-time-s", "0.03", "-o", tmp_path / "b.xml").exit_code == 0
     assert (tmp_path / "b.xml").read_text(encoding="utf-8") != mine

@@ -63,7 +63,7 @@ def test_a_multiple_of_a_mode_is_no_mode() -> None:
     double = [one for one in found.modes if one.multiple_of]
     assert double
     assert double[0].frequency == pytest.approx(4.6, rel=5e-3)
-    assert any("no mode" in remark.text for remark in worded(found.remarks))
+    assert any("not a mode" in remark.text for remark in worded(found.remarks))
 
 
 def test_a_part_is_found_and_slow_motion_is_sped_up() -> None:
@@ -94,7 +94,7 @@ def test_of_a_record_too_long_the_first_part_is_looked_at(monkeypatch: pytest.Mo
     found = frequencies_of(TIME, swing(0, 0.02))
     assert found.samples == 200
     assert found.end < 4.0
-    [note] = [remark.text for remark in worded(found.remarks) if "looked at" in remark.text]
+    [note] = [remark.text for remark in worded(found.remarks) if "too many" in remark.text]
     assert "first 200" in note
     assert found.modes[0].frequency == pytest.approx(2.3, rel=1e-3)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from onebend.errors import RecordingError
+from onebend.live import force_sensors
 from onebend.live.force_sensors import POUND, AtiForce, AtiScale, read_scale
 from onebend.live.sources import End, HostClock, Samples
 from onebend.live.specs import force_of
@@ -169,6 +171,53 @@ def test_another_page_is_told_with_a_way_out(web: Any, page: str, says: str) -> 
     with pytest.raises(RecordingError, match=says) as told:
         read_scale("127.0.0.1", web.server_address[1])
     assert "counts=1000000" in str(told.value)
+
+
+def answering(answer: Callable[[socket.socket], None]) -> Iterator[int]:
+    """The port of somebody who takes one request and answers in a way of his own."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with suppress(OSError):
+                peer, _ = server.accept()
+                with peer:
+                    peer.recv(1000)
+                    answer(peer)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield server.getsockname()[1]
+    thread.join(10.0)
+
+
+@pytest.mark.parametrize("head", [b"", b"HTTP/1.0 200 OK\r\n\r\n"])
+def test_a_page_that_drips_is_given_up(head: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(force_sensors, "PAGE_SECONDS", 0.3)
+    enough = threading.Event()
+
+    def drip(peer: socket.socket) -> None:
+        peer.sendall(head)
+        for _ in range(1000):
+            peer.sendall(b" ")
+            if enough.wait(0.02):
+                return
+
+    with contextmanager(answering)(drip) as port:
+        with pytest.raises(RecordingError, match=r"cannot be read \(timed out\)"):
+            read_scale("127.0.0.1", port)
+        assert not enough.is_set()
+        enough.set()
+
+
+def test_nobody_is_asked_but_the_box(web: Any) -> None:
+    there = f"http://127.0.0.1:{web.server_address[1]}/netftapi2.xml"
+
+    def send_on(peer: socket.socket) -> None:
+        peer.sendall(f"HTTP/1.0 302 Found\r\nLocation: {there}\r\nContent-Length: 0\r\n\r\n".encode())
+
+    answers = contextmanager(answering)(send_on)
+    with answers as port, pytest.raises(RecordingError, match="it answers with status 302"):
+        read_scale("127.0.0.1", port)
 
 
 def test_the_spec_names_a_box(box: Box, web: Any) -> None:

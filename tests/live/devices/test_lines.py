@@ -142,6 +142,17 @@ def test_silence_is_told(cell: Cell) -> None:
     sensor.close()
 
 
+def test_lines_without_an_end_are_told(cell: Cell) -> None:
+    clock = Hand()
+    sensor = opened(cell, "fx_N/fy_N", clock)
+    for clock.passed in (0.0, 2.0, 4.0):
+        cell.send("0.1 0.2 ")
+        got = sensor.read(1.0)
+    assert isinstance(got, End)
+    assert "sends no line" in got.why
+    sensor.close()
+
+
 @pytest.mark.parametrize(
     ("columns", "says"),
     [
@@ -191,6 +202,25 @@ def test_a_growing_log_gives_what_is_added(tmp_path: Path) -> None:
     got_end = log.read(0.0)
     assert isinstance(got_end, End)
     assert "was written anew" in got_end.why
+    log.close()
+
+
+@pytest.mark.parametrize("how", ["deleted", "replaced by another file"])
+def test_a_log_that_is_gone_is_told_at_once(tmp_path: Path, how: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,fx_N,fy_N\n")
+    log = GrowingLog(path)
+    log.open(HostClock())
+    with path.open("a") as stream:
+        stream.write("0.0,1,2\n")
+    (path.unlink if how == "deleted" else lambda: path.rename(tmp_path / "older.csv"))()
+    if how != "deleted":
+        path.write_text("time_s,fx_N,fy_N\n0.1,1,1\n")
+    assert read(log).force.tolist() == [[1.0, 2.0]]  # what was written before
+    got = log.read(0.0)
+    assert isinstance(got, End)
+    assert got.fault
+    assert f"was {how}" in got.why
     log.close()
 
 

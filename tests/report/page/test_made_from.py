@@ -45,7 +45,7 @@ def test_files_checksums_command_and_settings_are_shown(tmp_path: Path) -> None:
 
 def test_without_provenance_there_is_no_such_section() -> None:
     assert shown_made_from({}) is None
-    assert "Where this comes from" not in Links(page(made_up.findings(0), {}, version="1")).text
+    assert "Provenance" not in Links(page(made_up.findings(0), {}, version="1")).text
 
 
 def test_many_files_are_counted_in_the_lead(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ class Estimates:
     force: Array  # (F, n) N, the load (`model.py`)
     place: Array  # (F,) s
     covariance: Array  # (F, d, d) of load and, where it was sought, place: N, N m, s
-    common: Array  # (F, n, r) N, of it what one sd of each way in which the bench is off does to the load
+    common: Array  # (F, n, r) N, effect on the load of one sd of each error of the bench
     objective: Array  # (F,) squared residuals, whitened, and the prior's part
     chi2: Array  # (F,) squared residuals, whitened
     pose: Array  # (F, m, 3) the tags that belong to it

@@ -162,8 +162,7 @@ class Sensed:
     contacts: tuple[Touch, ...]
     misfit: Misfit | None  # None: no frame shows a force
     logged: Array  # (T, 2) N, as the recording's log says; NaN where it has none
-    # (T, 2, r) N, of the errors what frames have in common: what one sd of each way in which the bench is off does
-    common: Array
+    common: Array  # (T, 2, r) N, change of the force for one sd of each of the r errors that all frames share
     smoothed: Smoothed | None = None  # with what neighbouring frames say, where that was asked for
     moment: ContactMoment | None = None  # where one was asked for
     sensor: SensorCheck | None = None  # the log, judged by this; None: too little of it, or forces not to be trusted

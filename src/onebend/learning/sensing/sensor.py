@@ -60,7 +60,7 @@ class SensedForces:
     time: Array  # (T,) s
     force: Array  # (T, 2) N
     covariance: Array  # (T, 2, 2) N^2
-    common: Array  # (T, 2, r) N, of it what one sd of each error does that the frames have in common
+    common: Array  # (T, 2, r) N, change of the force for one sd of each of the r errors that all frames share
     prior_sd: float  # N, of each component before the shape was seen, mean zero
 
     def take(self, rows: IntArray) -> SensedForces:
@@ -252,7 +252,7 @@ class _Smooth:
     force: Array  # (T, 2) N
     rate: Array  # (T, 2) N/s
     covariance: Array  # (2 T, 2 T) N^2
-    common: Array  # (T, 2, r) N, of what the frames have in common, which stands at each frame's own force
+    common: Array  # (T, 2, r) N, change for one sd of each of the r errors that all frames share
 
 
 def _smooth(time: Array, force: Array, common: Array, covariance: Array) -> _Smooth:

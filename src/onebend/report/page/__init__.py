@@ -38,8 +38,8 @@ COMMON = "onebend.report.page"
 def render(
     package: str, name: str, figures: Mapping[str, bytes], content: Mapping[str, Any], *, scripts: Sequence[str] = ()
 ) -> str:
-    """The template `name` of `package` as HTML; it sees `look` (CSS), `figures` (base64 PNGs by name) and `content`.
-    The page allows `scripts` of this folder alone; they read `content["data"]` (JSON)."""
+    """Template `name` of `package` as HTML, with `look` (CSS), `figures` (base64 PNGs by name) and `content`. Only
+    `scripts` of this folder may run; they read `content["data"]` (JSON)."""
 
     look = Markup(page_file(COMMON, "look.css"))
     encoded = {key: base64.b64encode(png).decode("ascii") for key, png in figures.items()}
@@ -50,7 +50,7 @@ def render(
 
 @cache
 def _environment(package: str, name: str) -> Environment:
-    """For the template `name` of `package`; templates are compiled once."""
+    """Compiled once."""
 
     def source(file: str) -> str:
         return page_file(package if file == name else COMMON, file)
@@ -63,7 +63,7 @@ def _environment(package: str, name: str) -> Environment:
 
 
 def code_in(text: str) -> Markup:
-    """The text, escaped; what stands between backticks as code."""
+    """Escaped text; parts in backticks as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
@@ -74,12 +74,11 @@ def _policy(script: str) -> str:
 
 
 def page_file(package: str, file: str) -> str:
-    """The text of a template, style or script."""
     return files(package).joinpath(file).read_text(encoding="utf-8")
 
 
 def cards(findings: Run) -> list[dict[str, str]]:
-    """What it is, its value, and a note, one a card."""
+    """Name, value and note of each card."""
     recording = findings.recordings[0]
     rows = [_stiffness_card(findings), *_modulus_card(findings)]
     if findings.posterior is not None:
@@ -106,7 +105,6 @@ def _noise_of(validation: Comparison) -> str:
 
 
 def verdict_card(verdict: Verdict) -> dict[str, str]:
-    """The grade, and what k(s) rests on."""
     return {"what": "verdict", "value": verdict.grade, "note": verdict.rests_on}
 
 
@@ -145,7 +143,7 @@ def _modulus_card(findings: Run) -> list[dict[str, str]]:
 
 
 def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
-    """The width of the band, where k is identified, and whether the fit can be trusted."""
+    """Width of the band, identified places, trust."""
     what = "k(s) is known to"
     if uncertain.doubts:
         return {"what": what, "value": "NOT TO BE TRUSTED", "note": "; ".join(uncertain.doubts)}
@@ -162,19 +160,19 @@ def band_card(uncertain: UncertainStiffness) -> dict[str, str]:
 
 # Data of the page's script.
 
-SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # in this order, one script
-PLACES = 201  # of the curves, s = 0, 0.005, ..., 1
+SCRIPTS = ("beam.js", "curve.js", "bend.js", "film.js", "page.js")  # one script in this order
+PLACES = 201  # of the curves
 
 
 def script_data(findings: Run, film: FilmStrip | None = None) -> Markup:
-    """JSON for a script element, with nothing in it that could end the element."""
+    """JSON that cannot end its script element."""
     data = {"curve": _curve(findings), "bend": _bend(findings), "film": None if film is None else _film(film)}
     text = to_json(data, ascii_only=True, readable=False)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
 def _curve(findings: Run) -> dict[str, Any]:
-    """k(s) with its bands, in N m."""
+    """In N m."""
     s = np.linspace(0.0, 1.0, PLACES)
     beam, posterior, learned = findings.beam, findings.posterior, findings.learned
     k = np.asarray(beam.stiffness(s))
@@ -215,7 +213,7 @@ def _bend(findings: Run) -> dict[str, Any] | None:
     largest = float(np.linalg.norm(hardest))
     gravity = _gravity(first)
     mass = np.asarray(beam.mass_per_length(s))
-    # without a load of its own: what turns the tip by about half a radian
+    # without its own load: one that turns the tip by about half a radian
     usual = float(1.0 / np.mean((1.0 - s) ** 2 / k) / beam.length)
     places = np.concatenate([one.push_s[np.isfinite(one.push_s)] for one in findings.trainings])
     return {
@@ -251,12 +249,12 @@ def _film(film: FilmStrip) -> dict[str, Any]:
 
 
 def _gravity(observations: Observations) -> Array:
-    """(2,) m/s^2 in the plane of bending, the mean over the recording."""
+    """(2,) m/s^2 in the plane, mean over the recording."""
     return np.asarray(np.nan_to_num(np.mean(observations.gravity, axis=0)))
 
 
 def _short(values: Array) -> list[float]:
-    """To six digits: the page need not carry the rest."""
+    """Six digits, for a smaller page."""
     return [float(f"{value:.6g}") for value in values]
 
 
@@ -266,8 +264,6 @@ _UNITS = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 @dataclass(frozen=True)
 class ReadFile:
-    """A file that was read."""
-
     path: str
     name: str
     size: str
@@ -276,19 +272,19 @@ class ReadFile:
 
 @dataclass(frozen=True)
 class MadeFrom:
-    """Where a report comes from."""
+    """Provenance of a report."""
 
     written: str  # date and time
     command: str
-    names: str  # of the files, the first ones
+    names: str  # of the first files
     files: tuple[ReadFile, ...]
-    changed: tuple[str, ...]  # files that were changed while they were read
+    changed: tuple[str, ...]  # files changed while read
     settings: tuple[tuple[str, str], ...]
     versions: str
 
 
 def shown_made_from(provenance: Mapping[str, Any]) -> MadeFrom | None:
-    """From what `summary.json` holds under `provenance`; None where nothing is known."""
+    """From `provenance` of `summary.json`, or None."""
     found = provenance.get("provenance")
     if found is None:
         return None
@@ -313,7 +309,7 @@ def _file(one: Mapping[str, Any]) -> ReadFile:
 
 
 def size_words(count: int) -> str:
-    """A number of bytes, with three digits."""
+    """Bytes, three digits."""
     for size, unit in _UNITS:
         if count >= size:
             return f"{count / size:.3g} {unit}"
@@ -341,7 +337,7 @@ def page(
     made_from: MadeFrom | None = None,
     film: FilmStrip | None = None,
 ) -> str:
-    """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; a missing one is left out."""
+    """The report as HTML. `figures`: PNGs by name, as from `drawing.draw_all`; missing ones are left out."""
     content: dict[str, Any] = {"version": version, "made_from": made_from, "film": film, **_content(findings)}
     content["data"] = script_data(findings, film)
     return render(COMMON, "page.html", figures, content, scripts=SCRIPTS)

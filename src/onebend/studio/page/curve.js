@@ -1,5 +1,5 @@
 import { digits, h } from "./dom.js";
-import { Canvas, label, ticks, trace } from "./draw.js";
+import { Canvas, HIGH, label, logTicks, ticks, trace } from "./draw.js";
 const TINTS = ["blue", "orange", "green", "pink"];
 export const tintOf = (i) => TINTS[i % TINTS.length];
 export class CurveView {
@@ -100,8 +100,7 @@ export class CurveView {
         });
     };
     axes(context, tint, [left, right, top, bottom], [low, high], x, y) {
-        const decades = this.log.checked && Math.log10(high / low) > 1.3;
-        const marks = decades ? [1, 2, 5].flatMap((f) => [...Array(20).keys()].map((n) => f * 10 ** (n - 10))).filter((k) => k > low && k < high) : ticks(low, high, 5);
+        const marks = this.log.checked && high / low > 5 ? logTicks(low, high) : ticks(low, high, bottom - top, HIGH);
         context.strokeStyle = tint.line;
         context.fillStyle = tint.muted;
         context.lineWidth = 1;

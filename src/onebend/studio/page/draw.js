@@ -52,13 +52,20 @@ export class Canvas {
         this.paint(this, colours());
     }
 }
-export function ticks(low, high, count) {
-    const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
+export const WIDE = 48, HIGH = 28;
+export function ticks(low, high, pixels, least) {
+    const rough = (high - low) * Math.min(Math.max(pixels / 8, least), 90) / pixels, power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].map((factor) => factor * power).find((one) => one >= 0.999 * rough);
     const found = [];
     for (let i = Math.ceil(low / step); i * step <= high * (1 + 1e-9) + 1e-12; i++)
         found.push(Number((i * step).toPrecision(12)));
     return found;
+}
+export function logTicks(low, high) {
+    const factors = Math.log10(high / low) > 2.2 ? [1] : [1, 2, 5], first = Math.floor(Math.log10(low)), found = [];
+    for (let power = first; 10 ** power <= high; power++)
+        found.push(...factors.map((one) => Number((one * 10 ** power).toPrecision(3))));
+    return found.filter((one) => one >= low && one <= high);
 }
 export function trace(context, points, closed = false) {
     context.beginPath();
@@ -81,6 +88,9 @@ export function arrow(context, from, to, tint, wide) {
     context.fill();
 }
 export function label(context, words, x, y, tint, paper) {
+    const room = context.canvas.width / context.getTransform().a, wide = context.measureText(words).width;
+    const left = x - wide * ({ right: 1, center: 0.5 }[context.textAlign] ?? 0);
+    x += Math.max(Math.min(left, room - wide - 4), 4) - left;
     context.lineWidth = 3.5;
     context.strokeStyle = paper;
     context.strokeText(words, x, y);

@@ -1,15 +1,15 @@
 import { h } from "./dom.js";
 export class Editor {
     element;
-    area = h("textarea", { spellcheck: "false", autocapitalize: "off", autocomplete: "off", wrap: "off", "aria-label": "recording.toml" });
+    area = h("textarea", { spellcheck: "false", autocapitalize: "off", autocomplete: "off", "aria-label": "recording.toml" });
     numbers = h("div", { class: "numbers", "aria-hidden": "true" });
-    bars = h("div", { class: "bars", "aria-hidden": "true" });
+    under = h("div", { class: "under-text", "aria-hidden": "true" });
     mistakes = [];
     watch = new ResizeObserver(() => this.place());
     constructor(changed) {
-        this.element = h("div", { class: "code" }, this.numbers, h("div", { class: "sheet" }, this.bars, this.area));
+        this.element = h("div", { class: "code" }, this.numbers, h("div", { class: "sheet" }, this.under, this.area));
         this.area.addEventListener("input", () => { this.number(); changed(); });
-        this.area.addEventListener("scroll", () => this.place());
+        this.area.addEventListener("scroll", () => this.follow());
         this.watch.observe(this.area);
     }
     end() {
@@ -33,21 +33,23 @@ export class Editor {
         const rows = this.area.value.split("\n"), from = rows.slice(0, line - 1).reduce((sum, row) => sum + row.length + 1, 0);
         this.area.focus();
         this.area.setSelectionRange(from, from + (rows[line - 1]?.length ?? 0));
-        this.area.scrollTop = Math.max(0, (line - 4) * this.height);
-    }
-    get height() {
-        return parseFloat(getComputedStyle(this.area).lineHeight);
+        const above = this.under.children[Math.max(0, line - 4)];
+        this.area.scrollTop = (above?.offsetTop ?? 0) - this.under.firstElementChild.offsetTop;
     }
     number() {
-        const wrong = new Set(this.mistakes.map((one) => one.line)), count = this.area.value.split("\n").length;
-        this.numbers.replaceChildren(h("div", {}, ...Array.from({ length: count }, (_, i) => h("span", { class: wrong.has(i + 1) ? "wrong" : "" }, String(i + 1)))));
-        this.bars.replaceChildren(...[...wrong].map((line) => h("i", { "data-line": line, title: this.mistakes.find((one) => one.line === line).text })));
+        const wrong = new Map(this.mistakes.map((one) => [one.line, one.text])), rows = this.area.value.split("\n");
+        this.under.replaceChildren(...rows.map((row, i) => h("p", { class: wrong.has(i + 1) ? "wrong" : "" }, row || "\u200b")));
+        this.numbers.replaceChildren(h("div", {}, ...rows.map((_, i) => h("span", { class: wrong.has(i + 1) ? "wrong" : "", title: wrong.get(i + 1) ?? null }, String(i + 1)))));
         this.place();
     }
     place() {
-        const { scrollTop } = this.area, pad = parseFloat(getComputedStyle(this.area).paddingTop);
-        this.numbers.firstElementChild?.style.setProperty("transform", `translateY(${-scrollTop}px)`);
-        for (const bar of this.bars.querySelectorAll("i"))
-            bar.style.transform = `translateY(${pad + (Number(bar.dataset.line) - 1) * this.height - scrollTop}px)`;
+        this.under.style.width = `${this.area.clientWidth}px`;
+        const heights = [...this.under.children].map((row) => row.offsetHeight), spans = this.numbers.querySelectorAll("span");
+        spans.forEach((span, i) => { span.style.height = `${heights[i]}px`; });
+        this.follow();
+    }
+    follow() {
+        for (const one of [this.under, this.numbers.firstElementChild])
+            one?.style.setProperty("transform", `translateY(${-this.area.scrollTop}px)`);
     }
 }

@@ -4,7 +4,7 @@ import { FilmView } from "./film.js";
 import { ask, listen, onReturn, post, say } from "./net.js";
 import { atEnd, remember } from "./place.js";
 const MOST = 4;
-const WORDS = [["known", "k(s)"], ["rests_on", "rests on"], ["use", "for use"], ["narrower", "narrower"], ["next", "next"]];
+const WORDS = [["known", "k(s)"], ["rests_on", "tests"], ["use", "accuracy"], ["narrower", "improve"], ["next", "next"]];
 export function learn(place, at) {
     const curve = new CurveView(), film = new FilmView((frame) => { shownFrame = frame; keep(); });
     const recordings = h("ul", { class: "choice" }), results = h("ul", { class: "choice" }), progress = h("section", { class: "job", hidden: true });
@@ -53,7 +53,7 @@ export function learn(place, at) {
         const films = found.filter((one) => one.kind === "recording"), beams = found.filter((one) => one.kind === "result").sort((a, b) => b.changed - a.changed);
         from = from.filter((name) => films.some((one) => one.name === name));
         check = check.filter((name) => films.some((one) => one.name === name));
-        recordings.replaceChildren(...films.map(({ name }) => h("li", {}, h("label", { class: "check" }, h("input", { type: "checkbox", checked: from.includes(name), change: (event) => toggle(event, name, true) }), h("span", {}, name)), h("label", { class: "check quiet", title: "compare the learned beam with this recording" }, h("input", { type: "checkbox", checked: check.includes(name), "aria-label": `check on ${name}`, change: (event) => toggle(event, name, false) }), "check"))));
+        recordings.replaceChildren(...films.map(({ name }) => h("li", {}, h("label", { class: "check" }, h("input", { type: "checkbox", checked: from.includes(name), change: (event) => toggle(event, name, true) }), h("span", {}, name)), h("label", { class: "check quiet", title: "compare the learned beam with this recording" }, h("input", { type: "checkbox", checked: check.includes(name), "aria-label": `validate on ${name}`, change: (event) => toggle(event, name, false) }), "validate on"))));
         if (!films.length)
             recordings.append(h("li", { class: "quiet" }, h("span", {}, "No folder with a recording.toml here. Begin one with ", h("code", {}, "onebend new"), ".")));
         if (!chosen.length && beams[0])
@@ -170,7 +170,7 @@ function verdict(result) {
         rows.push(h("p", { class: "warning" }, `model.json ${one}`));
     if (result.remarks.length)
         rows.push(h("ul", { class: "remarks" }, ...result.remarks.map((one) => h("li", { class: "warning" }, `${one.recording}: `, ...coded(one.text)))));
-    const errors = [...result.training.map((one) => ["learned from", one]), ...result.validation.map((one) => ["checked on", one])];
+    const errors = [...result.training.map((one) => ["learned from", one]), ...result.validation.map((one) => ["validated on", one])];
     rows.push(h("div", { class: "scroll" }, h("table", {}, h("tr", {}, h("th", {}, ""), h("th", {}, "recording"), ...(errors[0]?.[1].tag ?? []).map((tag) => h("th", {}, `tag ${tag} [mm]`))), ...errors.map(([how, one]) => h("tr", {}, h("td", { class: "quiet" }, how), h("td", {}, one.recording), ...one.rms_m.map((rms, i) => h("td", { class: "number", title: "RMS under the force as logged; in brackets what its noise alone would do" }, digits(1000 * (rms ?? NaN)), h("span", { class: "quiet" }, ` (${digits(1000 * (one.sensor_rms_m[i] ?? NaN), 2)})`))))))));
     rows.push(h("p", { class: "links" }, h("a", { href: `#bend?model=${encodeURIComponent(result.name)}`, class: "button" }, "Bend it"), result.written && h("span", { class: "quiet" }, `written ${new Date(result.written).toLocaleString()}`)));
     return rows;

@@ -1,4 +1,4 @@
-import { arrow, label, ticks, trace } from "./draw.js";
+import { arrow, HIGH, label, ticks, trace, WIDE } from "./draw.js";
 import { drawReach } from "./reach.js";
 const ARROW = 0.28;
 export function tintOfTrial(trial) {
@@ -113,17 +113,17 @@ export class LoopPlane {
         context.fillStyle = tint.muted;
         context.lineWidth = 1;
         context.textAlign = "center";
-        const marks = ticks(1000 * left, 1000 * right, Math.max(3, width / 110));
+        const marks = ticks(1000 * left, 1000 * right, width, WIDE);
         for (const mark of marks) {
             const [x] = this.px([mark / 1000, 0]);
             trace(context, [[x, 0], [x, height - 20]]);
             context.stroke();
-            if (x > 14 && x < width - 30)
+            if (x > 14 && x < width - 46)
                 context.fillText(String(mark), x, height - 5);
         }
         context.textAlign = "right";
         context.fillText("mm", width - 4, height - 5);
-        for (const mark of ticks(1000 * low, 1000 * high, Math.max(3, height / 110))) {
+        for (const mark of ticks(1000 * low, 1000 * high, height, HIGH)) {
             const [, y] = this.px([0, mark / 1000]);
             trace(context, [[0, y], [width, y]]);
             context.stroke();

@@ -1,13 +1,13 @@
 import { bend } from "./bend.js";
 import { h } from "./dom.js";
-import { connect, onReturn, say, SILENT } from "./net.js";
-import { leave, params, roomName } from "./place.js";
+import { ask, connect, onReturn, say, SILENT } from "./net.js";
+import { leave, params, roomIsNamed, roomName } from "./place.js";
 const ROOMS = {
     record: ["Record", async () => (await import("./record.js")).record],
     recordings: ["Recordings", async () => (await import("./recordings.js")).recordings],
     learn: ["Learn", async () => (await import("./learn.js")).learn],
     bend: ["Bend", async () => bend],
-    rehearse: ["Rehearse", async () => (await import("./rehearse.js")).rehearse],
+    loop: ["Loop", async () => (await import("./loop.js")).loop],
 };
 const place = document.getElementById("room"), nav = document.querySelector("nav");
 let shown = null, turn = 0, missed = false;
@@ -44,4 +44,12 @@ window.addEventListener("unhandledrejection", (event) => {
 onReturn(() => { if (missed)
     location.reload(); });
 connect((words) => { document.getElementById("link").textContent = words; });
-void show();
+async function begin() {
+    if (!roomIsNamed()) {
+        const { found } = await ask("/api/places").catch(() => ({ found: [{ kind: "result" }] }));
+        if (!roomIsNamed() && !found.some((one) => one.kind === "result"))
+            history.replaceState(null, "", "#recordings");
+    }
+    await show();
+}
+void begin();

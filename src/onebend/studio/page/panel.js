@@ -118,5 +118,5 @@ function why(opened, { limit, away_m, turned_away_rad }) {
         return "on its goal";
     const away = away_m < 1e-5 ? `${fixed(Math.abs(180 * turned_away_rad / Math.PI), 1)}° from the angle` : `${digits(1000 * away_m)} mm from the goal`;
     const who = opened.mode === "hand" ? "hand" : "force";
-    return limit === "stability" ? `edge of stability, ${away}` : `no ${who} of up to ${digits(opened.max_force_N)} N holds it there, ${away}`;
+    return limit === "stability" ? `edge of stability, ${away}` : `the ${who} would need more than ${digits(opened.max_force_N)} N, ${away}`;
 }

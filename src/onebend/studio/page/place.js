@@ -1,5 +1,6 @@
 const ends = [];
 const kept = {};
+export const roomIsNamed = () => location.hash.length > 1;
 export const roomName = () => location.hash.slice(1).split("?")[0] || "bend";
 export function params() {
     const own = location.hash.split("?")[1];

@@ -1,4 +1,4 @@
-import { arrow, label, ticks, trace } from "./draw.js";
+import { arrow, label, ticks, trace, WIDE } from "./draw.js";
 import { digits, fixed } from "./dom.js";
 import { drawEdge, drawReach } from "./reach.js";
 export function telling(ellipse, opened) {
@@ -67,9 +67,7 @@ export class Plane {
     }
     axes(context, width, height, tint) {
         const [left, high] = this.metres([0, 0]), [right, low] = this.metres([width, height]);
-        const count = Math.max(3, Math.round(width / 110));
-        const step = ticks(left, right, count);
-        const apart = (step[1] ?? 1) - (step[0] ?? 0);
+        const step = ticks(left, right, width, WIDE), apart = (step[1] ?? 1) - (step[0] ?? 0);
         context.strokeStyle = tint.line;
         context.lineWidth = 1;
         context.fillStyle = tint.muted;

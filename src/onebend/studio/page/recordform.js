@@ -2,32 +2,27 @@ import { h } from "./dom.js";
 const FLAGS = { now: "film at once, whatever is wrong with the picture", no_learning: "learn no k(s) meanwhile", fast: "play as fast as it can be read", overwrite: "replace an earlier film there" };
 const FLAG_NAMES = Object.keys(FLAGS);
 const LONGEST = "600", CRF = "18";
-let lists = 0;
 export class Form {
     changed;
     element;
     out = text("folder to record into");
     like = h("select", { "aria-label": "the beam is that of" }, h("option", { value: "" }, "looking …"));
-    camera = text("camera", "/dev/video0");
-    force = text("force sensor", "none: film alone");
+    camera = new Source("camera", "choose a camera");
+    force = new Source("force sensor", "none: film alone");
     until = number("how well k(s) is wanted, in percent", { min: 0.1, max: 100, step: "any", placeholder: "once" });
     longest = number("longest film in s", { min: 1, step: "any", placeholder: LONGEST });
     crf = number("CRF of H.264", { min: 0, max: 40, step: 1, placeholder: CRF });
     flags = Object.fromEntries(FLAG_NAMES.map((name) => [name, h("input", { type: "checkbox" })]));
-    says = { camera: h("small", { class: "quiet" }), force: h("small", { class: "quiet" }) };
-    lists;
+    begun = h("datalist", { id: "begun" });
     sources = null;
     names = new Set();
     wantedLike;
+    likeChosen;
     constructor(at, changed, start) {
         this.changed = changed;
-        const list = (input) => {
-            const id = `sources-${++lists}`;
-            input.setAttribute("list", id);
-            return h("datalist", { id });
-        };
-        this.lists = { out: list(this.out), camera: list(this.camera), force: list(this.force) };
+        this.out.setAttribute("list", this.begun.id);
         this.wantedLike = at.get("like") ?? "";
+        this.likeChosen = this.wantedLike !== "";
         for (const [name, input] of [["out", this.out], ["camera", this.camera], ["force", this.force], ["until", this.until], ["longest", this.longest], ["crf", this.crf]])
             input.value = at.get(name) ?? "";
         if (this.out.value)
@@ -35,13 +30,15 @@ export class Form {
         for (const name of FLAG_NAMES)
             this.flags[name].checked = at.get(name) === "yes";
         const flag = (name) => h("label", { class: "check" }, this.flags[name], FLAGS[name]);
-        this.element = h("form", { submit: (event) => { event.preventDefault(); start(this.wanted()); } }, h("h2", {}, "Record a push"), h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "beam as in"), this.like), h("label", { class: "wide" }, h("span", {}, "camera"), this.camera), this.says.camera, h("label", { class: "wide" }, h("span", {}, "force"), this.force), this.says.force, h("label", { class: "wide" }, h("span", {}, "until ± %"), this.until), flag("fast"), h("details", { open: FLAG_NAMES.some((name) => name !== "fast" && this.flags[name].checked) }, h("summary", {}, "more"), flag("now"), flag("no_learning"), flag("overwrite"), h("label", { class: "wide" }, h("span", {}, "at most [s]"), this.longest), h("label", { class: "wide" }, h("span", {}, "CRF"), this.crf)), h("button", { type: "submit", class: "main" }, "Record"), ...Object.values(this.lists));
+        this.element = h("form", { submit: (event) => { event.preventDefault(); start(this.wanted()); } }, h("h2", {}, "Record a push"), h("label", { class: "wide" }, h("span", {}, "into"), this.out), h("label", { class: "wide" }, h("span", {}, "copy recording.toml of"), this.like), this.camera.element, this.force.element, h("label", { class: "wide" }, h("span", {}, "until ± %"), this.until), flag("fast"), h("details", { open: FLAG_NAMES.some((name) => name !== "fast" && this.flags[name].checked) }, h("summary", {}, "more"), flag("now"), flag("no_learning"), flag("overwrite"), h("label", { class: "wide" }, h("span", {}, "at most [s]"), this.longest), h("label", { class: "wide" }, h("span", {}, "CRF"), this.crf)), h("button", { type: "submit", class: "main" }, "Record"), this.begun);
         this.out.addEventListener("input", () => { this.out.dataset.own = this.out.value ? "yes" : ""; });
-        this.like.addEventListener("input", () => { this.wantedLike = this.like.value; });
+        this.like.addEventListener("input", () => { this.wantedLike = this.like.value; this.likeChosen = true; });
+        this.camera.list.addEventListener("input", () => this.played());
         this.element.addEventListener("input", () => this.refresh());
     }
     again(name) {
         this.wantedLike = name;
+        this.likeChosen = true;
         this.out.dataset.own = "";
         this.refresh();
         this.out.focus();
@@ -55,11 +52,10 @@ export class Form {
     }
     fill(sources, names) {
         [this.sources, this.names] = [sources, names];
-        const options = (list, values) => list.replaceChildren(...values.map((value) => h("option", { value })));
         const [video, other] = [sources.devices.filter((one) => one.includes("/video")), sources.devices.filter((one) => !one.includes("/video"))];
-        options(this.lists.out, sources.begun);
-        options(this.lists.camera, [...video, ...sources.films.map((name) => `film:${name}`), ...sources.cameras.map((one) => one.example)]);
-        options(this.lists.force, [...other.map((one) => `serial:${one},columns=fx_N/fy_N`), ...sources.logs.map((name) => `log:${name}`), ...sources.forces.map((one) => one.example)]);
+        this.begun.replaceChildren(...sources.begun.map((value) => h("option", { value })));
+        this.camera.fill({ "on this computer": video.map((one) => [one, one]), "a recording, played": sources.films.map((name) => [`film:${name}`, name]) }, sources.cameras);
+        this.force.fill({ "a recording, played": sources.logs.map((name) => [`log:${name}`, name]) }, [...other.map((one) => ({ example: `serial:${one},columns=fx_N/fy_N`, says: `a load cell at ${one}`, keys: [] })), ...sources.forces]);
         if (!this.camera.value && video[0])
             this.camera.value = video[0];
         if (!this.wantedLike && !this.out.value && !sources.begun.length)
@@ -74,14 +70,23 @@ export class Form {
             const own = this.names.has(this.out.value);
             this.like.replaceChildren(h("option", { value: "" }, own ? "its own recording.toml" : "choose a recording"), ...(own ? [] : [...new Set([...sources.films, ...sources.begun])].map((name) => h("option", { value: name, selected: name === this.wantedLike }, name))));
             this.like.disabled = own;
-            for (const [input, kinds, says] of [[this.camera, sources.cameras, this.says.camera], [this.force, sources.forces, this.says.force]])
-                says.textContent = kindOf(input.value, kinds);
+            this.camera.refresh(sources.cameras);
+            this.force.refresh(sources.forces);
         }
         const played = this.camera.value.startsWith("film:");
         this.flags.fast.closest("label").hidden = !played;
         if (!played)
             this.flags.fast.checked = false;
         this.changed(this.choice(), this.command());
+    }
+    played() {
+        const name = this.camera.value.startsWith("film:") ? this.camera.value.slice(5) : "";
+        if (!name || !this.sources)
+            return;
+        if (/^(log:|$)/.test(this.force.value))
+            this.force.value = this.sources.logs.includes(name) ? `log:${name}` : "";
+        if (!this.likeChosen)
+            this.wantedLike = name;
     }
     free(like) {
         const begin = like.replace(/-\d+$/, ""), taken = (name) => this.names.has(name) && !this.sources.begun.includes(name);
@@ -93,7 +98,7 @@ export class Form {
     choice() {
         const flags = Object.fromEntries(FLAG_NAMES.map((name) => [name, this.flags[name].checked ? "yes" : ""]));
         const own = this.out.dataset.own ? this.out.value : "";
-        return { out: own, like: this.wantedLike, camera: this.camera.value, force: this.force.value, until: this.until.value, longest: this.longest.value, crf: this.crf.value, ...flags };
+        return { out: own, like: this.likeChosen ? this.wantedLike : "", camera: this.camera.value, force: this.force.value, until: this.until.value, longest: this.longest.value, crf: this.crf.value, ...flags };
     }
     wanted() {
         const flags = Object.fromEntries(FLAG_NAMES.map((name) => [name, this.flags[name].checked])), some = (input) => input.value ? { value: input.valueAsNumber } : {};
@@ -109,6 +114,50 @@ export class Form {
             ...(this.crf.value && this.crf.value !== CRF ? ["--crf", this.crf.value] : [])];
         const flags = FLAG_NAMES.filter((name) => this.flags[name].checked).map((name) => `--${name.replace("_", "-")}`);
         return ["onebend", "record", plain(this.out.value), ...given, ...numbers, ...flags].map(quoted).join(" ");
+    }
+}
+const OTHER = "\u0000";
+class Source {
+    none;
+    list;
+    element;
+    input;
+    says = h("small", { class: "quiet" });
+    typed = false;
+    constructor(label, none) {
+        this.none = none;
+        this.input = text(`${label} as text`);
+        this.list = h("select", { "aria-label": label, input: () => this.chosen() });
+        this.element = h("div", {}, h("label", { class: "wide" }, h("span", {}, label.split(" ")[0]), this.list), this.input, this.says);
+        this.fill({}, []);
+    }
+    get value() {
+        return this.input.value;
+    }
+    set value(spec) {
+        this.input.value = spec;
+        this.typed = false;
+        this.refresh();
+    }
+    fill(groups, kinds) {
+        const option = ([value, words], kind = "") => h("option", { value, "data-kind": kind || null }, words);
+        this.list.replaceChildren(option(["", this.none]), ...Object.entries(groups).filter(([, rows]) => rows.length).map(([label, rows]) => h("optgroup", { label }, ...rows.map((one) => option(one)))), h("optgroup", { label: "of another kind" }, ...kinds.map((one) => option([one.example, one.says.replace(/ \(pip .*\)/, "")], "yes")), option([OTHER, "as text"], "yes")));
+        this.refresh();
+    }
+    refresh(kinds = []) {
+        const known = [...this.list.options].some((one) => one.value === this.input.value && !one.dataset.kind);
+        this.list.value = known && !this.typed ? this.input.value : OTHER;
+        this.input.hidden = known && !this.typed;
+        this.says.textContent = this.input.hidden ? "" : kindOf(this.input.value, kinds);
+    }
+    chosen() {
+        const one = this.list.selectedOptions[0];
+        this.typed = one.dataset.kind === "yes";
+        if (this.list.value !== OTHER)
+            this.input.value = this.list.value;
+        this.refresh();
+        if (this.typed)
+            this.input.select();
     }
 }
 const plain = (name) => name.startsWith("-") ? `./${name}` : name;

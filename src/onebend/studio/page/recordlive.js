@@ -41,24 +41,25 @@ export class Live {
     }
     show(now, on) {
         this.newest = now;
-        const state = now?.state ?? {}, begun = on && state.stage !== undefined;
+        const state = now?.state ?? {}, films = on && now?.phase !== "checking", begun = films && state.stage !== undefined;
         this.numbers.hidden = this.advice.hidden = !begun;
         this.stages.hidden = state.stage === undefined;
-        this.picture.hidden = !on || !now?.picture;
-        this.curve.element.hidden = !on || !now?.curve;
+        this.picture.hidden = !films || !now?.picture;
+        this.curve.element.hidden = !now?.curve || !films && state.half_width === null;
         if (!now || state.stage === undefined)
             return;
         const full = state;
         this.steps(full, on);
-        if (!on)
-            return;
-        this.tell(full);
-        this.measured(full);
+        if (begun) {
+            this.tell(full);
+            this.measured(full);
+        }
         if (now.curve && now.curve !== this.drawn && JSON.stringify(now.curve) !== JSON.stringify(this.drawn)) {
             this.drawn = now.curve;
             this.curve.set([{ name: now.out, curve: now.curve, length_m: now.length_m, tags: full.tag_s }]);
         }
-        this.fetchPicture();
+        if (begun)
+            this.fetchPicture();
     }
     steps({ stages, stage }, on) {
         const mark = (i) => i < stage || stage === stages.length - 1 ? "done" : i > stage ? "later" : on ? "now" : "left";
@@ -96,7 +97,7 @@ export class Live {
         this.bar.parentElement.hidden = state.half_width === null;
         this.bar.style.width = `${100 * Math.min(state.half_width ?? 1, 1)}%`;
         this.bar.className = state.until !== null && (state.half_width ?? 1) > state.until ? "low" : "";
-        this.kWords.textContent = state.half_width === null ? state.k_says : "";
+        this.kWords.textContent = state.half_width === null ? state.k_says : state.wider;
     }
     fetchPicture() {
         const now = this.newest;

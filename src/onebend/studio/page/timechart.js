@@ -1,5 +1,5 @@
 import { digits, h } from "./dom.js";
-import { Canvas, label, ticks, trace } from "./draw.js";
+import { Canvas, HIGH, label, logTicks, ticks, trace, WIDE } from "./draw.js";
 const LEFT = 52, RIGHT = 12, TOP = 12, BOTTOM = 24;
 export class TimeChart {
     words;
@@ -48,18 +48,17 @@ export class TimeChart {
         const [low, high] = this.range(), [right, bottom] = [width - RIGHT, height - BOTTOM], scale = (one) => this.log ? Math.log(Math.max(one, low)) : one;
         const x = (time) => LEFT + time / this.until * (right - LEFT);
         const y = (one) => bottom - (bottom - TOP) * (scale(one) - scale(low)) / (scale(high) - scale(low));
-        const decades = [-3, -2, -1, 0, 1, 2, 3, 4].map((power) => 10 ** power).filter((one) => one >= low && one <= high);
         context.strokeStyle = tint.line;
         context.fillStyle = tint.muted;
         context.lineWidth = 1;
         context.textAlign = "right";
-        for (const mark of this.log ? decades : ticks(low, high, 3)) {
+        for (const mark of this.log ? logTicks(low, high) : ticks(low, high, bottom - TOP, HIGH)) {
             trace(context, [[LEFT, y(mark)], [right, y(mark)]]);
             context.stroke();
             context.fillText(digits(mark, 2).replace(/\.0$/, ""), LEFT - 7, y(mark) + 4);
         }
         context.textAlign = "center";
-        for (const time of ticks(0, this.until, width < 480 ? 4 : 8)) {
+        for (const time of ticks(0, this.until, right - LEFT, WIDE)) {
             trace(context, [[x(time), TOP], [x(time), bottom]]);
             context.stroke();
             context.fillText(`${digits(time, 3).replace(/\.0+$/, "")} s`, Math.min(x(time), right - 10), bottom + 16);

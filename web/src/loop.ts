@@ -1,4 +1,4 @@
-// The room Rehearse: the closed loop with a late camera, on beams that are not the model.
+// The room Loop: the closed loop with a late camera, on beams that are not the model.
 import { coded, commandLine, digits, fixed, h } from "./dom.js";
 import { Canvas, Point } from "./draw.js";
 import { Settings, SettingsForm } from "./loopform.js";
@@ -14,13 +14,13 @@ interface Control { force_N: Point; rise_s: number; gain: number | null; phase_r
 type Outcome = Partial<{ control: Control; trial: Trial }>;
 type LoopJob = Job & Settings;
 
-export function rehearse(place: HTMLElement, at: URLSearchParams): void {
+export function loop(place: HTMLElement, at: URLSearchParams): void {
   const scene: LoopScene = { beam: null, map: null, goal: [0, 0], trials: [], now: 0, push: 1, point: 1, stale: false, focus: false };
   const plane = new LoopPlane(scene), element = h("canvas", { tabindex: 0, role: "application",
     "aria-label": "The beam and its goal. Arrow keys move the goal, with Shift further, with Alt less; the space bar plays." });
   const canvas = new Canvas(element, plane.paint), command = commandLine(), form = new SettingsForm(at, changed);
   const choice = h("select", { "aria-label": "learned beam", change: () => { void open(choice.value, null); } });
-  const start = h("button", { type: "button", class: "main", click: () => { void begin(); } }, "Rehearse"), progress = h("div");
+  const start = h("button", { type: "button", class: "main", click: () => { void begin(); } }, "Simulate"), progress = h("div");
   const play = h("button", { type: "button", "aria-label": "play", click: () => run(!timer) }, "▶");
   const slider = h("input", { type: "range", min: 0, max: 8, step: 0.01, value: 0, "aria-label": "time" }), clock = h("output", { class: "clock" });
   const error = new TimeChart("from the goal [mm]", true, seek), force = new TimeChart("force on the beam [N]", false, seek);
@@ -44,7 +44,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
     const settings = wanted(), wrong = form.wrong();
     scene.goal = form.goal ?? scene.goal;
     scene.stale = scene.trials.length > 0 && !same(settings, shown);
-    start.textContent = wrong ? `Not to be run: ${wrong}` : "Rehearse";
+    start.textContent = wrong ? `Not to be run: ${wrong}` : "Simulate";
     start.disabled = !scene.beam || wrong !== "" || isBusy(job);
     canvas.redraw();
     tell();
@@ -53,7 +53,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
       command.set("");
       return;
     }
-    remember("rehearse", form.kept(model));
+    remember("loop", form.kept(model));
     command.set(model ? lineOf(settings) : "");
     soon = window.setTimeout(() => { void reach(); }, 250);
   }
@@ -77,14 +77,14 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
 
   function tell(): void {
     if (!scene.beam) return;
-    status.textContent = scene.stale ? "Other settings than those that were rehearsed: rehearse again." : scene.beam.doubts.length ? "k(s) of this beam is not to be trusted." :
+    status.textContent = scene.stale ? "Other settings than those that were simulated: simulate again." : scene.beam.doubts.length ? "k(s) of this beam is not to be trusted." :
       !scene.beam.mass ? "No mass was learned: it is taken as 10 g/m." : "";
     status.classList.toggle("warning", scene.beam.doubts.length > 0);
   }
 
   async function begin(): Promise<void> {
     say("");
-    await post("/api/work/rehearse/start", wanted());
+    await post("/api/work/loop/start", wanted());
   }
 
   // Another beam, with a goal of its own where none is given.
@@ -111,7 +111,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
     const beams = found.filter((one) => one.kind === "result");
     choice.replaceChildren(...beams.map((one) => h("option", { value: one.name, selected: one.name === model }, one.name)));
     choice.hidden = start.hidden = !beams.length;
-    const state = await ask<{ job: LoopJob | null; found: Outcome[] }>("/api/work/rehearse");
+    const state = await ask<{ job: LoopJob | null; found: Outcome[] }>("/api/work/loop");
     if (!beams.some((one) => one.name === model)) model = state.job && beams.some((one) => one.name === state.job!.model) ? state.job.model : beams.sort((a, b) => b.changed - a.changed)[0]?.name ?? "";
     if (!model) {
       status.replaceChildren("No learned beam in this folder yet. ", h("a", { href: "#learn" }, "Learn a recording"), " first.");
@@ -127,7 +127,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
   function take(now: LoopJob | null, found: Outcome[]): void {
     job = now;
     const busy = isBusy(now), mine = now !== null && now.model === model;
-    progress.replaceChildren(...(now && (busy || now.state === "failed" && mine) ? [progressOf(now, `Rehearsing on ${now.model}`, "rehearse")] : []));
+    progress.replaceChildren(...(now && (busy || now.state === "failed" && mine) ? [progressOf(now, `Simulating ${now.model}`, "loop")] : []));
     shown = mine ? now : null;
     if (mine && found.some((one) => one.trial)) good = { job: now, found };
     else if (mine && !busy && good?.job.model === model) [shown, found] = [good.job, good.found];  // it came to nothing: what is seen stays
@@ -154,11 +154,11 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
     results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", { title: "from when on it stays within 1 mm" }, "settled")),
       ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name),
         h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m!, 2)} mm` : "snapped away"),
-        h("td", { class: "number" }, one.settled_s === null ? "never" : `at ${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
+        h("td", { class: "number" }, one.settled_s === null ? "never" : `at ${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was simulated with this beam yet.")]));
     const rows: [string, string][] = control ? [["force of the model", `${digits(Math.hypot(...control.force_N))} N in ${fixed(control.rise_s, 2)} s`],
       ["gain margin", control.gain === null ? "any" : `${fixed(control.gain, 2)} times`], ["phase margin", control.phase_rad === null ? "any" : `${fixed(180 * control.phase_rad / Math.PI, 0)}°`],
       ["further delay", control.delay_s === null ? "no limit found" : `${fixed(1000 * control.delay_s, 0)} ms`],
-      ["rings below", control.softest === null ? "nothing" : `${fixed(control.softest, 2)} of k(s)`]] : [];
+      ["stable while", control.softest === null ? "k(s) has any size" : `k(s) is above ${fixed(control.softest, 2)} times the model's`]] : [];
     margins.replaceChildren(...rows.map(([what, words]) => h("div", { class: "row" }, h("dt", {}, what), h("dd", {}, words))));
   }
 
@@ -194,7 +194,7 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
 
   async function hear(message: Message): Promise<void> {
     if (message.what === "places") await fill();
-    if (message.what !== "work" || message.room !== "rehearse") return;
+    if (message.what !== "work" || message.room !== "loop") return;
     const now = message.job as LoopJob, begun = now.began !== job?.began;
     if (begun) {  // here or in another tab: all show it
       if (now.model !== model || !same(wanted(), now)) {
@@ -204,10 +204,10 @@ export function rehearse(place: HTMLElement, at: URLSearchParams): void {
       take(now, []);
       return;
     }
-    const found = now.found === job?.found && now.state === job.state ? null : (await ask<{ found: [] }>("/api/work/rehearse")).found;
+    const found = now.found === job?.found && now.state === job.state ? null : (await ask<{ found: [] }>("/api/work/loop")).found;
     const before = scene.trials.length;
     if (found) take(now, found);
-    else progress.replaceChildren(progressOf(now, `Rehearsing on ${now.model}`, "rehearse"));
+    else progress.replaceChildren(progressOf(now, `Simulating ${now.model}`, "loop"));
     if (before === 0 && scene.trials.some((one) => one.time_s) && !matchMedia("(prefers-reduced-motion: reduce)").matches) run(true);
   }
 

@@ -6,13 +6,13 @@ import { ask, listen, onReturn, post, say } from "./net.js";
 import { atEnd, remember } from "./place.js";
 import { TimeChart } from "./timechart.js";
 import { isBusy, progressOf } from "./work.js";
-export function rehearse(place, at) {
+export function loop(place, at) {
     const scene = { beam: null, map: null, goal: [0, 0], trials: [], now: 0, push: 1, point: 1, stale: false, focus: false };
     const plane = new LoopPlane(scene), element = h("canvas", { tabindex: 0, role: "application",
         "aria-label": "The beam and its goal. Arrow keys move the goal, with Shift further, with Alt less; the space bar plays." });
     const canvas = new Canvas(element, plane.paint), command = commandLine(), form = new SettingsForm(at, changed);
     const choice = h("select", { "aria-label": "learned beam", change: () => { void open(choice.value, null); } });
-    const start = h("button", { type: "button", class: "main", click: () => { void begin(); } }, "Rehearse"), progress = h("div");
+    const start = h("button", { type: "button", class: "main", click: () => { void begin(); } }, "Simulate"), progress = h("div");
     const play = h("button", { type: "button", "aria-label": "play", click: () => run(!timer) }, "▶");
     const slider = h("input", { type: "range", min: 0, max: 8, step: 0.01, value: 0, "aria-label": "time" }), clock = h("output", { class: "clock" });
     const error = new TimeChart("from the goal [mm]", true, seek), force = new TimeChart("force on the beam [N]", false, seek);
@@ -29,7 +29,7 @@ export function rehearse(place, at) {
         const settings = wanted(), wrong = form.wrong();
         scene.goal = form.goal ?? scene.goal;
         scene.stale = scene.trials.length > 0 && !same(settings, shown);
-        start.textContent = wrong ? `Not to be run: ${wrong}` : "Rehearse";
+        start.textContent = wrong ? `Not to be run: ${wrong}` : "Simulate";
         start.disabled = !scene.beam || wrong !== "" || isBusy(job);
         canvas.redraw();
         tell();
@@ -38,7 +38,7 @@ export function rehearse(place, at) {
             command.set("");
             return;
         }
-        remember("rehearse", form.kept(model));
+        remember("loop", form.kept(model));
         command.set(model ? lineOf(settings) : "");
         soon = window.setTimeout(() => { void reach(); }, 250);
     }
@@ -62,13 +62,13 @@ export function rehearse(place, at) {
     function tell() {
         if (!scene.beam)
             return;
-        status.textContent = scene.stale ? "Other settings than those that were rehearsed: rehearse again." : scene.beam.doubts.length ? "k(s) of this beam is not to be trusted." :
+        status.textContent = scene.stale ? "Other settings than those that were simulated: simulate again." : scene.beam.doubts.length ? "k(s) of this beam is not to be trusted." :
             !scene.beam.mass ? "No mass was learned: it is taken as 10 g/m." : "";
         status.classList.toggle("warning", scene.beam.doubts.length > 0);
     }
     async function begin() {
         say("");
-        await post("/api/work/rehearse/start", wanted());
+        await post("/api/work/loop/start", wanted());
     }
     async function open(name, goal) {
         model = name;
@@ -96,7 +96,7 @@ export function rehearse(place, at) {
         const beams = found.filter((one) => one.kind === "result");
         choice.replaceChildren(...beams.map((one) => h("option", { value: one.name, selected: one.name === model }, one.name)));
         choice.hidden = start.hidden = !beams.length;
-        const state = await ask("/api/work/rehearse");
+        const state = await ask("/api/work/loop");
         if (!beams.some((one) => one.name === model))
             model = state.job && beams.some((one) => one.name === state.job.model) ? state.job.model : beams.sort((a, b) => b.changed - a.changed)[0]?.name ?? "";
         if (!model) {
@@ -113,7 +113,7 @@ export function rehearse(place, at) {
     function take(now, found) {
         job = now;
         const busy = isBusy(now), mine = now !== null && now.model === model;
-        progress.replaceChildren(...(now && (busy || now.state === "failed" && mine) ? [progressOf(now, `Rehearsing on ${now.model}`, "rehearse")] : []));
+        progress.replaceChildren(...(now && (busy || now.state === "failed" && mine) ? [progressOf(now, `Simulating ${now.model}`, "loop")] : []));
         shown = mine ? now : null;
         if (mine && found.some((one) => one.trial))
             good = { job: now, found };
@@ -138,11 +138,11 @@ export function rehearse(place, at) {
         changed();
     }
     function table() {
-        results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", { title: "from when on it stays within 1 mm" }, "settled")), ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name), h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m, 2)} mm` : "snapped away"), h("td", { class: "number" }, one.settled_s === null ? "never" : `at ${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was rehearsed with this beam yet.")]));
+        results.replaceChildren(...(scene.trials.length ? [h("table", {}, h("tr", {}, h("th", {}, "true k(s)"), h("th", { title: "the largest distance from the goal in the last second" }, "last second"), h("th", { title: "from when on it stays within 1 mm" }, "settled")), ...scene.trials.map((one) => h("tr", {}, h("td", {}, h("i", { class: `dot ${tintOfTrial(one)}` }), one.name), h("td", { class: "number" }, one.time_s ? `${fixed(1000 * one.steady_m, 2)} mm` : "snapped away"), h("td", { class: "number" }, one.settled_s === null ? "never" : `at ${fixed(one.settled_s, 1)} s`))))] : [h("p", { class: "quiet" }, "Nothing was simulated with this beam yet.")]));
         const rows = control ? [["force of the model", `${digits(Math.hypot(...control.force_N))} N in ${fixed(control.rise_s, 2)} s`],
             ["gain margin", control.gain === null ? "any" : `${fixed(control.gain, 2)} times`], ["phase margin", control.phase_rad === null ? "any" : `${fixed(180 * control.phase_rad / Math.PI, 0)}°`],
             ["further delay", control.delay_s === null ? "no limit found" : `${fixed(1000 * control.delay_s, 0)} ms`],
-            ["rings below", control.softest === null ? "nothing" : `${fixed(control.softest, 2)} of k(s)`]] : [];
+            ["stable while", control.softest === null ? "k(s) has any size" : `k(s) is above ${fixed(control.softest, 2)} times the model's`]] : [];
         margins.replaceChildren(...rows.map(([what, words]) => h("div", { class: "row" }, h("dt", {}, what), h("dd", {}, words))));
     }
     function seek(time) {
@@ -178,7 +178,7 @@ export function rehearse(place, at) {
     async function hear(message) {
         if (message.what === "places")
             await fill();
-        if (message.what !== "work" || message.room !== "rehearse")
+        if (message.what !== "work" || message.room !== "loop")
             return;
         const now = message.job, begun = now.began !== job?.began;
         if (begun) {
@@ -189,12 +189,12 @@ export function rehearse(place, at) {
             take(now, []);
             return;
         }
-        const found = now.found === job?.found && now.state === job.state ? null : (await ask("/api/work/rehearse")).found;
+        const found = now.found === job?.found && now.state === job.state ? null : (await ask("/api/work/loop")).found;
         const before = scene.trials.length;
         if (found)
             take(now, found);
         else
-            progress.replaceChildren(progressOf(now, `Rehearsing on ${now.model}`, "rehearse"));
+            progress.replaceChildren(progressOf(now, `Simulating ${now.model}`, "loop"));
         if (before === 0 && scene.trials.some((one) => one.time_s) && !matchMedia("(prefers-reduced-motion: reduce)").matches)
             run(true);
     }

@@ -1,4 +1,4 @@
-"""The room Rehearse: what it plays is what `onebend loop` simulates."""
+"""The room Loop: what it plays is what `onebend loop` simulates."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from onebend.cli import app
 from onebend.control.reach import reach
 from onebend.errors import ControlError, StudioError
 from onebend.results.model import read_model
-from onebend.studio import rehearsing
+from onebend.studio import looping
+from onebend.studio.looping import MOST_MOMENTS, beam_data, wanted_work
 from onebend.studio.places import StudioFolder
-from onebend.studio.rehearsing import MOST_MOMENTS, beam_data, wanted_work
 from tests.studio.conftest import own
 from tests.studio.test_recordings import ended
 
@@ -43,10 +43,10 @@ def test_what_is_played_is_what_the_command_writes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[dict[str, Any]] = []
-    monkeypatch.setattr(rehearsing, "tell", told.append)
+    monkeypatch.setattr(looping, "tell", told.append)
     monkeypatch.chdir(folder)
     wanted = wanted_work(StudioFolder.of(folder), asked_for(folder, k_error=0, delay_ms=40, fps=15, noise_mm=0.1))
-    rehearsing.work(wanted)
+    looping.work(wanted)
     trials = [one["found"]["trial"] for one in told if "trial" in one.get("found", {})]
     (control,) = [one["found"]["control"] for one in told if "control" in one.get("found", {})]
     words = [*shlex.split(wanted["command"])[1:], "--json", "-o", str(tmp_path / "out")]
@@ -55,9 +55,9 @@ def test_what_is_played_is_what_the_command_writes(
     said = json.loads(done.stdout)
     assert control["force_N"] == said["feedforward_N"]
     assert control["gain"] == said["margins"]["gain"]
-    assert [one["factor"] for one in trials] == [one["k_factor"] for one in said["rehearsals"]]
+    assert [one["factor"] for one in trials] == [one["k_factor"] for one in said["trials"]]
     assert [one["name"] for one in trials] == ["as the model"]
-    assert [one["steady_m"] for one in trials] == [one["steady_m"] for one in said["rehearsals"]]
+    assert [one["steady_m"] for one in trials] == [one["steady_m"] for one in said["trials"]]
     rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "loop.csv").read_text(encoding="utf-8"))))
     for trial in trials:
         own_rows = [row for row in rows if float(row["k_factor"]) == pytest.approx(trial["factor"], rel=1e-6)]
@@ -100,16 +100,16 @@ def test_what_is_asked_is_in_the_command(folder: Path) -> None:
 
 
 def test_a_goal_out_of_reach_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsing, "tell", lambda _: None)
+    monkeypatch.setattr(looping, "tell", lambda _: None)
     monkeypatch.chdir(folder)
     with pytest.raises(ControlError):
-        rehearsing.work(wanted_work(StudioFolder.of(folder), asked_for(folder, goal_m=[5.0, 5.0])))
+        looping.work(wanted_work(StudioFolder.of(folder), asked_for(folder, goal_m=[5.0, 5.0])))
 
 
-def test_a_rehearsal_is_stopped(working: TestClient, folder: Path) -> None:
+def test_a_simulation_is_stopped(working: TestClient, folder: Path) -> None:
     asked = asked_for(folder, duration_s=600)
-    assert working.post("/api/work/rehearse/start", json=asked, headers=own()).status_code == 200
-    assert working.post("/api/work/rehearse/stop", json={}, headers=own()).status_code == 200
-    stopped = ended(working, "rehearse")["job"]
+    assert working.post("/api/work/loop/start", json=asked, headers=own()).status_code == 200
+    assert working.post("/api/work/loop/stop", json={}, headers=own()).status_code == 200
+    stopped = ended(working, "loop")["job"]
     assert stopped["state"] == "stopped"
     assert stopped["goal_m"] == asked["goal_m"]

@@ -1,8 +1,5 @@
-"""The room Rehearse: the closed loop on beams that are not the model, as `onebend loop` simulates it.
-
-As a process (`python -m onebend.studio.rehearsing`) it simulates one beam after the other, and tells each when it is
-done.
-"""
+"""Loop: closed loops as in `onebend loop`. As a process (`python -m onebend.studio.looping`) it simulates beam by
+beam."""
 
 from __future__ import annotations
 
@@ -25,10 +22,10 @@ from onebend.studio.bending import BEGIN_TURN, LARGEST_TIMES, bending_force
 from onebend.studio.jobs import asked_number, process, tell
 from onebend.studio.places import StudioFolder, loop_line
 
-MOST_MOMENTS = 600  # of one beam that are shown
-MOST_DRAWN = 8  # beams on one picture
+MOST_MOMENTS = 600  # shown per beam
+MOST_DRAWN = 8
 FORCES = (1e-6, 1e6)  # N
-NUMBERS = {  # what may be asked for: least, most, and what is taken where nothing is said
+NUMBERS = {  # least, most, default
     "push_s": (0.05, 1.0, 1.0),
     "point_s": (0.05, 1.0, 1.0),
     "k_error": (0.0, 0.95, 0.3),
@@ -40,10 +37,7 @@ NUMBERS = {  # what may be asked for: least, most, and what is taken where nothi
 
 
 def beam_data(name: str, folder: Path) -> dict[str, Any]:
-    """The first picture of the page: the beam at rest, and a goal to begin with.
-
-    Raises `ResultsError` where the model cannot be read.
-    """
+    """The beam at rest, and an initial goal. Raises `ResultsError` for an unreadable model."""
     stored = read_model(folder)
     beam = stored.beam
     force = BEGIN_TURN * bending_force(beam)
@@ -59,10 +53,7 @@ def beam_data(name: str, folder: Path) -> dict[str, Any]:
 
 
 def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, float, float, float]:
-    """Of what the map of the reachable set is made: the beam as JSON, the two places, the largest force [N].
-
-    Raises `StudioError` where the page asked for what has no meaning.
-    """
+    """Beam as JSON, two places, largest force [N]. Raises `StudioError` for an invalid request."""
     beam = read_model(places.result(str(asked.get("model", "")))).beam
     push_s, point_s = (asked_number(asked, key, *NUMBERS[key]) for key in ("push_s", "point_s"))
     most = asked.get("max_force_N")
@@ -71,7 +62,7 @@ def reach_asked(places: StudioFolder, asked: Mapping[str, Any]) -> tuple[str, fl
 
 
 def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The work as the process takes it. Raises `StudioError` where the page asked for what has no meaning."""
+    """Raises `StudioError` for an invalid request."""
     model = str(asked.get("model", ""))
     places.result(model)
     goal = asked.get("goal_m")
@@ -91,7 +82,6 @@ def wanted_work(places: StudioFolder, asked: Mapping[str, Any]) -> dict[str, Any
 
 
 def work(wanted: Mapping[str, Any]) -> None:
-    """Make the controller, and run it on one beam after the other."""
     tell({"stage": "gains and margins", "done": 0, "total": None})
     stored = read_model(Path(wanted["model"]))
     draws, k_error = wanted["draws"], wanted["k_error"]
@@ -116,7 +106,7 @@ def work(wanted: Mapping[str, Any]) -> None:
 
 
 def control_data(control: Controller) -> dict[str, Any]:
-    """Force, gains and margins; infinite where there is no limit."""
+    """Force, gains and margins; null is infinite."""
     known = control.margins()
     margins = {"gain": known.gain, "phase_rad": known.phase, "delay_s": known.delay, "softest": known.softest}
     reference = {"force_N": control.reference.ends.tolist(), "rise_s": control.reference.rise}
@@ -124,7 +114,7 @@ def control_data(control: Controller) -> dict[str, Any]:
 
 
 def trial_data(trial: loop_simulation.LoopTrial) -> dict[str, Any]:
-    """One beam's run for the page, at no more than `MOST_MOMENTS` moments, evenly spread."""
+    """A run at up to `MOST_MOMENTS` moments."""
     said: dict[str, Any] = {
         "name": trial_name(trial),
         "factor": trial.factor,

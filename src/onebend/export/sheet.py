@@ -1,0 +1,164 @@
+"""A page for a person who runs no simulator: EI(s) with its band, E(s), how it was measured, and how it bends."""
+
+from __future__ import annotations
+
+import io
+import math
+import textwrap
+import warnings
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+
+from onebend.beam.section import modulus_band, one_modulus
+from onebend.errors import MechanicsError
+from onebend.export.sample import RodSample
+from onebend.records import Array
+
+A4 = (8.27, 11.69)  # inches
+INK, BLUE, ORANGE, FAINT = "#1b2430", "#0072b2", "#d55e00", "#d5dae1"
+_LOOK: Any = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": FAINT,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "text.color": INK,
+    "text.parse_math": False,  # names are text
+}
+_LINE = np.linspace(0.0, 1.0, 201)
+_ROWS = np.linspace(0.0, 1.0, 11)
+_WIDE, _LINES = 88, 5  # characters of a line of a fact, and lines
+
+
+def sheet(rod: RodSample) -> bytes:
+    """The PDF, without a date. Raises `ExportError`: k(s) is not positive somewhere."""
+    with rc_context(_LOOK), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # a name in another script: boxes
+        figure = Figure(figsize=A4)
+        FigureCanvasPdf(figure)
+        figure.text(0.08, 0.955, "Bending stiffness of a slender beam", fontsize=16, weight="bold")
+        y = 0.925
+        for name, text in _facts(rod):
+            lines = _folded(text)
+            figure.text(0.08, y, name, fontsize=9, weight="bold", va="top")
+            figure.text(0.24, y, "\n".join(lines), fontsize=9, va="top", linespacing=1.25)
+            y -= 0.005 + 0.0145 * len(lines)
+        modulus = rod.section is not None
+        top = y - 0.035
+        height = 0.5 * (top - 0.375) if modulus else top - 0.30
+        _draw_stiffness(figure.add_axes((0.12, top - height, 0.80, height)), rod)
+        if modulus:
+            _draw_modulus(figure.add_axes((0.12, 0.30, 0.80, height)), rod)
+        _draw_shapes(figure.add_axes((0.12, 0.055, 0.36, 0.18)), rod)
+        _draw_table(figure.add_axes((0.54, 0.04, 0.40, 0.215)), rod)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="pdf", metadata={"CreationDate": None, "Title": "Bending stiffness"})
+    return stream.getvalue()
+
+
+def _facts(rod: RodSample) -> list[tuple[str, str]]:
+    """Names and texts of the head."""
+    beam, k = rod.beam, rod.stiffness(_LINE)
+    weight = beam.length * float(np.trapezoid(np.asarray(beam.mass_per_length(_LINE)), _LINE))
+    weight += sum(one.mass for one in beam.masses)
+    facts = [("length", f"{1e3 * beam.length:.4g} mm from the clamp to the tip")]
+    facts += [("mass", f"{1e3 * weight:.3g} g")] if weight > 0.0 else []
+    low, high = beam.length * float(k.min()), beam.length * float(k.max())
+    facts += [("EI", f"{low:.3g} to {high:.3g} N m²")]
+    one = one_modulus(rod.uncertain or beam.stiffness, beam.length, rod.section)
+    if one is not None:
+        facts += [("E", f"{_pascal(one[0])} as one number; 95 %: {_pascal(one[1])} to {_pascal(one[2])}")]
+    if rod.stretches:
+        stretch, shear = rod.axial(_LINE)
+        facts += [("EA", f"{stretch.min():.3g} to {stretch.max():.3g} N; kGA {shear.min():.3g} to {shear.max():.3g} N")]
+    if rod.damping_time is not None:
+        facts += [("damping", f"over stiffness: {rod.damping_time:.3g} s")]
+    facts += [("relaxes", f"{100 * part.share:.2g} % within {part.time:.3g} s") for part in rod.relaxation]
+    return [*facts, *rod.told]
+
+
+def _draw_stiffness(axes: Axes, rod: RodSample) -> None:
+    length = rod.beam.length
+    if rod.uncertain is not None:
+        band = rod.uncertain.band(_LINE)
+        axes.fill_between(1e3 * length * _LINE, length * band.low, length * band.high, color=BLUE, alpha=0.2, lw=0)
+        unknown = np.where(band.identified, np.nan, length * band.k)
+        axes.plot(1e3 * length * _LINE, unknown, color=ORANGE, lw=4, alpha=0.6, label="not identified by the data")
+        if not np.all(band.identified):
+            axes.legend(loc="upper center")
+    axes.plot(1e3 * length * _LINE, length * rod.stiffness(_LINE), color=BLUE)
+    band_said = ", with its 95 % band" if rod.uncertain is not None else " (no band was learned)"
+    axes.set(title=f"EI(s) [N m²]{band_said}", xlabel="from the clamp [mm]", xlim=(0.0, 1e3 * length))
+    axes.set_ylim(0.0, _top(length * rod.stiffness(_LINE), axes.get_ylim()[1]))
+
+
+def _draw_modulus(axes: Axes, rod: RodSample) -> None:
+    assert rod.section is not None
+    length = rod.beam.length
+    found = modulus_band(rod.uncertain or rod.beam.stiffness, length, rod.section, _LINE)
+    axes.fill_between(1e3 * length * _LINE, 1e-6 * found.low, 1e-6 * found.high, color=ORANGE, alpha=0.2, lw=0)
+    axes.plot(1e3 * length * _LINE, 1e-6 * found.modulus, color=ORANGE)
+    axes.set(title="Young's modulus E(s) [MPa], from the stated section", xlabel="from the clamp [mm]")
+    axes.set_xlim(0.0, 1e3 * length)
+    axes.set_ylim(0.0, _top(1e-6 * found.modulus, axes.get_ylim()[1]))
+
+
+def _draw_shapes(axes: Axes, rod: RodSample) -> None:
+    """At rest, and under the largest recorded force."""
+    rest = 1e3 * rod.beam.equilibrium((0.0, 0.0)).xy(_LINE)
+    axes.plot(*rest.T, color=INK, lw=2)
+    title = "At rest"
+    if rod.push is not None:
+        force, at_s = rod.push
+        try:
+            bent = 1e3 * rod.beam.equilibrium(force, at_s).xy(_LINE)
+        except MechanicsError:
+            bent = None
+        if bent is not None:
+            axes.plot(*bent.T, color=BLUE, lw=2)
+            place = bent[round(200 * at_s)]
+            way = 0.25e3 * rod.beam.length * np.array(force) / math.hypot(*force)
+            axes.annotate("", place, place - way, arrowprops={"arrowstyle": "->", "color": ORANGE})
+            title = f"At rest, and under {math.hypot(*force):.3g} N"
+    axes.plot([0.0], [0.0], "s", color=INK)
+    axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def _draw_table(axes: Axes, rod: RodSample) -> None:
+    """EI and its band at eleven places."""
+    axes.axis("off")
+    length = rod.beam.length
+    k = length * rod.stiffness(_ROWS)
+    band = None if rod.uncertain is None else rod.uncertain.band(_ROWS)
+    heads = ["mm", "EI [N m²]", *(["95 % from", "to"] if band is not None else [])]
+    rows = [[f"{1e3 * length * s:.4g}", f"{k[i]:#.3g}"] for i, s in enumerate(_ROWS)]
+    if band is not None:
+        rows = [[*row, f"{length * band.low[i]:#.3g}", f"{length * band.high[i]:#.3g}"] for i, row in enumerate(rows)]
+    table = axes.table(rows, colLabels=heads, cellLoc="right", edges="horizontal", bbox=Bbox.unit())
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    for cell in table.get_celld().values():
+        cell.set_edgecolor(FAINT)
+
+
+def _top(middle: Array, edge: float) -> float:
+    """Of an axis: all of the band, but not more than three times the largest value."""
+    return min(edge, 3.0 * float(np.nanmax(middle)))
+
+
+def _pascal(value: float) -> str:
+    return f"{1e-6 * value:.3g} MPa"
+
+
+def _folded(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDE, max_lines=_LINES, placeholder=" …") or [""]
