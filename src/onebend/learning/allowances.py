@@ -25,6 +25,9 @@ from onebend.records import Array, BoolArray, Observations, PointMass, View
 Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", "relaxation", "length"]
 
 
+ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
+
+
 @dataclass(frozen=True)
 class Allowance:
     """n parameters, zero for the ideal beam on the ideal bench, with one sd each before the data."""
@@ -37,6 +40,8 @@ class Allowance:
     basis: Array  # see `Entry`
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
+    within: tuple[float, float] = ANYTHING  # bounds of each parameter
+    sparse: bool = False  # an effect that most benches lack, see `sites`
 
     @property
     def count(self) -> int:
@@ -90,7 +95,9 @@ GIVE_SD = 0.01  # rad per rad that the first tag turns
 def giving(run: PushCourse, count: int) -> Allowance:
     """The moment at the clamp follows the turn of the tag next to it; `count` frames, those at rest last."""
     basis = with_rest(run.turn[:, :1], count)
-    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis)
+    return Allowance(
+        "clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis, within=POSITIVE, sparse=True
+    )
 
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
@@ -99,7 +106,7 @@ SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a 
 def sliding(marker_s: Array, run: PushCourse, push_s: Array) -> Allowance:
     """`s_a(t) = s_0 + b (a(s_0, t) - a(s_0, 0))` with b in m per rad; `push_s` (F,)."""
     basis = with_rest(turn_at_push(marker_s, run.turn, push_s)[:, None], len(push_s))
-    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis)
+    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis, sparse=True)
 
 
 def turn_at_push(marker_s: Array, turn: Array, push_s: Array) -> Array:
@@ -163,7 +170,7 @@ def unknown_mass(observations: Observations, frames: BoolArray, problem: Problem
     if not np.any(force):
         return None
     sd = np.array([MASS_SD * observations.length**3])
-    return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True)
+    return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True, within=POSITIVE)
 
 
 def inertial_force(
@@ -286,7 +293,9 @@ def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) 
     """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis."""
     basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
-    return Allowance("patches", "log k", "1", labels, PATCH_SD * np.sqrt(SHARES), basis, shared=True, sized=True)
+    return Allowance(
+        "patches", "log k", "1", labels, PATCH_SD * np.sqrt(SHARES), basis, shared=True, within=POSITIVE, sparse=True
+    )
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -382,7 +391,7 @@ def posture_bias(run: PushCourse, force: Array) -> Allowance:
     largest = float(np.max(np.linalg.norm(force, axis=1)))
     basis = on_each_axis(with_rest(powers(run.bend), len(force)))
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
-    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis)
+    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis, sparse=True)
 
 
 def powers(bend: Array) -> Array:
@@ -407,7 +416,17 @@ LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 def relaxation(run: PushCourse) -> Allowance:
     """The shares that relax with each of the times."""
     labels = tuple(f"share that relaxes within {t:g} s" for t in TIMES)
-    return Allowance("relaxation", "relaxation", "1", labels, np.full(len(TIMES), SHARE_SD), run.time, shared=True)
+    return Allowance(
+        "relaxation",
+        "relaxation",
+        "1",
+        labels,
+        np.full(len(TIMES), SHARE_SD),
+        run.time,
+        shared=True,
+        within=POSITIVE,
+        sparse=True,
+    )
 
 
 def lags(time: Array) -> Array:
@@ -514,7 +533,7 @@ def section(*, known: bool) -> Allowance:
     """The relative change of the square of the thickness, from the stated one or the usual one."""
     sd = np.array([KNOWN_SD if known else UNKNOWN_SD])
     label = "change of section thickness squared"
-    return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True)
+    return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True, within=(-1.0, np.inf))
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:

@@ -47,6 +47,7 @@ from onebend.learning.normal import (
     unit_root,
 )
 from onebend.learning.parameters import Block
+from onebend.learning.sites import first_site, is_shaped, updated
 from onebend.progress import each
 from onebend.records import Array, IntArray
 
@@ -281,6 +282,25 @@ def correlation_time(r: Array) -> float:
             break
         total += 2.0 * rho
     return total
+
+
+_SITE_ROUNDS = 4  # of sites and posterior
+
+
+def with_sites(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+    """The hyperparameters with the sites of the parameters whose priors are not normal."""
+    layout = evidence.problem.layout
+    wanted = [block for block in layout.blocks if is_shaped(block)]
+    for _ in range(_SITE_ROUNDS):
+        posterior, sites = evidence.posterior(start), dict(start.sites)
+        mean, sd = posterior.mean, np.ones(layout.size)
+        for number in range(len(evidence.problem.recordings)):
+            sd[layout.known_to(number)] = np.sqrt(np.diag(posterior.pair(number)))
+        for block in wanted:
+            key, where = (block.name, block.recording), block.where
+            sites[key] = updated(block, sites.get(key) or first_site(block), mean[where], sd[where])
+        start = replace(start, sites=sites)
+    return start
 
 
 FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried

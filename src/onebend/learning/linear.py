@@ -37,6 +37,7 @@ from onebend.learning.normal import (
 )
 from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
+from onebend.learning.sites import Sites, first_site, is_shaped
 from onebend.progress import each
 from onebend.records import Array, IntArray
 
@@ -60,6 +61,7 @@ class Hyperparameters:
     load: float  # sd of the force error that comes with the load, likewise
     noise: tuple[RecordingNoise, ...]
     sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
+    sites: Sites = field(default_factory=dict)  # of parameters whose priors are not normal; their moments where absent
     chains: Array | None = None  # where the sampler's chains stand, see `normal.mean_part_variances`
 
 
@@ -126,6 +128,8 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
                 error = problem.recordings[block.recording].error
                 mean[where], of_axis = error.mean.ravel(), error.root(h.coloured, h.memory, h.walk, h.load)
                 blocks += [(index[axis::2], of_axis) for axis in range(2)]
+            elif is_shaped(block):
+                mean[where], sd[where] = h.sites.get((block.name, block.recording)) or first_site(block)
             else:
                 sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
         return BlockRoot(sd[part], tuple(blocks))

@@ -23,6 +23,7 @@ from onebend.learning.hyperparameters import (
     expected_recording_noise,
     likely_sizes,
     new_noise,
+    with_sites,
 )
 from onebend.learning.linear import (
     FitProblem,
@@ -546,6 +547,7 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
+    hyperparameters = with_sites(evidence, hyperparameters)
     return choose_hyperparameters(evidence, hyperparameters)
 
 
