@@ -381,10 +381,10 @@ FEW = 6  # points of an outline that are read where there are no tags
 
 def read_before_fit(seen: Markers | Observations) -> IntArray:
     """The markers that everything but the fit reads: the tags, or some points of the outline where there are none."""
-    tags = np.flatnonzero(tags_among(seen))
-    if len(tags):
-        return tags
-    return np.unique(np.linspace(0, seen.xy.shape[1] - 1, FEW + 1).round().astype(np.int64)[1:])
+    tags, m = np.flatnonzero(tags_among(seen)), seen.xy.shape[1]
+    if len(tags) or m <= FEW:
+        return tags if len(tags) else np.arange(m)
+    return np.linspace(0, m - 1, FEW + 1).round().astype(np.int64)[1:]
 
 
 def of_markers(markers: Markers, kept: IntArray) -> Markers:
@@ -394,9 +394,7 @@ def of_markers(markers: Markers, kept: IntArray) -> Markers:
     every = {name: getattr(markers, name)[:, kept] for name in ("xy", "angle", "covariance")}
     by_camera = None if markers.by_camera is None else markers.by_camera[:, kept]
     traced = None if markers.traced is None else markers.traced[kept]
-    return replace(
-        markers, tag_id=markers.tag_id[kept], s=markers.s[kept], by_camera=by_camera, traced=traced, **every
-    )
+    return replace(markers, tag_id=markers.tag_id[kept], s=markers.s[kept], by_camera=by_camera, traced=traced, **every)
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

@@ -547,7 +547,8 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
     s, tag_id, traced = np.array([tag.s for tag in tags.on_beam]), detections.tag_id[base:], None
     if outline is not None:
         points = relative_to(origin, points_in_plane(plane.view, outline))
-        relative = Poses(*(np.concatenate(both, axis=1) for both in zip(_fields(relative), _fields(points), strict=True)))
+        pairs = zip(_fields(relative), _fields(points), strict=True)
+        relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
         traced = np.arange(len(s) + len(outline.s)) >= len(s)
         tag_id = np.concatenate([tag_id, POINT_ID + np.arange(len(outline.s))])
         s = np.concatenate([s, outline.s])
@@ -617,8 +618,8 @@ def spread(corners: Array) -> Array:
 
 def by_camera(plane: PlaneFit, corners: Array, base: int, outline: OutlineTrack | None = None) -> Array:
     """(T, m, 3, n) m, m, rad: how the poses of the beam's tags, and then of the outline's points, relative to the first
-    base tag move with one sd of each of the n unknowns of the plane and, without a calibration, of the camera. A hidden base counts as where it was seen nearest
-    in time; zero for tags that were not seen."""
+    base tag move with one sd of each of the n unknowns of the plane and, without a calibration, of the camera. A hidden
+    base counts as where it was seen nearest in time; zero for tags that were not seen."""
     corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
 
     def relative(view: View) -> Array:

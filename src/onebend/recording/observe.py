@@ -18,6 +18,7 @@ from onebend.recording.clock import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.recording.force import ContactSettings, ForceSettings, find_contact
+from onebend.recording.outline import outline_track
 from onebend.recording.pairing import (
     check_direction,
     check_place,
@@ -32,7 +33,6 @@ from onebend.recording.poses import photo_observations, pose_observations
 from onebend.recording.signals import MOST_FRAMES, check_span
 from onebend.recording.stated import stated_in
 from onebend.recording.tags import detect_tags
-from onebend.recording.outline import outline_track
 from onebend.recording.tool import tool_checked, tool_in_film
 from onebend.recording.tracks import (
     SwingSignals,
@@ -56,6 +56,7 @@ from onebend.records import (
     Source,
     of_markers,
     read_before_fit,
+    tags_among,
 )
 
 FEWEST_FRAMES = 10
@@ -157,7 +158,7 @@ def with_outline(
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
     outline = outline_track(rec, markers.view, base, number, progress=progress)
-    hung = ~np.isfinite(detections.corners).any(axis=(1, 2, 3))
+    hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
     outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
     return measure_markers(detections, rec, outline)
 
@@ -218,7 +219,8 @@ def assemble(
     angled = with_angles(few)
     bare = rest_shape(angled, contact.still)
     implausible = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
-    implausible += check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
+    if np.any(tags_among(few)):  # points of an outline have no angle of their own
+        implausible += check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
     use, drop_remarks = usable(markers, force)
     remarks = (*rec.remarks, *markers.remarks, *slow, *fit.remarks)
     remarks += frame_remarks if clean is None else (*contact.remarks, *frame_remarks, *clean.remarks)

@@ -74,23 +74,16 @@ def planes_of(rec: Recording, index: int, raw: Any) -> Planes:
         luma = 0.299 * red + 0.587 * green + 0.114 * blue
         chroma = np.stack([128.0 + 0.564 * (blue - luma), 128.0 + 0.713 * (red - luma)])
         return Planes(np.rint(luma).astype(np.uint8), np.rint(np.clip(chroma, 0.0, 255.0)).astype(np.uint8))
-    name = raw.format.name
-    frame = raw if name in ("yuv420p", "yuvj420p", "yuv422p", "yuv444p") else raw.reformat(format="yuv444p")
-    luma, *chroma = (
-        np.frombuffer(memoryview(p), np.uint8).reshape(-1, p.line_size)[: p.height, : p.width] for p in frame.planes
-    )
-    even = luma.shape[0] % chroma[0].shape[0] == 0 and luma.shape[1] % chroma[0].shape[1] == 0
-    if not even or frame.rotation:
-        frame = frame.reformat(format="yuv444p")
-        luma, *chroma = (
-            np.frombuffer(memoryview(p), np.uint8).reshape(-1, p.line_size)[: p.height, : p.width] for p in frame.planes
-        )
-    turn = raw.rotation
-    return Planes(
-        np.ascontiguousarray(upright(luma, turn)),
-        np.stack([upright(one, turn) for one in chroma]),
-        left=not name.startswith("yuvj"),
-    )
+    known = raw.format.name in ("yuv420p", "yuvj420p", "yuv422p", "yuv444p")
+    frame = raw if known and raw.width % 2 == 0 and raw.height % 2 == 0 else raw.reformat(format="yuv444p")
+    luma, blue, red = (_plane(one, raw.rotation) for one in frame.planes)
+    turned = raw.rotation % 360 != 0  # then chroma's samples stand on another side: between is nearest to all
+    return Planes(luma, np.stack([blue, red]), left=not turned and not raw.format.name.startswith("yuvj"))
+
+
+def _plane(plane: Any, rotation: int) -> NDArray[np.uint8]:
+    rows = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[: plane.height, : plane.width]
+    return np.ascontiguousarray(upright(rows, rotation))
 
 
 STATES = 12  # Legendre polynomials of the curve's angle
@@ -125,12 +118,12 @@ class Stations:
     @cached_property
     def functions(self) -> Array:
         """(M, K) Legendre polynomials."""
-        return np.polynomial.legendre.legvander(2.0 * self.s - 1.0, STATES - 1)
+        return np.asarray(np.polynomial.legendre.legvander(2.0 * self.s - 1.0, STATES - 1))
 
     @cached_property
     def prior(self) -> Array:
         """(1 + K,) one sd of a curve's numbers: where it begins [m], and its angle's coefficients [rad]."""
-        return np.append(CLAMP_OFF, 3.0 / (1.0 + np.arange(STATES)) ** 2)
+        return np.append(CLAMP_OFF, 3.0 / (1.0 + np.arange(STATES)) ** 2.0)
 
     def along(self, values: Array) -> Array:
         """(M, ...) integrals of values (M, ...) over the length so far [m]."""
@@ -240,7 +233,7 @@ def find_flanks(sight: Sight, curve: Curve, half: Array, look: Look) -> Array:
 def unlike(colour: Array, body: Array, look: Look) -> Array:
     """(2, M, J) sds, up to `MOST`, between colours (2, M, J, 3) and the body's (2, M, 3)."""
     squares = np.sum(((colour - body[:, :, None]) / look.sd) ** 2, axis=-1)
-    return np.minimum(np.sqrt(squares), MOST)
+    return np.asarray(np.minimum(np.sqrt(squares), MOST))
 
 
 def edge_place(colour: Array, first: IntArray, look: Look) -> Array:
