@@ -122,6 +122,7 @@ class OutlineTrack:
     ahead: Array  # (T, n, 2) px of a place a little farther along the curve
     sd: Array  # (T, n) px, one sd across the curve; NaN where the flanks were not seen
     width: Array  # (n,) m, of the body between its flanks
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True)

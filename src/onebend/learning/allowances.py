@@ -274,6 +274,8 @@ def between_recordings(nodes: Array) -> Allowance:
 PATCH_SD = 0.4  # of the log of the factor on k under a tag, before the evidence has chosen: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
+PAPER = 1.5  # of the same: wider layers are beyond the paper of a tag
+NEXT_TO_NONE = 1e-3
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -299,11 +301,13 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
     return np.asarray(np.diff(to_edges, axis=-2, prepend=0.0) / grid.weights[..., None])
 
 
-def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) -> Allowance:
-    """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis."""
+def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None, *, traced: bool = False) -> Allowance:
+    """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis. Where the body's
+    outline is `traced` beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
     basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
-    return Allowance("patches", "log k", "1", labels, PATCH_SD * np.sqrt(SHARES), basis, shared=True, sized=True)
+    sd = PATCH_SD * np.sqrt(SHARES) * np.where(traced & (WIDTHS > PAPER), NEXT_TO_NONE, 1.0)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, sized=True)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -597,7 +601,8 @@ def allowances_of(
         giving(run, len(force), beside),
     ]
     if tags:
-        every.append(patches(observations.marker_s[on_body], observations.length, observations.stated.tag_size, grid))
+        under = observations.marker_s[on_body], observations.length, observations.stated.tag_size
+        every.append(patches(*under, grid, traced=not on_body.all()))
         every += [_at(on_body, one) for one in discrepancy(run, tags, observations.length, len(force))]
     if across is not None and not on_body.all():
         every.append(outline_error(observations.marker_s, run, across))

@@ -566,6 +566,7 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
             *detections.remarks,
             *wrong_remarks(detections, wrong),
             *motion_remarks(origin, moving, description.gravity is not None),
+            *(() if outline is None else outline.remarks),
         ),
         by_camera=by_camera(plane, detections.corners, base, outline)[:, order],
         traced=None if traced is None else traced[order],

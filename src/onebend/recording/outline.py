@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,7 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording.camera import project
 from onebend.recording.entries import Recording
 from onebend.recording.video import picture_in, timed, upright
-from onebend.records import Array, BoolArray, IntArray, OutlineTrack, View
+from onebend.records import Array, BoolArray, IntArray, OutlineTrack, Remark, View
 
 NORMAL = 1.4826  # sd of a normal distribution over its median deviation
 
@@ -35,7 +35,7 @@ class Planes:
     chroma: NDArray[np.uint8]  # (2, h, w)
     left: bool = True  # where chroma has half the columns: its samples stand on the left of two pixels, not between
 
-    def at(self, px: Array) -> Array:
+    def at(self, px: Array) -> NDArray[np.float32]:
         """(..., 3) luma and both chromas at pixels (..., 2), in proportion between neighbours; NaN outside."""
         height, width = self.luma.shape
         x, y = px[..., 0], px[..., 1]
@@ -43,23 +43,24 @@ class Planes:
         x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
         across, down = width // self.chroma.shape[2], height // self.chroma.shape[1]
         shift = 0.0 if self.left else 0.5 * (across - 1)
-        out = np.empty((*x.shape, 3))
+        out = np.empty((*x.shape, 3), dtype=np.float32)
         out[..., :1] = _between(self.luma[None], x, y)
         out[..., 1:] = _between(self.chroma, (x - shift) / across, (y - 0.5 * (down - 1)) / down)
         out[~inside] = np.nan
         return out
 
 
-def _between(planes: NDArray[np.uint8], x: Array, y: Array) -> Array:
+def _between(planes: NDArray[np.uint8], x: Array, y: Array) -> NDArray[np.float32]:
     """(..., n) linear interpolation in planes (n, h, w); beyond their edge as on it."""
     n, h, w = planes.shape
     x, y = np.clip(x, 0.0, w - 1.001), np.clip(y, 0.0, h - 1.001)
     i, j = y.astype(np.int64), x.astype(np.int64)
     fy, fx = y - i, x - j
-    at, out = i * w + j, np.empty((*x.shape, n))
+    fx, fy = (one.astype(np.float32) for one in (fx, fy))
+    at, out = i * w + j, np.empty((*x.shape, n), dtype=np.float32)
     for k in range(n):
         flat = planes[k].reshape(-1)
-        top, low = flat[at].astype(float), flat[at + w].astype(float)
+        top, low = flat[at].astype(np.float32), flat[at + w].astype(np.float32)
         top += fx * (flat[at + 1] - top)
         low += fx * (flat[at + w + 1] - low)
         out[..., k] = top + fy * (low - top)
@@ -166,7 +167,7 @@ class Stations:
 
 STEP = 0.5  # px: of the samples along a normal
 SIDE = 3.0  # px: means over so much to either side of an edge tell how large its step is
-REACH = 8.0  # px: an edge is looked for so far from where it is expected
+REACH = 6.0  # px: an edge is looked for so far from where it is expected
 MOST = 8.0  # sds of the body's colour
 LEAST = 4.0  # of them: a smaller step is no edge
 SIDES: Array = np.array([1.0, -1.0])  # left and right of the body's direction
@@ -230,23 +231,23 @@ def find_flanks(sight: Sight, curve: Curve, half: Array, look: Look) -> Array:
     return np.asarray(np.where(clear, away + SIDES[:, None] * place / scale, np.nan))
 
 
-def unlike(colour: Array, body: Array, look: Look) -> Array:
+def unlike(colour: NDArray[np.float32], body: Array, look: Look) -> Array:
     """(2, M, J) sds, up to `MOST`, between colours (2, M, J, 3) and the body's (2, M, 3)."""
     squares = np.sum(((colour - body[:, :, None]) / look.sd) ** 2, axis=-1)
     return np.asarray(np.minimum(np.sqrt(squares), MOST))
 
 
-def edge_place(colour: Array, first: IntArray, look: Look) -> Array:
+def edge_place(colour: NDArray[np.float32], first: IntArray, look: Look) -> Array:
     """(2, M) px outward from the expected flanks: where a sharp step between the two levels about sample `first` (2, M)
     of the profiles (2, M, J, 3) would have the same integral."""
     centre, off = first, np.zeros(first.shape)
-    for _ in range(3):  # the first sample stands where the colour begins to change, not in the middle of the step
+    for _ in range(2):  # the first sample stands where the colour begins to change, not in the middle of the step
         centre = np.clip(centre + np.rint(off / STEP).astype(np.int64), _LEVEL[1], len(_OUT) - 1 - _LEVEL[1])
         off = np.nan_to_num(_fraction(colour, centre, look))
     return np.asarray(_OUT[centre] + _fraction(colour, centre, look))
 
 
-def _fraction(colour: Array, centre: IntArray, look: Look) -> Array:
+def _fraction(colour: NDArray[np.float32], centre: IntArray, look: Look) -> Array:
     """(2, M) px from sample `centre` (2, M) outward to the edge."""
     window = np.arange(-_LEVEL[1], _LEVEL[1] + 1)
     near = np.take_along_axis(colour, (centre[..., None] + window)[..., None], axis=2)  # (2, M, W, 3)
@@ -347,8 +348,9 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> Look
     return Look(np.maximum(spread, 1.0), np.maximum(pixel, 1.0))  # of 255: no encoder keeps less
 
 
-def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str) -> Body:
-    """The body in its first picture; `hidden` (M,) stations lie under tags.
+def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> Body:
+    """The body in its first picture; `hidden` (M,) stations lie under tags, `width` m is what is known of the body's
+    near the clamp (NaN: nothing).
 
     Raises:
         ObservationError: no body is seen beside the clamp.
@@ -356,7 +358,9 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str) -> Bod
     s, state = stations.s, np.zeros(1 + STATES)
     begin = float(s[np.argmin(hidden)])
     part = (s >= begin) & (s <= begin + FIRST) & ~hidden
-    sides = first_width(sight, stations.curve(state), part, stations.length)
+    sides = np.full(2, 0.5 * width)
+    if math.isnan(width):
+        sides = first_width(sight, stations.curve(state), part, stations.length)
     half, state[0] = np.full(stations.count, sides.mean()), 0.5 * (sides[0] - sides[1])
     front = begin + FIRST
     while True:
@@ -369,7 +373,8 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str) -> Bod
         if not np.isfinite(half).all() or known.sum() < 5:
             raise ObservationError(
                 f"{name}: no body is seen beside the clamp: no two edges run along the base tag's direction. Check "
-                "length_m, size_m and the base tag's turn_deg, and that the body stands out from its background."
+                "length_m, size_m and the base tag's turn_deg, and that the body stands out from its background.",
+                about="outline",
             )
         half = 0.5 * np.interp(s, s[known], width[known])
         sd = MEASURED / float(np.median(sight.outward(curve)[1]))
@@ -384,6 +389,9 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str) -> Bod
 STATION = 4.0  # px: distance of the normals
 POINTS = 30  # of the curve that are kept, evenly along the body
 FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched again
+WIDE = 2.0  # px: so far off may the width at one station be
+LOST = 0.6  # of the share of stations that usually show the body: with fewer it is elsewhere
+USUAL = 60  # pictures, of which the usual share is taken
 
 
 @dataclass(frozen=True)
@@ -394,31 +402,66 @@ class Searched:
     away: Array  # (T, 2, M) m, from these curves to the flanks; NaN where not seen
 
 
-def follow(sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str) -> tuple[Searched, Array]:
-    """The flanks in consecutive pictures, and half the width (M,) m in the first of them."""
+def follow(
+    sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str, width: float = math.nan
+) -> tuple[Searched, Array]:
+    """The flanks in consecutive pictures, and half the width (M,) m in the first of them. A picture in which the body
+    is lost has none; the next is searched near where the body was last, and near where it was first."""
     states: list[Array] = []
     found: list[Array] = []
-    fitted: list[Array] = []
+    seen: list[float] = []
     body: Body | None = None
-    sd = 0.0
+    before: tuple[Array, Array] | None = None
     for sight in sights:
         if body is None:
-            body = grown(sight, stations, hidden, name)
-            sd = MEASURED / float(np.median(sight.outward(stations.curve(body.state))[1]))
-            fitted = [body.state, body.state]
-        state = 2.0 * fitted[-1] - fitted[-2]
-        for _ in range(3):
-            curve = stations.curve(state)
-            away = np.where(hidden, np.nan, find_flanks(sight, curve, body.half, body.look))
-            new = stations.fitted(state, nan_mean(away - SIDES[:, None] * body.half), sd)
-            if np.max(np.abs(stations.across(curve) @ (new - state))) < FAR * REACH * sd / MEASURED:
+            body = grown(sight, stations, hidden, name, width)
+        last, one_more = (body.state, body.state) if before is None else before
+        best: tuple[float, Array, Array, Array] | None = None
+        for start in (2.0 * last - one_more, last, body.state):
+            tried = _near(sight, stations, hidden, body, start)
+            best = tried if best is None or tried[0] > best[0] else best
+            if best[0] > LOST * (np.median(seen[-USUAL:]) if seen else 0.0):
                 break
-            state = new
-        fitted = [fitted[-1], new]
+        assert best is not None
+        share, state, away, new = best
+        there = share > LOST * (np.median(seen[-USUAL:]) if seen else 0.0)
+        before = (new, last) if there and before is not None else (new, new) if there else (last, last)
+        seen += [share] if there else []
         states.append(state)
-        found.append(away)
+        found.append(away if there else np.full_like(away, np.nan))
     assert body is not None
     return Searched(np.stack(states), np.stack(found)), body.half
+
+
+def each_alone(
+    sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str, width: float = math.nan
+) -> tuple[Searched, Array]:
+    """As `follow`, of pictures that have nothing to do with each other."""
+    tried = [_alone(one, stations, hidden, name, width) for one in sights]
+    half = np.median([body.half for body, _ in tried], axis=0)
+    return Searched(np.stack([body.state for body, _ in tried]), np.stack([away for _, away in tried])), half
+
+
+def _alone(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> tuple[Body, Array]:
+    body = grown(sight, stations, hidden, name, width)
+    return body, np.where(hidden, np.nan, find_flanks(sight, stations.curve(body.state), body.half, body.look))
+
+
+def _near(
+    sight: Sight, stations: Stations, hidden: BoolArray, body: Body, state: Array
+) -> tuple[float, Array, Array, Array]:
+    """Near the curve of `state`: the share of the stations that show both flanks as wide apart as the body is, the
+    curve (1 + K,) that the flanks were looked for along, they (2, M) m from it, and the curve between them."""
+    sd = MEASURED / float(np.median(sight.outward(stations.curve(state))[1]))
+    for _ in range(3):
+        curve = stations.curve(state)
+        away = np.where(hidden, np.nan, find_flanks(sight, curve, body.half, body.look))
+        new = stations.fitted(state, nan_mean(away - SIDES[:, None] * body.half), sd)
+        if np.max(np.abs(stations.across(curve) @ (new - state))) < FAR * REACH * sd / MEASURED:
+            break
+        state = new
+    wide = np.abs(away[0] - away[1] - 2.0 * body.half) < WIDE * sd / MEASURED
+    return float(np.mean(wide[~hidden])), state, away, new
 
 
 # The centreline: the width is the same in all pictures; flanks that contradict it, or their neighbours, are left out.
@@ -426,7 +469,8 @@ def follow(sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name:
 OUTLIER = 4.0  # sds
 NEIGHBOURS = 15  # stations, whose median a place is compared with
 LEAST_SHARE = 0.4  # of the stations that a point stands for, and of the frames in which it is seen
-LEAST_SEEN = 0.5  # of all points of all frames: with fewer the curve is not that of a body
+LEAST_SEEN = 0.5  # of all places in all frames: with fewer the curve is not that of a body
+MOST_OFF = 0.1  # of its width, by which one body may seem to change it
 
 
 def body_width(away: Array, half: Array) -> tuple[Array, float]:
@@ -476,10 +520,17 @@ def centreline(found: Searched, stations: Stations, half: Array, sd: float) -> M
 
 
 def outline_track(
-    rec: Recording, view: View, corners: Array, frames: IntArray, *, progress: Progress = Silent()
+    rec: Recording,
+    view: View,
+    corners: Array,
+    frames: IntArray,
+    *,
+    apart: bool = False,
+    progress: Progress = Silent(),
 ) -> OutlineTrack:
     """The body's centreline in the `frames` (T,) of the film of `rec`, in which the base tags' corners (T, b, 4, 2)
-    [px] are known; `view` is that of the base tag's plane and frame.
+    [px] are known; `view` is that of the base tag's plane and frame. Frames that are far `apart` are searched each by
+    itself, from the clamp on.
 
     Raises:
         RecordingError: the film cannot be read.
@@ -504,9 +555,52 @@ def outline_track(
             if index in wanted:
                 yield Sight(planes_of(rec, index, raw), view, shift[wanted[index]])
 
-    found, half = follow(sights(), stations, hidden, rec.name)
+    width = math.nan if rec.outline is None else rec.outline.width
+    seek = each_alone if apart else follow
+    found, half = seek(sights(), stations, hidden, rec.name, width)
     middle = centreline(found, stations, half, MEASURED / scale)
-    return points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
+    refuse_lost(middle, found, ~hidden, rec.name)
+    out = points_of(middle, found, stations, [Sight(_NO_PLANES, view, one) for one in shift], scale)
+    return replace(out, remarks=lost_remarks(found))
+
+
+def refuse_lost(middle: Middle, found: Searched, shown: BoolArray, name: str) -> None:
+    """Raises `ObservationError` where what was followed is no body of one width from clamp to tip; `shown` (M,)
+    stations do not lie under tags."""
+    seen = np.isfinite(middle.away[:, shown])
+    share = seen.mean()
+    hint = (
+        "Look at the curve that `onebend check` draws. Light the body so that it stands out from its background, clear "
+        "away what lies beside it, state its width near the clamp (width_m in [outline]), or put tags on it."
+    )
+    if share < LEAST_SEEN:
+        raise ObservationError(
+            f"{name}: the body's outline is lost: both edges of one body are seen at {100 * share:.0f} % of its places "
+            f"only. {hint}",
+            about="outline",
+        )
+    width = (found.away[:, 0] - found.away[:, 1])[:, shown]
+    off = NORMAL * float(np.nanmedian(np.abs(width - middle.width[shown]))) / float(np.median(middle.width[shown]))
+    if off > MOST_OFF:
+        raise ObservationError(
+            f"{name}: the curve that was followed leaves the body: its width changes by {100 * off:.0f} % from picture "
+            f"to picture. {hint}",
+            about="outline",
+        )
+    tip = seen[:, -max(1, len(shown) // 20) :].mean()
+    if tip < LEAST_SHARE:
+        raise ObservationError(
+            f"{name}: the body's edges end before its tip (seen there in {100 * tip:.0f} % of the frames). Is length_m "
+            f"too long, or the tip out of the picture? {hint}",
+            about="outline",
+        )
+
+
+def lost_remarks(found: Searched) -> tuple[Remark, ...]:
+    """A note where some frames do not show the body."""
+    lost = int(np.sum(~np.isfinite(found.away).any(axis=(1, 2))))
+    text = f"The body's outline was lost in {lost} of {len(found.away)} frames; they are left out of it."
+    return (Remark("note", text),) if lost else ()
 
 
 _NO_PLANES = Planes(np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2, 2), dtype=np.uint8))
