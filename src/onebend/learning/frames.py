@@ -193,8 +193,10 @@ def whitening_across(measured: Array, covariance: Array, across: Array) -> Array
     """(F, m, 3, 3) whitening of points (F, m, 3) of which only the place along `across` (F, m, 2) is measured."""
     variance = np.einsum("fmi,fmij,fmj->fm", across, covariance[..., :2, :2], across)
     known = np.isfinite(measured[..., :2]).all(axis=-1) & (variance > 0.0)
+    row = np.where(known[..., None], across / np.sqrt(np.where(known, variance, 1.0))[..., None], 0.0)
+    mostly_y = np.abs(across[..., 1]) > np.abs(across[..., 0])  # the row of the coordinate that it tells most of
     out = np.zeros((*measured.shape, 3))
-    out[..., 0, :2] = np.where(known[..., None], across / np.sqrt(np.where(known, variance, 1.0))[..., None], 0.0)
+    out[..., 0, :2], out[..., 1, :2] = row * ~mostly_y[..., None], row * mostly_y[..., None]
     return out
 
 

@@ -148,6 +148,8 @@ class Stations:
         squares (Tukey) with one `sd` [m] each. A `stiffness` above one keeps the curve straight where nothing is seen.
         """
         known = np.isfinite(away)
+        if not known.any():
+            return state
         rows, right = self.across(self.curve(state))[known], away[known]
         prior = self.prior / np.append(1.0, stiffness * np.sqrt(1.0 + np.arange(STATES)) ** (stiffness > 1.0))
         weight, step = np.ones(len(right)), np.zeros(len(state))
@@ -295,6 +297,8 @@ GROWS = 0.04  # of the length: how far ahead in one go
 FIRST = 0.10  # of the length: there the body's colour and width are taken
 WIDEST = 0.15  # of the length: half of the widest body
 PAPER = 0.75  # of a tag's side: from its middle to where its paper ends, along the beam
+STEP_SHARE = 1.0 / 16.0  # of the step at the flanks: sd of the body's colour, at least
+_BESIDE = 4.0  # px to either side of a flank, where its step is measured
 MEASURED = 0.1  # px: sd of a flank's place, for the curve that carries the search
 STIFF = 10.0  # times stiffer than a bent beam: the curve whose far end nothing holds yet
 
@@ -336,8 +340,18 @@ def first_width(sight: Sight, curve: Curve, part: BoolArray, length: float) -> A
     return away
 
 
-def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> Look:
-    """How much the body's colour varies across it along `part` (M,) of the curve."""
+def edge_size(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> float:
+    """How large the smaller of the steps at both flanks is along `part` (M,) of the curve, of 255."""
+    normal, scale = (one[part] for one in sight.outward(curve))
+    away = (half[part] * scale)[:, None] + np.array([-_BESIDE, _BESIDE])  # px
+    middle = sight.pixels(curve.xy[part])[:, None]
+    sides = [nan_mean(sight.planes.at(middle + side * away[..., None] * normal[:, None])) for side in SIDES]
+    return float(np.nanmin([np.linalg.norm(one[1] - one[0]) for one in sides]))
+
+
+def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: float) -> Look:
+    """How much the body's colour varies across it along `part` (M,) of the curve, at least a share of the `step` at its
+    flanks: less is shade on the body."""
     normal, scale = (one[part] for one in sight.outward(curve))
     width = float(np.median(half[part] * scale))  # px
     across = np.arange(-0.6 * width, 0.6 * width + STEP, STEP)
@@ -345,7 +359,8 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> Look
     pixel = NORMAL / math.sqrt(2.0) * np.nanmedian(np.abs(np.diff(colour, axis=0)), axis=(0, 1))
     smooth = np.lib.stride_tricks.sliding_window_view(colour, min(_SIDE, len(across)), axis=1).mean(axis=-1)
     spread = NORMAL * np.nanmedian(np.abs(smooth - np.nanmedian(smooth, axis=1, keepdims=True)), axis=(0, 1))
-    return Look(np.maximum(spread, 1.0), np.maximum(pixel, 1.0))  # of 255: no encoder keeps less
+    least = max(1.0, STEP_SHARE * step)  # of 255: no encoder keeps less
+    return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
 
 
 def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> Body:
@@ -362,11 +377,12 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width:
     if math.isnan(width):
         sides = first_width(sight, stations.curve(state), part, stations.length)
     half, state[0] = np.full(stations.count, sides.mean()), 0.5 * (sides[0] - sides[1])
+    step = edge_size(sight, stations.curve(state), half, part) if np.isfinite(half).all() else 0.0
     front = begin + FIRST
     while True:
         curve, part = stations.curve(state), (s <= front) & ~hidden
         if np.isfinite(half).all():
-            look = appearance(sight, curve, half, part)
+            look = appearance(sight, curve, half, part, step)
             away = np.where(part, find_flanks(sight, curve, half, look), np.nan)
             width = running_median(away[0] - away[1], 9)
             known = np.isfinite(width)
@@ -390,7 +406,7 @@ STATION = 4.0  # px: distance of the normals
 POINTS = 30  # of the curve that are kept, evenly along the body
 FAR = 0.4  # of `REACH`: a curve that is farther from its prediction is searched again
 WIDE = 2.0  # px: so far off may the width at one station be
-LOST = 0.6  # of the share of stations that usually show the body: with fewer it is elsewhere
+LOST = 0.75  # of the share of stations that usually show the body: with fewer it is elsewhere
 USUAL = 60  # pictures, of which the usual share is taken
 
 
