@@ -112,10 +112,12 @@ def test_a_body_that_is_bent_in_its_first_picture_is_found_from_the_clamp_on() -
 
 
 def test_the_sd_is_that_of_the_error() -> None:
-    pictures = [painted(0.2, seed=100 + i) for i in range(10)]
-    track = traced(pictures)
-    off = errors(track, np.full(10, 0.2))
-    assert 0.8 < float(np.nanmedian(track.sd)) / float(np.sqrt(np.nanmean(off**2))) < 1.25
+    claimed, true = [], []
+    for bend in (0.1, 0.25, 0.4):
+        track = traced([painted(bend, seed=50 + i) for i in range(4)])
+        claimed.append(float(np.nanmedian(track.sd)))
+        true.append(float(np.sqrt(np.nanmean(errors(track, np.full(4, bend)) ** 2))))
+    assert 0.8 < np.mean(claimed) / np.mean(true) < 1.25
 
 
 def test_the_width_is_that_of_the_body() -> None:

@@ -43,7 +43,7 @@ class Planes:
         x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
         across, down = width // self.chroma.shape[2], height // self.chroma.shape[1]
         shift = 0.0 if self.left else 0.5 * (across - 1)
-        out = np.empty((*x.shape, 3), dtype=np.float32)
+        out: NDArray[np.float32] = np.empty((*x.shape, 3), dtype=np.float32)
         out[..., :1] = _between(self.luma[None], x, y)
         out[..., 1:] = _between(self.chroma, (x - shift) / across, (y - 0.5 * (down - 1)) / down)
         out[~inside] = np.nan
@@ -55,9 +55,9 @@ def _between(planes: NDArray[np.uint8], x: Array, y: Array) -> NDArray[np.float3
     n, h, w = planes.shape
     x, y = np.clip(x, 0.0, w - 1.001), np.clip(y, 0.0, h - 1.001)
     i, j = y.astype(np.int64), x.astype(np.int64)
-    fy, fx = y - i, x - j
-    fx, fy = (one.astype(np.float32) for one in (fx, fy))
-    at, out = i * w + j, np.empty((*x.shape, n), dtype=np.float32)
+    fy, fx = (y - i).astype(np.float32), (x - j).astype(np.float32)
+    at = i * w + j
+    out: NDArray[np.float32] = np.empty((*x.shape, n), dtype=np.float32)
     for k in range(n):
         flat = planes[k].reshape(-1)
         top, low = flat[at].astype(np.float32), flat[at + w].astype(np.float32)
@@ -345,7 +345,10 @@ def edge_size(sight: Sight, curve: Curve, half: Array, part: BoolArray) -> float
     normal, scale = (one[part] for one in sight.outward(curve))
     away = (half[part] * scale)[:, None] + np.array([-_BESIDE, _BESIDE])  # px
     middle = sight.pixels(curve.xy[part])[:, None]
-    sides = [nan_mean(sight.planes.at(middle + side * away[..., None] * normal[:, None])) for side in SIDES]
+    sides = [
+        nan_mean(np.asarray(sight.planes.at(middle + side * away[..., None] * normal[:, None]), float))
+        for side in SIDES
+    ]
     return float(np.nanmin([np.linalg.norm(one[1] - one[0]) for one in sides]))
 
 
@@ -373,7 +376,7 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width:
     s, state = stations.s, np.zeros(1 + STATES)
     begin = float(s[np.argmin(hidden)])
     part = (s >= begin) & (s <= begin + FIRST) & ~hidden
-    sides = np.full(2, 0.5 * width)
+    sides: Array = np.full(2, 0.5 * width)
     if math.isnan(width):
         sides = first_width(sight, stations.curve(state), part, stations.length)
     half, state[0] = np.full(stations.count, sides.mean()), 0.5 * (sides[0] - sides[1])
@@ -384,15 +387,15 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width:
         if np.isfinite(half).all():
             look = appearance(sight, curve, half, part, step)
             away = np.where(part, find_flanks(sight, curve, half, look), np.nan)
-            width = running_median(away[0] - away[1], 9)
-            known = np.isfinite(width)
+            wide = running_median(away[0] - away[1], 9)
+            known = np.isfinite(wide)
         if not np.isfinite(half).all() or known.sum() < 5:
             raise ObservationError(
                 f"{name}: no body is seen beside the clamp: no two edges run along the base tag's direction. Check "
                 "length_m, size_m and the base tag's turn_deg, and that the body stands out from its background.",
                 about="outline",
             )
-        half = 0.5 * np.interp(s, s[known], width[known])
+        half = 0.5 * np.interp(s, s[known], wide[known])
         sd = MEASURED / float(np.median(sight.outward(curve)[1]))
         state = stations.fitted(state, nan_mean(away - SIDES[:, None] * half), sd, STIFF if front < 1.0 else 1.0)
         if front >= 1.0:
