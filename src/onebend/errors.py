@@ -99,6 +99,7 @@ SECTIONS: dict[str, str] = {
     "unseen tag": "a-tag-is-never-seen",
     "small tags": "tags-are-too-small-in-the-picture",
     "no plane": "the-tags-lie-in-no-flat-plane",
+    "outline": "the-bodys-outline-is-lost",
     "film hung": "the-film-hung",
     "frame rate": "the-frame-rate-is-not-as-written",
     "base moves": "the-base-moves",

@@ -39,7 +39,7 @@ from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
 from onebend.learning.sites import Sites, first_site, is_shaped
 from onebend.progress import each
-from onebend.records import Array, IntArray
+from onebend.records import Array, IntArray, tags_among
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,8 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
     under_tags, o = layout.index.get(("patches", -1)), problem.recordings[0].observations
     if under_tags is not None and under_tags.start >= 0:
         index.append(np.arange(under_tags.where.start, under_tags.where.stop))
-        onto.append(fine.nearest(lambda s: patch_functions(o.marker_s, o.length, o.stated.tag_size, s)))
+        tag_s = o.marker_s[tags_among(o)]
+        onto.append(fine.nearest(lambda s: patch_functions(tag_s, o.length, o.stated.tag_size, s)))
     return np.concatenate(index), np.concatenate(onto, axis=1)
 
 

@@ -26,6 +26,7 @@ from onebend.records import (
     Observations,
     StatedSection,
     StiffnessAlong,
+    tags_among,
 )
 
 # Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even"
@@ -451,7 +452,7 @@ def make_layout(
     """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
     shared = {a.name: a for own in allowances for a in own if a.shared}
     first = recordings[0]
-    tags = [f"tag {i}" for i in first.tag_id]
+    tags = [f"tag {i}" for i in first.tag_id[tags_among(first)]]
     placement = _or(priors.placement, first.stated.placement_sd)
     mounting = _or(priors.mounting, first.stated.turn_sd)
     curvature = max(curvature_sd(r, priors) for r in recordings)
