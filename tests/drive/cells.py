@@ -1,4 +1,4 @@
-"""A virtual bench to drive on: its recording.toml, the push that its beam is learned from, and drives on a played clock."""
+"""A virtual bench to drive on: its recording.toml, the push to learn its beam from, and drives on a played clock."""
 
 from __future__ import annotations
 
@@ -157,8 +157,9 @@ def planned(
 ) -> Plan:  # fmt: skip
     """A plan for these goals, one after the other."""
     wanted = [(math.nan, np.array(goal)) for goal in goals]
-    where = {"push_s": at_s, "point_s": point_s}
-    return make_plan(model or model_of("linear"), rec, wanted, place or stated_placement(rec), settings, **where)
+    return make_plan(
+        model or model_of("linear"), rec, wanted, place or stated_placement(rec), settings, push_s=at_s, point_s=point_s
+    )
 
 
 def driven(folder: Path, plan: Plan, setup: VirtualSetup, **more: Any) -> tuple[DriveOutcome, VirtualCell]:

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from onebend.drive.robots import ArmState, ToolForce, ToolPose
+from onebend.drive.plan import Hand
+from onebend.drive.robots import ArmState, Skill, ToolForce, ToolPose
 from onebend.drive.run import DriveOutcome
 from onebend.drive.virtual import CellCamera, CellRobot, VirtualCell
 from onebend.live.sources import Clock, End, Frame, PlayedClock
 from onebend.recording.folder import read_recording
-from tests.drive.cells import LENGTH, QUICK, described, drive_cell, model_of, planned, setup_for
+from onebend.recording.video import Picture
+from tests.drive.cells import QUICK, described, drive_cell, model_of, planned, setup_for
 
 OFF = (0.002, -0.001, 0.001)  # rad, of the robot's axes
 LIMIT_OVER_PLAN = 2.0  # the force that is allowed, over the planned one
@@ -27,8 +29,8 @@ class Injected:
     kind: str
     after: float
     seed: int = 0
-    hand: str = "hold"
-    by: str = "pose"
+    hand: Hand = "hold"
+    by: Skill = "pose"
 
 
 SAYS = {  # words of the message
@@ -132,7 +134,8 @@ class FaultyCamera(CellCamera):
 
     def __init__(self, cell: VirtualCell, robot: FaultyRobot) -> None:
         super().__init__(cell)
-        self.robot, self.last, self.exposed_after = robot, None, math.inf
+        self.robot, self.exposed_after = robot, math.inf
+        self.last: Picture | None = None
         self.arrivals = [0.0]  # s, of pictures that were new
 
     def read(self, wait: float) -> Frame | End | None:
@@ -198,8 +201,3 @@ def suffer(folder: Path, fault: Injected) -> Suffered:
     elif fault.kind == "slow":
         known = robot.fails_at + 0.15
     return Suffered(fault, outcome, cell, limit, robot.told_to_hold - known, folder)
-
-
-def length() -> float:
-    """m, of the beam."""
-    return LENGTH

@@ -254,8 +254,8 @@ class Drive:
             away = float(np.linalg.norm(place.to_base(touches) - here))
             if away > max(NEAR_START, DOUBT * place.sd(touches)):
                 raise OnebendError(
-                    f"the tool is {1e3 * away:.3g} mm from the beam's place s = {self.plan.push_s:.3g}. Bring it there, "
-                    "so that it touches and does not push, and begin again"
+                    f"the tool is {1e3 * away:.3g} mm from the beam at s = {self.plan.push_s:.3g}. Bring it there, so "
+                    "that it touches and does not push, and begin again"
                 )
         return place.moved_to(here, touches)
 
@@ -433,8 +433,8 @@ class Drive:
         if self._doubted >= IN_A_ROW:
             x, y = self._felt
             return (
-                f"under the force that is felt, ({x:.3g}, {y:.3g}) N, the model has the beam {1e3 * self._apart:.3g} mm "
-                f"from the tool: more than {DOUBT:.0f} sd"
+                f"under the force that is felt, ({x:.3g}, {y:.3g}) N, the model has the beam "
+                f"{1e3 * self._apart:.3g} mm from the tool: more than {DOUBT:.0f} sd"
             )
         return self._outside()
 
@@ -483,7 +483,8 @@ class Drive:
         here = self._place.to_beam(self._arm.pose.position)[:2]
         away = float(np.min(np.linalg.norm(self.plan.hand[:, :2] - here, axis=1)))
         if away > self._limits.room:
-            return f"the tool is {1e3 * away:.3g} mm from its planned way, and {1e3 * self._limits.room:.3g} mm are allowed"
+            most = 1e3 * self._limits.room
+            return f"the tool is {1e3 * away:.3g} mm from its planned way, and {most:.3g} mm are allowed"
         if (margin := self._model.margin) < self._limits.margin:
             return f"the beam is near buckling: its margin is {margin:.2g}, and {self._limits.margin:.2g} is the least"
         if (bend := self._model.curvature) > self._limits.curvature * (1.0 + self._settings.k_error):

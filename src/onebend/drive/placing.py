@@ -170,10 +170,10 @@ def from_recording(rec: Recording, *, tool_tag: int | None = None) -> Placement:
     inside = (when >= time[0]) & (when <= time[-1])
     when, seen = when[inside], seen[inside]
     what = "the push" if tool_tag is None else f"tag {tool_tag} on the tool"
-    if len(when) < FEWEST or float(np.ptp(seen, axis=0).max()) < LEAST_WAY * made.length:
+    if len(when) < FEWEST or float(np.ptp(seen, axis=0).max(initial=0.0)) < LEAST_WAY * made.length:
+        way = 1e3 * float(np.ptp(seen, axis=0).max(initial=0.0))
         raise RecordingError(
-            f"{rec.folder}: {what} is seen in {len(when)} frames over {1e3 * float(np.ptp(seen, axis=0).max(initial=0.0)):.3g} "
-            f"mm, too few to place the robot. Record a push over half the beam's length."
+            f"{rec.folder}: {what} is seen in {len(when)} frames over {way:.3g} mm, too few to place the robot. Record a push over half the beam's length."
         )
     vectors = np.stack([np.interp(when, time, column) for column in poses.T], axis=1)
     tool = [pose_of(row) for row in vectors]

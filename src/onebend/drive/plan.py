@@ -399,12 +399,13 @@ def plan_rows(plan: Plan) -> list[tuple[str, str]]:
         ("takes", f"{seconds:.3g} s to move, and {2.0 * plan.settings.rest + seconds:.3g} s to rest and come back"),
         (
             "robot",
-            f"its place: {plan.placement.source}; the tool goes where it is sent to ± {2e3 * plan.tool_sd:.2g} mm (2 sd)",
+            f"placed by {plan.placement.source}; goes where it is sent to ± {2e3 * plan.tool_sd:.2g} mm (2 sd)",
         ),
         (
             "limits",
             f"{limits.force:.3g} N, {1e3 * limits.speed:.3g} mm/s, {1e3 * limits.room:.3g} mm from its way, "
-            f"margin {plan.margin:.2g} (least {limits.margin:.2g}), bend {plan.curvature:.3g} of {limits.curvature:.3g} 1/m",
+            f"margin {plan.margin:.2g} (least {limits.margin:.2g}), bend {plan.curvature:.3g} of "
+            f"{limits.curvature:.3g} 1/m",
         ),
         *[("note", one) for one in plan.remarks],
     ]
