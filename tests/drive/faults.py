@@ -39,7 +39,7 @@ SAYS = {  # words of the message
     "late": "no new picture came",
     "unplugged": "its cable was pulled",
     "hidden": "the point is not seen any more: tag . is hidden",
-    "swapped": "the point is not seen any more: tag . (jumped|is .* from where)",
+    "swapped": "the point is not seen any more: tag .*(jumped|from where|hidden)",
     "stuck": "the force sensor is stuck",
     "flipped": "under the force that is felt|N are on the beam",
     "silent": "answers no more",

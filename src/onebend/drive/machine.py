@@ -163,7 +163,7 @@ class Drive:
         return math.inf if self.over else self._next
 
     def read(self, wait: float) -> Samples | End | None:
-        """One turn of the loop."""
+        """One turn of the loop, and its rows; a turn without an answer has none."""
         assert self._clock is not None
         if self.over:
             return End("the drive is over")
@@ -261,16 +261,17 @@ class Drive:
 
     # One turn.
 
-    def _safely(self, now: float) -> Samples | None:
+    def _safely(self, now: float) -> Samples:
         """A turn; what goes wrong in it is a fault, and no end of the loop."""
+        nothing = Samples(np.zeros(0), np.zeros((0, len(self.columns))), now)
         try:
-            return self._turn(now)
+            return self._turn(now) or nothing
         except Exception as wrong:
             if self.stage in ("holding", "releasing", "resting"):
                 self._end(now, f"the drive failed again ({wrong!r}), and lets go")
             else:
                 self._halt(now, f"the drive failed ({wrong!r})", fault=True)
-            return None
+            return nothing
 
     def _turn(self, now: float) -> Samples | None:
         late, self._turned = now - self._turned, now

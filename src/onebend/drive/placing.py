@@ -173,7 +173,8 @@ def from_recording(rec: Recording, *, tool_tag: int | None = None) -> Placement:
     if len(when) < FEWEST or float(np.ptp(seen, axis=0).max(initial=0.0)) < LEAST_WAY * made.length:
         way = 1e3 * float(np.ptp(seen, axis=0).max(initial=0.0))
         raise RecordingError(
-            f"{rec.folder}: {what} is seen in {len(when)} frames over {way:.3g} mm, too few to place the robot. Record a push over half the beam's length."
+            f"{rec.folder}: {what} is seen in {len(when)} frames over {way:.3g} mm, too few to place "
+            "the robot. Record a push over half the beam's length."
         )
     vectors = np.stack([np.interp(when, time, column) for column in poses.T], axis=1)
     tool = [pose_of(row) for row in vectors]

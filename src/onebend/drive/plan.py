@@ -83,7 +83,7 @@ class DriveSettings:
     """How a drive is made."""
 
     hand: Hand = option(
-        "--hand", "hold", "hold: the tool holds the beam and turns with it. push: it pushes without turning."
+        "--hand", "push", "push: the tool pushes without turning. hold: it holds the end and turns with it."
     )
     by: Skill = option("--by", "pose", "What the robot is asked for: a pose (the force follows from k) or a force.")
     within: float = option(

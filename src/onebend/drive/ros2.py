@@ -1,7 +1,8 @@
 """Robots and cameras that speak ROS 2, without ROS: its messages over DDS, as Cyclone DDS's Python package sends them.
 
 A topic `/a/b` is the DDS topic `rt/a/b`, a type `geometry_msgs/msg/Point` the DDS type
-`geometry_msgs::msg::dds_::Point_`, and messages are plain CDR (design.ros2.org, "Topic and Service name mapping to DDS" and "ROS 2 interface definition").
+`geometry_msgs::msg::dds_::Point_`, and messages are plain CDR (design.ros2.org, "Topic and
+Service name mapping to DDS" and "ROS 2 interface definition").
 """
 
 from __future__ import annotations

@@ -129,7 +129,8 @@ class Eye:
             worst = int(np.argmax(np.abs(self._offset).max(axis=1)))
             away = 1e3 * float(np.linalg.norm(self._offset[worst]))
             raise ObservationError(
-                f"at rest tag {rec.tags.on_beam[worst].id} is {away:.3g} mm from where the unloaded beam has it. Take the force off the beam, and check the tags' s and length_m."
+                f"at rest tag {rec.tags.on_beam[worst].id} is {away:.3g} mm from where the unloaded beam has it. "
+                "Take the force off the beam, and check the tags' s and length_m."
             )
         self.reader = FrameReader(
             offset=0.0,

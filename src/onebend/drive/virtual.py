@@ -22,7 +22,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.placing import axes_of
-from onebend.drive.robots import ArmState, Skill, ToolForce, ToolPose
+from onebend.drive.robots import DEAD_MAN, ArmState, Skill, ToolForce, ToolPose
 from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench import PushProfile
 from onebend.lab.filming import (
@@ -186,6 +186,8 @@ class VirtualCell:
 
     def _follow(self) -> None:
         """The wrench with which the beam is where the hand is, by Newton's method with an inverse that is kept."""
+        if "slipped" in self.faults:
+            return
         count = len(self.wrench)
         gives = np.array([self.setup.give, self.setup.give, self.setup.turn_give])[:count]
         wrench, angle, poses = self.wrench.copy(), self._angle, self.poses
@@ -545,7 +547,7 @@ def _serve(setup: VirtualSetup, orders: Connection, states: Connection, frames: 
     leave_interrupts_to_parent()
     cell = VirtualCell(setup, host.monotonic())
     ready: deque[tuple[float, float, Picture]] = deque()
-    number, asked = 0, True
+    number, asked, heard = 0, True, math.inf
     try:
         while asked:
             now = host.monotonic()
@@ -561,7 +563,9 @@ def _serve(setup: VirtualSetup, orders: Connection, states: Connection, frames: 
                 frames.send((picture, exposed, number))
                 number += 1
             while orders.poll():
-                asked = _obey(cell, orders, orders.recv()) and asked
+                heard, asked = now, _obey(cell, orders, orders.recv()) and asked
+            if now - heard > DEAD_MAN:
+                cell.command(None)
             due_next = [ready[0][0]] if ready else []
             host.sleep(max(min([cell.time + TICK, *due_next]) - host.monotonic(), 2e-4))
     except (EOFError, OSError, BrokenPipeError):
