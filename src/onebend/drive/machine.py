@@ -46,6 +46,7 @@ SETTLING = 0.5  # s for which the point must stay on its goal
 NEAR_START = 0.005  # m by which the tool may be off the beam's place where it is to touch
 THIN = (5e-4, math.radians(0.5))  # m and rad between places of the way that is walked back
 PATIENCE = 1.0  # s for which a silent robot is waited for, in hold
+MOST_HOLDS = 3  # of one drive; then the robot is left where it stands
 AFTER_FAULT = 1.0  # s of rest behind a release
 
 
@@ -147,7 +148,7 @@ class Drive:
         self._refused, self._camera_why, self._refused_by = "", "", ""
         self._doubted, self._told_state = 0, -math.inf
         self._settled = self._stop = False
-        self._trouble = False
+        self._trouble, self._holds = False, 0
 
     # To the recorder: a force sensor that is read turn by turn.
 
@@ -312,7 +313,7 @@ class Drive:
         elif self.stage == "resting":
             rest = AFTER_FAULT if self._trouble else self._settings.rest
             if now - self._entered >= rest:
-                self._end(now, "")
+                self._end(now, "the tool is back where it began, and the robot is free")
 
     def _ask(self, now: float) -> None:
         """The robot's state; what stands still is no answer."""
@@ -631,7 +632,10 @@ class Drive:
             self._trouble |= fault
             self._end(now, why)
             return
-        self._trouble |= fault
+        self._trouble, self._holds = self._trouble | fault, self._holds + 1
+        if self._holds > MOST_HOLDS:
+            self._end(now, f"{why}: for the {self._holds}th time, and it is left where it stands")
+            return
         try:
             self._robot.hold()
         except Exception as wrong:  # each package has errors of its own
