@@ -206,7 +206,7 @@ def keep(name: str, key: str, found: dict[str, Any]) -> None:
 
 
 def goal_rows(found: dict[str, Any]) -> Iterable[str]:
-    yield "| goal | true k | reached after [s] | true point off at rest [mm] | said (95 %) [mm] | noise of a picture [mm] |"
+    yield "| goal | true k | reached after [s] | point off at rest [mm] | said (95 %) [mm] | noise of a picture [mm] |"
     yield f"|{' --- |' * 6}"
     for goal in goals():
         one = found[goal.key]
@@ -227,8 +227,8 @@ def goal_summary(found: dict[str, Any]) -> Iterable[str]:
         near = sum(one["off"] <= max(ASKED, 3.0 * one["noise"]) for one in led)
         inside = sum(one["off"] <= one["said"] for one in led)
         yield (
-            f"- {label}: {len(led)} of {len(runs)} came to rest; {near} within 0.5 mm; {inside} inside the band that was "
-            f"said. Median {1e3 * np.median(off):.2f} mm, largest {1e3 * off.max():.2f} mm."
+            f"- {label}: {len(led)} of {len(runs)} came to rest; {near} within 0.5 mm; {inside} inside the band that "
+            f"was said. Median {1e3 * np.median(off):.2f} mm, largest {1e3 * off.max():.2f} mm."
         )
     led = [one for one in found.values() if "turns" in one]
     latency, turns = (1e3 * np.concatenate([one[key] for one in led]) for key in ("latency", "turns"))

@@ -142,7 +142,8 @@ class Drive:
         self._coarse: Picture | None = None
         self._clock: Clock | None = None
         self._next = self._turned = -math.inf
-        self._answered = self._pictured = self._sighted = self._entered = self._goal_begun = math.inf
+        self._answered = self._sighted = self._entered = self._goal_begun = math.inf
+        self._pictured = -math.inf  # arrival of the newest picture that is not the one before
         self._changed, self._same_at_rest = math.inf, 0.0
         self._film_begun, self._film = math.nan, (math.nan, math.nan)  # arrival and film time of the newest picture
         self._refused, self._camera_why, self._refused_by = "", "", ""
@@ -206,14 +207,21 @@ class Drive:
         """No picture will come any more."""
         self._camera_why = why
 
-    # Pictures, from the recorder's own thread.
+    # Pictures, from the threads of the camera and of the recorder.
+
+    def came(self, frame: Frame) -> None:
+        """The camera gave a picture."""
+        coarse = frame.picture[::8, ::8]
+        if self._coarse is None or not np.array_equal(coarse, self._coarse):
+            self._coarse, self._pictured = (
+                coarse.copy(),
+                frame.arrival,
+            )  # a camera that hangs shows the same noise again
 
     def see(self, frame: Frame, time: float, corners: Array) -> None:
         """A picture of the film at `time` [s], and its corners (b + m, 4, 2) px."""
-        coarse = frame.picture[::8, ::8]
-        if self._coarse is not None and np.array_equal(coarse, self._coarse):
-            return  # a camera that hangs shows the same noise again
-        self._coarse = coarse.copy()
+        if frame.arrival > self._pictured:
+            return
         self._film = (frame.arrival, time)
         if math.isnan(self._film_begun):
             self._film_begun = frame.arrival
@@ -302,7 +310,7 @@ class Drive:
         return rows
 
     def _act(self, now: float, seen: SeenBeam | None) -> None:
-        if self.stage == "waiting" and self._settled:
+        if self.stage == "waiting" and seen is not None:  # the rest was read, and pictures do not wait
             self._begin(now)
         elif self.stage in LED:
             self._lead(now, seen)
@@ -363,8 +371,8 @@ class Drive:
             newest = self._seen.popleft()
         if newest is None:
             return None
-        self._pictured = now
-        self._refused = self._unlikely(newest)
+        waited = now - newest.arrival
+        self._refused = f"pictures wait {1e3 * waited:.0f} ms" if waited > SILENCE else self._unlikely(newest)
         if self._refused:
             return None
         self._sighted, self._before = now, newest
@@ -499,7 +507,7 @@ class Drive:
         assert self._arm is not None
         self._start = self._told = self._arm.pose
         self._way = [self._start]
-        self._answered = self._pictured = self._sighted = self._changed = now
+        self._answered = self._sighted = self._changed = now
         self._say(f"moves: to {1e3 * self._control.goal[0]:.4g}, {1e3 * self._control.goal[1]:.4g} mm")
         self._to_goal(now, 0)
 

@@ -77,6 +77,8 @@ class _Watched:
         assert self._clock is not None
         if not self._ended:
             got = self._camera.read(wait)
+            if isinstance(got, Frame):
+                self._drive.came(got)
             if not isinstance(got, End) or self._drive.stage == "waiting":
                 return got
             self._ended = True

@@ -110,7 +110,7 @@ class VirtualCell:
         self._inverse: Array = np.zeros((0, 0))
         self._by_wrench: Array = np.zeros((0, 0))
         self.poses = self._bent(self.wrench, self._angle)[1]
-        self.hand = self.poses[self._node].copy()  # m, m, rad
+        self.hand = self._touched = self.poses[self._node].copy()  # m, m, rad; as the beam followed it last
         self._wanted: ToolPose | ToolForce | None = None
         self._rng, self._wander = np.random.default_rng([setup.seed, 21]), np.zeros(3)
         self._next = begin
@@ -185,33 +185,44 @@ class VirtualCell:
         self.largest = max(self.largest, float(np.hypot(*self.wrench[:2])))
 
     def _follow(self) -> None:
-        """The wrench with which the beam is where the hand is, by Newton's method with an inverse that is kept."""
+        """The beam goes where the hand is: at once, else in small steps, else it slips off."""
         if "slipped" in self.faults:
             return
+        begin = self._touched
+        for parts in (1, 8):
+            try:
+                for share in np.linspace(0.0, 1.0, parts + 1)[1:]:
+                    self._lead_to(begin + share * (self.hand - begin))
+                break
+            except MechanicsError:
+                self._inverse = np.zeros((0, 0))
+        else:
+            self.slip()
+            return
+        self._touched = self.hand
+        turned = np.diff(self._angle) - self._cells.rest
+        self._lagged = self._held() + self._share_now() * turned
+        self._turned = turned
+
+    def _lead_to(self, hand: Array) -> None:
+        """The wrench with which the beam is at `hand` (3,), by Newton's method with an inverse that is kept."""
         count = len(self.wrench)
         gives = np.array([self.setup.give, self.setup.give, self.setup.turn_give])[:count]
         wrench, angle, poses = self.wrench.copy(), self._angle, self.poses
         off = change = np.zeros(count)
-        try:
-            for attempt in range(_MOST_TRIES):
-                before, off = off, self.hand[:count] - poses[self._node, :count] - gives * wrench
-                if attempt > 0 and float(np.abs(off).max()) < _CLOSE:
-                    break
-                if not len(self._inverse) or attempt in _ANEW:
-                    self._linearise(wrench, angle, gives)
-                elif attempt > 0:  # Broyden's better matrix
-                    went = self._inverse @ (before - off)
-                    self._inverse += np.outer(change - went, change @ self._inverse) / float(change @ went)
-                change = self._inverse @ off
-                wrench = wrench + change
-                angle, poses = self._bent(wrench, angle + self._by_wrench @ change)
-        except MechanicsError:
-            self.slip()
-            return
+        for attempt in range(_MOST_TRIES):
+            before, off = off, hand[:count] - poses[self._node, :count] - gives * wrench
+            if attempt > 0 and float(np.abs(off).max()) < _CLOSE:
+                break
+            if not len(self._inverse) or attempt in _ANEW:
+                self._linearise(wrench, angle, gives)
+            elif attempt > 0:  # Broyden's better matrix
+                went = self._inverse @ (before - off)
+                self._inverse += np.outer(change - went, change @ self._inverse) / float(change @ went)
+            change = self._inverse @ off
+            wrench = wrench + change
+            angle, poses = self._bent(wrench, angle + self._by_wrench @ change)
         self.wrench, self._angle, self.poses = wrench, angle, poses
-        turned = np.diff(angle) - self._cells.rest
-        self._lagged = self._held() + self._share_now() * turned
-        self._turned = turned
 
     def slip(self) -> None:
         """No shape is near: the beam has jumped off the hand, and lies at rest."""
