@@ -36,6 +36,7 @@ NOISE = 1e-4  # m, of one pair at least: tags and encoders are no better togethe
 TOUCH_SD = 1e-3  # m, of a tool that was brought to the beam by eye
 INDEPENDENT = 10.0  # pairs of a push count for so many
 FEWEST = 20  # pairs, and
+MOST_OFF = 0.1  # of the way, that pairs may be off by
 LEAST_WAY = 0.2  # of the beam's length that they spread over
 
 
@@ -145,7 +146,8 @@ def fitted(seen: Array, tool: Sequence[ToolPose], prior: Placement, offset_sd: f
         rotation = np.asarray(Rotation.from_rotvec(step[:3]).as_matrix() @ rotation)
         sd = max(float(np.sqrt(np.mean(off**2))), NOISE)
     away = rotation @ prior.rotation.T
-    if np.linalg.norm(Rotation.from_matrix(away).as_rotvec()) > 5.0 * math.sqrt(np.trace(prior.covariance[:3, :3])):
+    turn = np.linalg.norm(Rotation.from_matrix(away).as_rotvec())
+    if turn > 5.0 * math.sqrt(np.trace(prior.covariance[:3, :3])) or sd > MOST_OFF * float(np.ptp(seen, axis=0).max()):
         raise RecordingError(
             f"{source}: the robot and the film disagree on where the tool went, whatever the axes. Check columns, "
             "rotation_deg and acts_on of [force], and that the robot's tool centre is where it touches the beam."

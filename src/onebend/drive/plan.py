@@ -34,6 +34,7 @@ MORE = 1.2  # times the largest force and bend of the recordings: what is allowe
 HARDEST, SLOWEST, FASTEST = 50.0, 1e-4, 0.25  # N, m/s, m/s: no option goes beyond; 0.25 m/s is ISO 10218's hand-guided
 MOST_GOALS = 200
 TUNED = 4  # goals whose gains are sought; the slowest serve all
+HELD = "a held end has a moment that the force log lacks: k(s) is learned from pushes (--hand push)"
 Hand = Literal["hold", "push"]
 
 
@@ -236,6 +237,7 @@ def make_plan(
     plan = Plan(
         stored, settings, limits, push_s, point_s, gravity, tuple(made), np.concatenate(forces), np.concatenate(hand),
         margin, curvature, _spread(stored, goals[-1][1], push_s, point_s, gravity, limits), placement,
+        (HELD,) if settings.hand == "hold" else (),
     )  # fmt: skip
     _within_limits(plan, rec)
     return plan
@@ -253,6 +255,8 @@ def _check(rec: Recording, settings: DriveSettings, push_s: float) -> None:
         raise ControlError("a hand that holds the beam holds its end: take --push-at 1, or --hand push")
     if settings.by == "force" and settings.hand == "hold":
         raise ControlError("a hand that holds the end is led by its pose: take --by pose, or --hand push")
+    if settings.hand == "hold" and settings.learn:
+        raise ControlError("a held end has a moment that the force log lacks: --learn takes --hand push")
     if settings.longest_delay < settings.delay:
         raise ControlError(
             "--delay-ms is longer than --longest-delay-ms: give a longer one of these, or a faster camera"
