@@ -9,6 +9,7 @@ import pytest
 
 from onebend.drive.plan import Hand
 from onebend.drive.robots import Skill
+from onebend.errors import ObservationError
 from onebend.recording.folder import read_recording
 from onebend.recording.observe import observe
 from onebend.recording.video import read_frames
@@ -32,8 +33,11 @@ def suffered_well(folder: Path, fault: Injected) -> None:
     assert rec.video is not None
     frames = sum(1 for _ in read_frames(rec.video))
     assert frames == len((folder / "frames.csv").read_text(encoding="utf-8").splitlines()) - 1
-    if fault.kind != "swapped":  # tags that are swapped to the end contradict each other, and learning says so
-        assert len(observe(rec).time) == frames
+    if fault.kind in ("swapped", "flipped"):  # what is wrong to the end contradicts itself, and learning says so
+        with pytest.raises(ObservationError, match=r"apart|turned by"):
+            observe(rec)
+    else:
+        assert len(observe(rec).time) >= frames - 5
 
 
 @pytest.mark.parametrize("kind", [pytest.param(one, marks=() if one in QUICKLY else pytest.mark.slow) for one in SAYS])

@@ -227,10 +227,8 @@ def _answer(outcome: DriveOutcome, as_json: bool) -> None:
             common.say(
                 f"({x:.4g}, {y:.4g}) mm: {'reached' if one.reached else 'not reached'}, seen {off:.2g} mm off ({said})"
             )
-        if outcome.recorded.film is not None:
-            common.say(
-                f"Recorded {folder}. " + (made.plan.remarks or (f"Learn from it with: onebend learn {folder}",))[0]
-            )
+        learning = made.plan.remarks or (f"learn from it with: onebend learn {folder}",)
+        common.say(f"Recorded {folder}; {learning[0]}")
     if not outcome.good:
         last = next((one.text for one in made.events if one.fault), made.events[-1].text if made.events else "it ended")
         with common.clean_errors():

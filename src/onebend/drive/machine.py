@@ -195,6 +195,11 @@ class Drive:
         return self.stage == "done"
 
     @property
+    def moved(self) -> bool:
+        """Whether the tool was ever told to move."""
+        return self._start is not None
+
+    @property
     def fault(self) -> bool:
         """Whether anything went wrong."""
         return self._trouble
@@ -295,7 +300,7 @@ class Drive:
             elif self.stage != "waiting":
                 self._halt(now, "stopped by hand", fault=False)
             else:
-                self._end(now, "stopped before anything moved")
+                self._end(now, "stopped by hand")
         elif trouble:
             self._halt(now, trouble, fault=True)
         try:
@@ -540,8 +545,8 @@ class Drive:
         while self._shapes[0][0] < now - 2.0 * self._settings.longest_delay:
             self._shapes.popleft()
         self._command(poses[-1])
-        told = self._told if self._settings.by == "pose" else None
-        self.meter.told(now, poses[-1, :2] if told is None else self._place.to_beam(told.position)[:2])
+        by_pose = self._settings.by == "pose" and self._told is not None  # a force moves the tool as the true k lets it
+        self.meter.told(now, self._place.to_beam(self._told.position)[:2] if by_pose else self.tool)
         self._go_on(now)
 
     def _timed(self) -> Controller:
@@ -549,7 +554,8 @@ class Drive:
         if not math.isfinite(self.meter.sd):
             return self._control
         settings = self._control.settings
-        timing = replace(settings.timing, delay=max(self.meter.delay - settings.timing.lag, 0.0))
+        lag = settings.timing.lag if self._settings.by == "pose" else 0.0
+        timing = replace(settings.timing, delay=max(self.meter.delay - lag, 0.0))
         return replace(self._control, settings=replace(settings, timing=timing))
 
     def _command(self, hand: Array) -> None:

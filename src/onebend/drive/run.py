@@ -112,7 +112,7 @@ def drive(
         setup: s for which the picture must be good before the film begins.
 
     Raises:
-        RecordingError: nothing could be recorded; nothing moved then.
+        RecordingError: it ended before anything moved.
     """
     state_push(folder, plan.push_s)
     rec = read_recording(folder, filmed=False)
@@ -145,10 +145,10 @@ def drive(
         if learner is not None:
             learner.close()
     data = drive_data(plan, made)
-    if recorded.film is not None:
-        write_file(folder / SUMMARY, to_json(data), overwrite=True)
-    elif not made.fault:
-        raise RecordingError(f"{recorded.why.rstrip('.')}. Nothing was recorded, and nothing moved.")
+    if not made.moved:
+        why = made.events[-1].text if made.events else recorded.why
+        raise RecordingError(f"{why.rstrip('.')}: nothing moved")
+    write_file(folder / SUMMARY, to_json(data), overwrite=True)
     return DriveOutcome(recorded, made, data)
 
 
