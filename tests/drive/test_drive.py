@@ -116,7 +116,7 @@ def test_a_drive_is_learned_from(tmp_path: Path) -> None:
     driven(tmp_path, plan, setup_for(rec, holds=False))
     run = learn(tmp_path)
     assert run.posterior is not None
-    band = run.posterior.stiffness.band([0.1, 0.3, 0.5])
+    band = run.posterior.stiffness.band(np.array([0.1, 0.3, 0.5]))
     true = np.asarray(model_of("linear").beam.stiffness(np.array([0.1, 0.3, 0.5])))
     assert np.all((band.low < true) & (true < band.high))
 

@@ -221,7 +221,7 @@ def test_the_virtual_hand_finds_the_force_of_the_beam(at_s: float, tmp_path: Pat
         cell.command(ToolPose(place.to_base(np.array([x, y])), cell.state().pose.rotation))
         cell.advance(0.1 * step)
     cell.advance(3.0)
-    gave = np.linalg.norm(cell.wrench) * cell.setup.give
+    gave = float(np.linalg.norm(cell.wrench)) * cell.setup.give
     assert cell.poses[cell._node, :2] == pytest.approx([x, y], abs=gave + 1e-6)
     assert cell.wrench == pytest.approx([0.02, 0.25], abs=0.01)
     cell.command(ToolForce(np.array([-0.03, 0.2]), place.rotation, 0.05))

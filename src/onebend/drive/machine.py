@@ -545,8 +545,8 @@ class Drive:
         while self._shapes[0][0] < now - 2.0 * self._settings.longest_delay:
             self._shapes.popleft()
         self._command(poses[-1])
-        by_pose = self._settings.by == "pose" and self._told is not None  # a force moves the tool as the true k lets it
-        self.meter.told(now, self._place.to_beam(self._told.position)[:2] if by_pose else self.tool)
+        told = self._told if self._settings.by == "pose" else None  # a force moves the tool as the true k lets it
+        self.meter.told(now, self.tool if told is None else self._place.to_beam(told.position)[:2])
         self._go_on(now)
 
     def _timed(self) -> Controller:
