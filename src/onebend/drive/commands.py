@@ -10,28 +10,18 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import typer
 from rich.console import Console, Group, RenderableType
-from rich.live import Live
 from rich.text import Text
 
 from onebend.cli import common
 from onebend.cli.models import read_trusted
-from onebend.drive import specs
+from onebend.drive import plan as plans, specs
 from onebend.drive.machine import DriveState
 from onebend.drive.placing import Placement, from_recording, stated_placement
-from onebend.drive.plan import (
-    DriveSettings,
-    Plan,
-    gravity_of,
-    known_limits,
-    levelled,
-    make_plan,
-    plan_data,
-    plan_rows,
-    read_wanted,
-)
+from onebend.drive.plan import DriveSettings, Plan
 from onebend.drive.run import DriveOutcome, drive as run
 from onebend.drive.virtual import VirtualRobot
 from onebend.errors import RecordingError
+from onebend.live.commands import StateView
 from onebend.live.recording_folder import copy_description
 from onebend.recording.entries import Recording
 from onebend.recording.folder import FILE_NAME, folder_of, read_recording
@@ -100,13 +90,15 @@ def drive(
         stored = read_trusted(model)
         rec = _described(folder, like)
         rec = replace(rec, push=None if rec.push is None else replace(rec.push, at=push_at))
-        limits, gravity = known_limits(stored, rec, settings.limits), gravity_of(rec)
-        wanted = read_wanted(
-            levelled(stored, rec, gravity), limits, goal=goal, goals=goals, targets=shape, push_s=push_at,
+        limits, gravity = plans.known_limits(stored, rec, settings.limits), plans.gravity_of(rec)
+        wanted = plans.read_wanted(
+            plans.levelled(stored, rec, gravity), limits, goal=goal, goals=goals, targets=shape, push_s=push_at,
             point_s=point, gravity=gravity,
         )  # fmt: skip
         placement = _placement(rec, like, place, tool_tag)
-        plan = make_plan(stored, rec, wanted, placement, settings, push_s=push_at, point_s=point, progress=progress)
+        plan = plans.make_plan(
+            stored, rec, wanted, placement, settings, push_s=push_at, point_s=point, progress=progress
+        )
         made = specs.robot_of(robot)(rec, settings) if robot is not None else None
         if made is not None and settings.by not in made.can:
             raise RecordingError(f"--by {settings.by}: {made.name} cannot be asked for it. Take --by pose.")
@@ -115,7 +107,7 @@ def drive(
     with common.clean_errors():
         if not go:
             if as_json:
-                common.print_json({"plan": plan_data(plan), "moved": False})
+                common.print_json({"plan": plans.plan_data(plan), "moved": False})
             else:
                 common.say("Nothing moved. To move, add --go.")
             return
@@ -129,7 +121,9 @@ def drive(
         sensor = None if force is None else specs.force_of(force)
         with (
             common.stopped_by_hand() as (stop, enter),
-            _View(None if quiet or as_json else common.stderr_screen()) as view,
+            StateView(
+                None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
+            ) as view,
         ):
             outcome = run(
                 folder, plan, eye, made, sensor, watch=view.show, stop=_Either(stop, enter), overwrite=overwrite
@@ -168,36 +162,9 @@ class _Either:
 
 def _show_plan(console: Console, plan: Plan) -> None:
     table = common.facts_table()
-    for what, says in plan_rows(plan):
+    for what, says in plans.plan_rows(plan):
         table.add_row(what, Text(says))
     console.print(table)
-
-
-class _View:
-    """What is shown while it drives: on a screen renewed, on a pipe a line for each thing that is said."""
-
-    def __init__(self, console: Console | None) -> None:
-        self._console, self._said = console, ""
-        self._live = (
-            Live(console=console, refresh_per_second=8, transient=True) if console and console.is_terminal else None
-        )
-
-    def __enter__(self) -> _View:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def show(self, state: DriveState) -> None:
-        """What is known now."""
-        if self._live is not None:
-            self._live.update(_screen(state))
-        elif self._console is not None and state.says != self._said:
-            self._said = state.says
-            self._console.print(state.says, markup=False)
 
 
 def _screen(state: DriveState) -> RenderableType:

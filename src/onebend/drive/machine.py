@@ -121,9 +121,8 @@ class Drive:
         self._wanted = [self.columns.index(name) for name in rec.force.columns[1:]]
         bench = plan.model.bench
         known = None if bench is None else bench.force
-        self._sensor_sd = (
-            math.nan if known is None else math.hypot(known.level, known.coloured, known.frame, known.load)
-        )
+        parts = (math.nan,) if known is None else (known.level, known.coloured, known.frame, known.load)
+        self._sensor_sd = math.hypot(*parts)
         self._goal, self._control = 0, plan.goals[0].control
         self._loop: ControllerState | None = None
         self._renewed: tuple[Controller, BentModel] | None = None
@@ -402,9 +401,8 @@ class Drive:
             return f"tag {self._rec.tags.on_beam[i].id} is {1e3 * off[i]:.3g} mm from where the model has it"
         if self._before is not None:
             step = np.linalg.norm(seen.xy - self._before.xy, axis=1)
-            far = (
-                _JUMP * self._limits.speed * (seen.arrival - self._before.arrival) + _SLACK + 6.0 * self.eye.rest_noise
-            )
+            far = _JUMP * self._limits.speed * (seen.arrival - self._before.arrival)
+            far += _SLACK + 6.0 * self.eye.rest_noise
             if np.any(step[np.isfinite(step)] > far):
                 i = int(np.nanargmax(step))
                 return f"tag {self._rec.tags.on_beam[i].id} jumped by {1e3 * step[i]:.3g} mm"
@@ -612,17 +610,8 @@ class Drive:
     def _finish_goal(self, now: float, *, reached: bool) -> None:
         places = np.array([place for _, place in self._errors]).reshape(-1, 2)
         seen = places.mean(axis=0) if len(places) else np.full(2, np.nan)
-        self.outcomes.append(
-            GoalOutcome(
-                self._control.goal,
-                reached,
-                now - self._goal_begun,
-                seen,
-                self.said,
-                self._asked.copy(),
-                self._felt.copy(),
-            )
-        )
+        seconds, asked, felt = now - self._goal_begun, self._asked.copy(), self._felt.copy()
+        self.outcomes.append(GoalOutcome(self._control.goal, reached, seconds, seen, self.said, asked, felt))
         if reached and self._goal + 1 < len(self.plan.goals):
             assert self._loop is not None
             self._to_goal(now, self._goal + 1, self._asked - self.plan.goals[self._goal + 1].control.reference.begins)
@@ -721,15 +710,10 @@ class Drive:
     def now(self) -> DriveState:
         """What is known."""
         return replace(
-            self.state,
-            stage=self.stage,
-            says=self.events[-1].text if self.events else "",
-            goal=self._control.goal,
-            asked=self._asked.copy(),
-            felt=self._felt.copy(),
+            self.state, stage=self.stage, says=self.events[-1].text if self.events else "", goal=self._control.goal,
+            asked=self._asked.copy(), felt=self._felt.copy(), said=self.said,
             delay=self.meter.delay if math.isfinite(self.meter.sd) else math.nan,
-            said=self.said,
-        )
+        )  # fmt: skip
 
     # A better k(s), learned meanwhile.
 

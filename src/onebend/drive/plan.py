@@ -35,6 +35,7 @@ HARDEST, SLOWEST, FASTEST = 50.0, 1e-4, 0.25  # N, m/s, m/s: no option goes beyo
 MOST_GOALS = 200
 TUNED = 4  # goals whose gains are sought; the slowest serve all
 HELD = "a held end has a moment that the force log lacks: k(s) is learned from pushes (--hand push)"
+LIMIT_UNITS = {"force": "_N", "speed": "_m_per_s", "room": "_m", "margin": "", "curvature": "_per_m"}
 Hand = Literal["hold", "push"]
 
 
@@ -43,12 +44,9 @@ class DriveLimits:
     """What a drive keeps within, whatever is asked of it. NaN: from the model and its recordings."""
 
     force: float = option(
-        "--max-force-N",
-        math.nan,
-        "On the beam; default: 1.2 times the largest force of the recordings.",
-        metavar="N",
-        within=(1e-3, HARDEST),
-    )
+        "--max-force-N", math.nan, "On the beam; default: 1.2 times the largest force of the recordings.",
+        metavar="N", within=(1e-3, HARDEST),
+    )  # fmt: skip
     speed: float = option(
         "--max-speed-mm-per-s", 0.03, "Of the tool.", metavar="MM/S", within=(1e3 * SLOWEST, 1e3 * FASTEST), scale=1e-3
     )
@@ -56,27 +54,17 @@ class DriveLimits:
         "--room-mm", 0.02, "The tool may be so far from its planned way.", metavar="MM", within=(1.0, 200.0)
     )
     margin: float = option(
-        "--least-margin",
-        0.1,
-        "From buckling: 1 without a force, 0 where it buckles.",
-        metavar="SHARE",
+        "--least-margin", 0.1, "From buckling: 1 without a force, 0 where it buckles.", metavar="SHARE",
         within=(0.02, 0.9),
-    )
+    )  # fmt: skip
     curvature: float = option(
-        "--max-curvature-per-m",
-        math.nan,
-        "Of the beam beyond rest; default: 1.2 times that of the recordings.",
-        metavar="1/M",
-        within=(1e-3, 1e4),
-    )
+        "--max-curvature-per-m", math.nan, "Of the beam beyond rest; default: 1.2 times that of the recordings.",
+        metavar="1/M", within=(1e-3, 1e4),
+    )  # fmt: skip
     strain: float = option(
-        "--max-strain-percent",
-        0.3,
-        "At the beam's face, where recording.toml says how thick it is.",
-        metavar="PERCENT",
-        within=(0.01, 300.0),
-        scale=1e-2,
-    )
+        "--max-strain-percent", 0.3, "At the beam's face, where recording.toml says how thick it is.",
+        metavar="PERCENT", within=(0.01, 300.0), scale=1e-2,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,12 +91,9 @@ class DriveSettings:
         "--delay-ms", 0.06, "From exposure to command, until it is measured.", metavar="MS", within=(0.0, 300.0)
     )
     longest_delay: float = option(
-        "--longest-delay-ms",
-        0.12,
-        "The loop keeps its margins up to here; beyond it stops.",
-        metavar="MS",
+        "--longest-delay-ms", 0.12, "The loop keeps its margins up to here; beyond it stops.", metavar="MS",
         within=(10.0, 390.0),
-    )
+    )  # fmt: skip
     learn: bool = option("--learn", False, "Learn k(s) while driving, and plan anew from it.")
     limits: DriveLimits = field(default_factory=DriveLimits)
     rate: float = 125.0  # Hz of the commands
@@ -197,27 +182,18 @@ def make_plan(
     if any(gravity) and not has_mass(beam):
         raise ControlError("recording.toml has gravity in the plane, and the model no mass: learn with mass_kg")
     wanted = RequiredMargins(k_error=settings.k_error)
+    timing = Timing(fps, max(settings.delay - settings.lag, 0.0), settings.lag)
     loop = ControllerSettings(
-        timing=Timing(fps, max(settings.delay - settings.lag, 0.0), settings.lag),
-        longest_delay=settings.longest_delay,
-        wanted=wanted,
-        most_force=limits.force,
+        timing=timing, longest_delay=settings.longest_delay, wanted=wanted, most_force=limits.force
     )
-    made: list[PlannedGoal] = []
+    made, where = list[PlannedGoal](), {"push_s": push_s, "point_s": point_s}
     model = BentModel(beam, push_s, np.array([point_s, push_s]), gravity)
     gains = _gains(beam, goals, push_s, point_s, gravity, loop)
     forces, hand, margin, curvature = [], [], 1.0, 0.0
     start, before = np.zeros(2), 0.0
     for time, goal in track(progress, "Planning", list(goals), len(goals)):
-        control = controller(
-            beam,
-            goal,
-            push_s=push_s,
-            point_s=point_s,
-            gravity=gravity,
-            start=start,
-            settings=replace(loop, gains=gains),
-        )
+        asked = replace(loop, gains=gains)
+        control = controller(beam, goal, **where, gravity=gravity, start=start, settings=asked)
         way = start + np.linspace(0.0, 1.0, PATH_PLACES)[:, None] * (control.reference.ends - start)
         places = []
         for force in way:
@@ -343,16 +319,9 @@ def _within_limits(plan: Plan, rec: Recording) -> None:
 
 
 def read_wanted(
-    stored: StoredModel,
-    limits: DriveLimits,
-    *,
-    goal: tuple[float, float] | None,
-    goals: Path | None,
-    targets: Path | None,
-    push_s: float,
-    point_s: float,
-    gravity: tuple[float, float],
-) -> list[tuple[float, Array]]:
+    stored: StoredModel, limits: DriveLimits, *, goal: tuple[float, float] | None, goals: Path | None,
+    targets: Path | None, push_s: float, point_s: float, gravity: tuple[float, float],
+) -> list[tuple[float, Array]]:  # fmt: skip
     """The goals: a point, a file of points in time, or what one force makes of a wanted shape.
 
     Raises:
@@ -370,12 +339,8 @@ def read_wanted(
             raise ControlError(f"{goals} has {len(read.time)} goals, and at most {MOST_GOALS} are driven")
         return [(float(t) - float(read.time[0]), xy[0]) for t, xy in zip(read.time, read.xy, strict=True)]
     assert targets is not None
-    found = shape(
-        stored.beam,
-        read_targets(targets, stored.beam.length),
-        pushes=[Pusher(push_s, limits.force)],
-        gravity=gravity,
-    )
+    aims = read_targets(targets, stored.beam.length)
+    found = shape(stored.beam, aims, pushes=[Pusher(push_s, limits.force)], gravity=gravity)
     return [(math.nan, found.xy(point_s)[0])]
 
 
@@ -389,56 +354,36 @@ def plan_rows(plan: Plan) -> list[tuple[str, str]]:
     alone = "" if sure is None else f"; by this force alone to ± {1e3 * float(sure.semi_axes[0]):.2g} mm"
     tool = plan.hand[-1]
     does = "holds the end and turns with it" if plan.settings.hand == "hold" else f"pushes at s = {plan.push_s:.3g}"
+    towards = math.degrees(math.atan2(force[1], force[0]))
+    several = f", the last of {len(plan.goals)}" if len(plan.goals) > 1 else ""
     return [
-        (
-            "goal",
-            f"s = {plan.point_s:.3g} to {_mm(goal.goal)}"
-            + (f", the last of {len(plan.goals)}" if len(plan.goals) > 1 else ""),
-        ),
+        ("goal", f"s = {plan.point_s:.3g} to {_mm(goal.goal)}{several}"),
         ("tool", f"{does}, by {plan.settings.by}; at last at {_mm(tool[:2])}, {math.degrees(tool[2]):.3g} deg"),
-        (
-            "force",
-            f"{float(np.hypot(*force)):.3g} N at {math.degrees(math.atan2(force[1], force[0])):.4g} deg{band}{alone}",
-        ),
+        ("force", f"{float(np.hypot(*force)):.3g} N at {towards:.4g} deg{band}{alone}"),
         ("takes", f"{seconds:.3g} s to move, and {2.0 * plan.settings.rest + seconds:.3g} s to rest and come back"),
-        (
-            "robot",
-            f"placed by {plan.placement.source}; goes where it is sent to ± {2e3 * plan.tool_sd:.2g} mm (2 sd)",
-        ),
-        (
-            "limits",
-            f"{limits.force:.3g} N, {1e3 * limits.speed:.3g} mm/s, {1e3 * limits.room:.3g} mm from its way, "
-            f"margin {plan.margin:.2g} (least {limits.margin:.2g}), bend {plan.curvature:.3g} of "
-            f"{limits.curvature:.3g} 1/m",
-        ),
+        ("robot", f"placed by {plan.placement.source}; goes where it is sent to ± {2e3 * plan.tool_sd:.2g} mm (2 sd)"),
+        ("limits", f"{limits.force:.3g} N, {1e3 * limits.speed:.3g} mm/s, {1e3 * limits.room:.3g} mm from its way, "
+         f"margin {plan.margin:.2g} (least {limits.margin:.2g}), "
+         f"bend {plan.curvature:.3g} of {limits.curvature:.3g} 1/m"),
         *[("note", one) for one in plan.remarks],
-    ]
+    ]  # fmt: skip
 
 
 def plan_data(plan: Plan) -> dict[str, Any]:
     """The same for `to_json`, SI."""
-    ellipse, tool = plan.open_loop, plan.hand[-1]
+    ellipse, limits = plan.open_loop, plan.limits
     return {
         "goals_m": [one.control.goal.tolist() for one in plan.goals],
-        "point_s": plan.point_s,
-        "push_s": plan.push_s,
-        "hand": plan.settings.hand,
-        "by": plan.settings.by,
+        **{"point_s": plan.point_s, "push_s": plan.push_s, "hand": plan.settings.hand, "by": plan.settings.by},
         "force_N": plan.force.tolist(),
         "force_sd_N": np.sqrt(np.maximum(np.diag(plan.force_spread()), 0.0)).tolist(),
         "by_force_alone_m": None if ellipse is None else ellipse.semi_axes.tolist(),
-        "tool_m_rad": tool.tolist(),
+        "tool_m_rad": plan.hand[-1].tolist(),
         "tool_sd_m": plan.tool_sd,
         "placed_by": plan.placement.source,
         "margin": plan.margin,
         "curvature_per_m": plan.curvature,
-        "limits": {
-            "force_N": plan.limits.force,
-            "speed_m_per_s": plan.limits.speed,
-            "room_m": plan.limits.room,
-            "margin": plan.limits.margin,
-            "curvature_per_m": plan.limits.curvature,
-        },
+        "limits": {f"{name}{unit}": getattr(limits, name) for name, unit in LIMIT_UNITS.items()},
     }
 
 

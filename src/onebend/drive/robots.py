@@ -6,6 +6,7 @@ robot's motion. A robot that is not asked for its state for 0.1 s must stop by i
 
 from __future__ import annotations
 
+import ctypes
 import threading
 import time
 from contextlib import suppress
@@ -152,10 +153,13 @@ class UniversalRobot:
         self._control.stopScript()
 
     def close(self) -> None:
-        for one in (self._control, self._receive):
-            if one is not None:
-                with suppress(Exception):
-                    one.disconnect()
+        lost = self._receive is not None and not self._receive.isConnected()
+        for one in filter(None, (self._control, self._receive)):
+            if lost:  # its own thread is trying to connect again: closed or deleted meanwhile, ur-rtde crashes
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(one))
+                continue
+            with suppress(Exception):
+                one.disconnect()
         self._control = self._receive = None
 
     def _end_force(self) -> None:

@@ -37,23 +37,17 @@ MESSAGES: Mapping[str, tuple[tuple[str, str], ...]] = {
     "geometry_msgs/msg/Vector3": (("x", "float64"), ("y", "float64"), ("z", "float64")),
     "geometry_msgs/msg/Quaternion": (("x", "float64"), ("y", "float64"), ("z", "float64"), ("w", "float64")),
     "geometry_msgs/msg/Pose": (
-        ("position", "geometry_msgs/msg/Point"),
-        ("orientation", "geometry_msgs/msg/Quaternion"),
+        ("position", "geometry_msgs/msg/Point"), ("orientation", "geometry_msgs/msg/Quaternion"),
     ),
     "geometry_msgs/msg/Wrench": (("force", "geometry_msgs/msg/Vector3"), ("torque", "geometry_msgs/msg/Vector3")),
     "geometry_msgs/msg/PoseStamped": (("header", "std_msgs/msg/Header"), ("pose", "geometry_msgs/msg/Pose")),
     "geometry_msgs/msg/WrenchStamped": (("header", "std_msgs/msg/Header"), ("wrench", "geometry_msgs/msg/Wrench")),
     "sensor_msgs/msg/Image": (
-        ("header", "std_msgs/msg/Header"),
-        ("height", "uint32"),
-        ("width", "uint32"),
-        ("encoding", "string"),
-        ("is_bigendian", "uint8"),
-        ("step", "uint32"),
-        ("data", "uint8[]"),
+        ("header", "std_msgs/msg/Header"), ("height", "uint32"), ("width", "uint32"), ("encoding", "string"),
+        ("is_bigendian", "uint8"), ("step", "uint32"), ("data", "uint8[]"),
     ),
     "sensor_msgs/msg/CompressedImage": (("header", "std_msgs/msg/Header"), ("format", "string"), ("data", "uint8[]")),
-}
+}  # fmt: skip
 POSE, FORCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 IMAGE, PACKED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 Trust = Literal["reliable", "best_effort"]
@@ -296,12 +290,12 @@ def wrench_of(felt: Any) -> Array:
     return np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
 
 
-class RosCamera(Device):
-    """Pictures of a topic, plain or packed as JPEG or PNG."""
+class _RosTopic(Device):
+    """What one topic brings."""
 
-    def __init__(self, topic: str, network: RosNetwork = RosNetwork(), *, packed: bool = False) -> None:
-        super().__init__(f"the topic {topic}", StampTiming(delay=0.01, delay_error=0.05))
-        self._topic, self._network, self._kind = topic, network, PACKED if packed else IMAGE
+    def __init__(self, topic: str, kind: str, network: RosNetwork, timing: StampTiming) -> None:
+        super().__init__(f"the topic {topic}", timing)
+        self._topic, self._kind, self._network = topic, kind, network
         self._reader: RosReader | None = None
         self._kept: Any = None
 
@@ -310,50 +304,48 @@ class RosCamera(Device):
         self._reader = RosReader(self._kept, self._topic, self._kind, self._network.quality())
         self._begin(clock)
 
-    def read(self, wait: float) -> Frame | End | None:
-        assert self._reader is not None
-        came = self._reader.wait(wait)
-        now = self._clock.now()
-        if came is None:
-            return self._silence(SILENT, "sends no pictures")
-        self._heard = now
-        picture = unpacked(came) if self._kind == PACKED else luma_image(came)
-        return (
-            self._fault(f"sends pictures as {came.encoding}")
-            if picture is None
-            else Frame(picture, seconds(came.header), now)
-        )
-
-    def close(self) -> None:
-        self._reader = self._kept = None
-
-
-class RosForce(Device):
-    """A WrenchStamped as a force sensor."""
-
-    columns: tuple[str, ...] = WRENCH
-
-    def __init__(self, topic: str, network: RosNetwork = RosNetwork()) -> None:
-        super().__init__(f"the topic {topic}", StampTiming(delay=0.002, delay_error=0.02))
-        self._topic, self._network = topic, network
-        self._reader: RosReader | None = None
-        self._kept: Any = None
-
-    def open(self, clock: Clock) -> None:
-        self._kept = self._network.participant()
-        self._reader = RosReader(self._kept, self._topic, FORCE, self._network.quality())
-        self._begin(clock)
-
-    def read(self, wait: float) -> Samples | End | None:
+    def _next(self, wait: float) -> Any:
+        """The next message, or the end where none comes any more."""
         assert self._reader is not None
         came = self._reader.wait(wait) if wait > 0.0 else self._reader.newest()
         if came is None:
             return self._silence(SILENT, "sends nothing")
         self._heard = self._clock.now()
-        return Samples(np.array([seconds(came.header)]), wrench_of(came)[None], self._heard)
+        return came
 
     def close(self) -> None:
         self._reader = self._kept = None
+
+
+class RosCamera(_RosTopic):
+    """Pictures of a topic, plain or packed as JPEG or PNG."""
+
+    def __init__(self, topic: str, network: RosNetwork = RosNetwork(), *, packed: bool = False) -> None:
+        super().__init__(topic, PACKED if packed else IMAGE, network, StampTiming(delay=0.01, delay_error=0.05))
+
+    def read(self, wait: float) -> Frame | End | None:
+        came = self._next(wait)
+        if came is None or isinstance(came, End):
+            return came
+        picture = unpacked(came) if self._kind == PACKED else luma_image(came)
+        if picture is None:
+            return self._fault(f"sends pictures as {came.encoding}")
+        return Frame(picture, seconds(came.header), self._heard)
+
+
+class RosForce(_RosTopic):
+    """A WrenchStamped as a force sensor."""
+
+    columns: tuple[str, ...] = WRENCH
+
+    def __init__(self, topic: str, network: RosNetwork = RosNetwork()) -> None:
+        super().__init__(topic, FORCE, network, StampTiming(delay=0.002, delay_error=0.02))
+
+    def read(self, wait: float) -> Samples | End | None:
+        came = self._next(wait)
+        if came is None or isinstance(came, End):
+            return came
+        return Samples(np.array([seconds(came.header)]), wrench_of(came)[None], self._heard)
 
 
 def luma_image(came: Any) -> Picture | None:

@@ -90,19 +90,10 @@ class _Watched:
 
 
 def drive(
-    folder: Path,
-    plan: Plan,
-    camera: CameraSource,
-    robot: Robot,
-    sensor: ForceSource | None = None,
-    *,
-    watch: Callable[[DriveState], None] = lambda _: None,
-    stop: Stop | None = None,
-    clock: Clock | None = None,
-    beside: bool = True,
-    overwrite: bool = False,
-    setup: float = 1.0,
-) -> DriveOutcome:
+    folder: Path, plan: Plan, camera: CameraSource, robot: Robot, sensor: ForceSource | None = None, *,
+    watch: Callable[[DriveState], None] = lambda _: None, stop: Stop | None = None, clock: Clock | None = None,
+    beside: bool = True, overwrite: bool = False, setup: float = 1.0,
+) -> DriveOutcome:  # fmt: skip
     """Drive, and record into `folder`, which holds a recording.toml.
 
     Args:
@@ -166,17 +157,12 @@ def drive_data(plan: Plan, made: Drive) -> dict[str, Any]:
     latency, turns = np.array(made.latency), np.array(made.turns)
     goals = [
         {
-            "goal_m": one.goal.tolist(),
-            "reached": one.reached,
-            "seconds": one.seconds,
-            "seen_m": one.seen.tolist(),
-            "off_m": float(np.linalg.norm(one.seen - one.goal)),
-            "said_within_m": one.said,
-            "asked_N": one.force.tolist(),
-            "felt_N": one.felt.tolist(),
+            "goal_m": one.goal.tolist(), "reached": one.reached, "seconds": one.seconds, "seen_m": one.seen.tolist(),
+            "off_m": float(np.linalg.norm(one.seen - one.goal)), "said_within_m": one.said,
+            "asked_N": one.force.tolist(), "felt_N": one.felt.tolist(),
         }
         for one in made.outcomes
-    ]
+    ]  # fmt: skip
     return {
         "format": "onebend-drive-1",
         "plan": plan_data(plan),
@@ -264,8 +250,8 @@ class Renewer:
         where = {"push_s": plan.push_s, "point_s": plan.point_s, "gravity": plan.gravity}
         asked = (beam, goal, mean_ratio(beam, old) * force, where, replace(control.settings, gains=control.gains))
         if not self._beside:
-            if (made := renewed_controller(*asked)) is not None:
-                self._drive.renew(made)
+            self._coming = Future()
+            self._coming.set_result(renewed_controller(*asked))
             return
         if self._pool is None:
             self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=leave_interrupts_to_parent)

@@ -133,23 +133,13 @@ class Eye:
                 "Take the force off the beam, and check the tags' s and length_m."
             )
         self.reader = FrameReader(
-            offset=0.0,
-            offset_sd=0.0,
-            view=markers.view,
-            tag_size=rec.tags.size,
+            offset=0.0, offset_sd=0.0, view=markers.view, tag_size=rec.tags.size,
             turn=np.array([tag.turn for tag in (*rec.tags.on_base, *rec.tags.on_beam)]),
             base_s=np.array([tag.s * rec.beam.length for tag in rec.tags.on_base]),
-            follows_base=False,
-            known_xy=markers.xy[:1],
-            camera_part=np.asarray(shared),
-            rest_xy=xy,
-            rest_sd=self.rest_noise,
-            to_beam=sign * to_beam(rec.force.rotation),
-            tare=np.zeros(2),
-            place=rec.push.at,
-            gravity=np.asarray(gravity),
-            largest=0.0,
-        )
+            follows_base=False, known_xy=markers.xy[:1], camera_part=np.asarray(shared), rest_xy=xy,
+            rest_sd=self.rest_noise, to_beam=sign * to_beam(rec.force.rotation), tare=np.zeros(2), place=rec.push.at,
+            gravity=np.asarray(gravity), largest=0.0,
+        )  # fmt: skip
 
     def beam(self, arrival: float, time: float, corners: Array) -> SeenBeam:
         """The beam in a picture after the rest."""

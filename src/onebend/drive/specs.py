@@ -91,12 +91,8 @@ def _virtual(place: str, options: Options) -> MakeRobot:
     bench = _bench(place, factor, effects, seed)
 
     def virtual(rec: Recording, settings: DriveSettings) -> Robot:
-        return VirtualRobot(
-            VirtualSetup(
-                replace(bench, tags=default_tags(rec)), rec, holds=settings.hand == "hold", lag=lag, white=white,
-                fps=fps, delay=delay, seed=seed,
-            )
-        )  # fmt: skip
+        here, holds = replace(bench, tags=default_tags(rec)), settings.hand == "hold"
+        return VirtualRobot(VirtualSetup(here, rec, holds=holds, lag=lag, white=white, fps=fps, delay=delay, seed=seed))
 
     return virtual
 
@@ -125,36 +121,28 @@ ROBOTS: Mapping[str, SourceKind[MakeRobot]] = {
     "ros2": SourceKind(
         "ros2:DOMAIN,pose_in=/tool_pose,pose_out=/target_pose",
         "a robot whose controller listens to ROS 2; no ROS is needed here (pip install 'onebend[ros2]')",
-        (*_ROS, *_ROS_ROBOT),
-        _ros_robot,
+        (*_ROS, *_ROS_ROBOT), _ros_robot,
     ),
     "virtual": SourceKind(
-        "virtual:linear",
-        "a design's beam, or a results folder's, in a process of its own",
-        ("k", "seed", "fps", "delay_ms", "lag_ms", "white_N", "effects"),
-        _virtual,
+        "virtual:linear", "a design's beam, or a results folder's, in a process of its own",
+        ("k", "seed", "fps", "delay_ms", "lag_ms", "white_N", "effects"), _virtual,
     ),
-}
+}  # fmt: skip
 ALL_CAMERAS: Mapping[str, SourceKind[CameraSource]] = CAMERAS | {
     "ros2": SourceKind(
-        "ros2:DOMAIN,topic=/camera/image_raw",
-        "pictures of a ROS 2 topic (packed=1: CompressedImage)",
+        "ros2:DOMAIN,topic=/camera/image_raw", "pictures of a ROS 2 topic (packed=1: CompressedImage)",
         (*_ROS, "topic", "packed"),
         lambda place, options: RosCamera(
-            _topic("--camera", options),
-            _network(place, options),
-            packed=bool(number(options, "packed", 0, least=0, most=1)),
+            _topic("--camera", options), _network(place, options), packed=options.get("packed", "0") != "0"
         ),
     )
-}
+}  # fmt: skip
 ALL_FORCES: Mapping[str, SourceKind[ForceSource]] = FORCES | {
     "ros2": SourceKind(
-        "ros2:DOMAIN,topic=/wrench",
-        "WrenchStamped of a ROS 2 topic",
-        (*_ROS, "topic"),
+        "ros2:DOMAIN,topic=/wrench", "WrenchStamped of a ROS 2 topic", (*_ROS, "topic"),
         lambda place, options: RosForce(_topic("--force", options), _network(place, options)),
     )
-}
+}  # fmt: skip
 
 
 def _topic(option: str, options: Options) -> str:

@@ -18,39 +18,13 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from onebend.drive.placing import axes_of
 from onebend.drive.robots import DEAD_MAN, ArmState, Skill, ToolForce, ToolPose
 from onebend.errors import MechanicsError, RecordingError
-from onebend.lab.bench import PushProfile
-from onebend.lab.filming import (
-    PLACES,
-    BeamPose,
-    BeamShapes,
-    Filming,
-    cast_of,
-    moment_of,
-    stage_of,
-    tag_faces,
-)
-from onebend.lab.rendering import (
-    BLACK,
-    BLURRED,
-    RANGE,
-    Camera,
-    Drawing,
-    Image,
-    StaticScene,
-    box_around,
-    clipped,
-    coverage,
-    grain_of,
-    seen_at,
-    view_from,
-    yuv,
-)
+from onebend.lab.bench_camera import BenchCamera
+from onebend.lab.filming import PLACES
 from onebend.lab.rod import RodTask, balanced, cells_of, contact_of, poses_of
 from onebend.lab.virtual import VirtualBench, VirtualTag
 from onebend.live.sources import Clock, End, Frame, StampTiming
@@ -116,7 +90,9 @@ class VirtualCell:
         self._next = begin
         self.frames: deque[tuple[float, float, Callable[[], Picture]]] = deque()  # due, exposed, drawn when taken
         self._exposed = begin  # s, of the next picture
-        self._camera = _VirtualEye(setup) if draws else None
+        self._camera = None
+        if draws:
+            self._camera = BenchCamera(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
         self.largest, self._wrench = 0.0, np.zeros(6)  # N on the beam so far; as it was said last
 
     @property
@@ -276,12 +252,8 @@ class VirtualCell:
         late = self.setup.delay + float(self.faults.get("late", 0.0))
         if "camera" in self.faults:
             return
-        shown, force, time, faults = (
-            self.poses[self._shown].copy(),
-            self.wrench[:2].copy(),
-            self.time,
-            dict(self.faults),
-        )
+        shown, force = self.poses[self._shown].copy(), self.wrench[:2].copy()
+        time, faults = self.time, dict(self.faults)
         eye = self._camera
         draw: Callable[[], Picture] = (
             (lambda: _blank(self.setup)) if eye is None else (lambda: eye.picture(shown, force, time, faults))
@@ -301,92 +273,6 @@ def _blank(setup: VirtualSetup) -> Picture:
     camera = setup.rec.camera
     assert camera is not None
     return np.zeros((camera.height, camera.width), np.uint8)
-
-
-class _VirtualEye:
-    """Draws the beam."""
-
-    def __init__(self, setup: VirtualSetup) -> None:
-        rec, bench = setup.rec, setup.bench
-        entry = rec.camera
-        if entry is None:
-            raise RecordingError("a virtual camera needs a [camera] in recording.toml, to be the one that is described")
-        camera = Camera(
-            width=entry.width,
-            height=entry.height,
-            focal=entry.fx,
-            centre=(entry.cx - (entry.width - 1) / 2, entry.cy - (entry.height - 1) / 2),
-            dist=tuple([*entry.dist, 0.0][:5]),  # type: ignore[arg-type]
-        )
-        always = PushProfile(0.0, before=0.0, hold=1e9, after=0.0, at_s=bench.push.at_s)
-        self._filming = Filming(replace(bench, push=always), camera=camera, tag_size=rec.tags.size)
-        self._filming = replace(self._filming, scene=replace(self._filming.scene, noise=setup.noise, exposure=0.005))
-        rng = np.random.default_rng([setup.seed, 22])
-        self._cast = cast_of(self._filming, rng)
-        bends = np.linspace(-setup.sees, setup.sees, 22)
-        reach = _arcs(bench.beam.length, bends)
-        wide = np.concatenate([reach + rec.tags.size, reach - rec.tags.size])
-        beam = np.zeros((len(bends), len(PLACES), 4))
-        beam[..., :2] = reach.reshape(len(bends), -1, 2)
-        view = view_from(camera, wide)
-        self._staged: StaticScene = stage_of(self._filming, self._cast, view, beam, setup.seed)
-        self._rng = rng
-        lit = np.asarray(self._staged.table.y * self._staged.light)
-        self._tables = [self._grey(lit) for _ in range(_TABLES)]
-
-    def picture(self, poses: Array, force: Array, time: float, faults: dict[str, Any]) -> Picture:
-        """(H, W) of the beam with poses (121, 3) at `PLACES`."""
-        shapes = BeamShapes(np.array([time]), force[None], poses[None, :, :2], poses[None, :, 2])
-        flat = np.zeros((1, len(PLACES)))
-        tags = tag_faces(self._filming, shapes, flat, flat)[0]
-        if "swapped" in faults:
-            tags[[-1, -2]] = tags[[-2, -1]]
-        turn = math.atan2(force[1], force[0]) if float(np.hypot(*force)) > 1e-3 else 0.5 * math.pi
-        cast = replace(self._cast, push=replace(self._cast.push, direction=turn, turn=0.0))
-        drawing = moment_of(cast, BeamPose(time, poses[:, :2], poses[:, 2], tags, flat[0], self._cast.push.at_s))
-        y = self._tables[int(self._rng.integers(_TABLES))].copy()
-        self._draw(y, drawing)
-        if "hidden" in faults:
-            self._cover(y, tags[1 + int(faults["hidden"])])
-        return y
-
-    def _grey(self, level: Image) -> Picture:
-        """Levels of 8 bit, with the sensor's noise."""
-        noise = grain_of(self._staged.grain, level.shape, self._rng) * np.float32(self._filming.scene.noise / 255.0)
-        grey = (level + noise) * np.float32(RANGE) + np.float32(BLACK + 0.5)
-        return np.asarray(np.clip(grey, 0.0, 255.0).astype(np.uint8))
-
-    def _draw(self, y: Picture, drawing: Drawing) -> None:
-        """All that moves, into the part of the picture where it is."""
-        staged, scope = self._staged, self._staged.scope
-        seen = [seen_at(staged.view, layer, drawing) for layer in drawing.layers]
-        around = np.concatenate([px.reshape(-1, 2) for px in seen])
-        here = clipped(box_around(around, scope.right, scope.bottom, 2.0 * BLURRED), scope)
-        part = staged.table.y[here.slices].copy()
-        for layer, px in zip(drawing.layers, seen, strict=True):
-            box = clipped(box_around(px, scope.right, scope.bottom), here)
-            if 0 not in box.shape:
-                where = part[box.within(here)]
-                where += coverage(px, box) * (np.float32(yuv(layer.colour)[0]) - where)
-        y[here.slices] = self._grey(gaussian_filter(part, staged.scene.blur, truncate=2.5) * staged.light[here.slices])
-
-    def _cover(self, y: Picture, tag: Array) -> None:
-        """Something dull lies on a tag."""
-        view = self._staged.view
-        inside = view.rotation @ np.array([tag[0], tag[1], 0.0]) + view.translation
-        px = view.matrix[:2, :2] @ (inside[:2] / inside[2]) + view.matrix[:2, 2]
-        half = 0.9 * view.matrix[0, 0] * self._filming.tag_size / inside[2]
-        left, top, right, bottom = (max(int(v), 0) for v in (*(px - half), *(px + half)))
-        y[top:bottom, left:right] = 100
-
-
-_TABLES = 8  # pictures of the empty table, each with its own noise
-
-
-def _arcs(length: float, bends: Array) -> Array:
-    """(N, 2) m of arcs of a beam of this length, bent by angles (B,) rad that are not zero."""
-    s, bend = PLACES[None, :], bends[:, None]
-    return length * np.stack([np.sin(bend * s) / bend, (1.0 - np.cos(bend * s)) / bend], axis=-1).reshape(-1, 2)
 
 
 # On any clock, in this process.
