@@ -305,6 +305,8 @@ class Drive:
         try:
             self._act(now, seen)
         except Exception as wrong:  # each package has errors of its own
+            if self.stage == "holding":
+                self._end(now, f"{self.name} takes no orders ({wrong}). Look at it before you touch the beam")
             self._answered = min(self._answered, now - SILENCE)
             self._halt(now, f"{self.name} answers no more ({wrong})", fault=True)
         if seen is not None and self.stage in LED:
