@@ -30,7 +30,7 @@ import numpy as np
 from onebend.beam.stiffness import Scaled
 from onebend.drive.machine import DriveState
 from onebend.drive.placing import from_recording
-from onebend.drive.plan import DriveLimits, DriveSettings, Plan, make_plan
+from onebend.drive.plan import DriveLimits, DrivePlan, DriveSettings, make_plan
 from onebend.drive.run import drive
 from onebend.drive.virtual import VirtualRobot
 from onebend.errors import ControlError, OnebendError
@@ -106,7 +106,7 @@ def goals() -> Iterator[Goal]:
             yield Goal(f"random {number + 1}", beam, at_s, (float(x), float(y)), factor)
 
 
-def planned(goal: Goal, folder: Path) -> Plan:
+def planned(goal: Goal, folder: Path) -> DrivePlan:
     rec = read_recording(described(folder, at_s=goal.at_s), filmed=False)
     stored = model_of(goal.beam)
     assert stored.bench is not None

@@ -12,7 +12,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.drive.placing import Placement, stated_placement
-from onebend.drive.plan import DriveLimits, DriveSettings, Plan, make_plan
+from onebend.drive.plan import DriveLimits, DrivePlan, DriveSettings, make_plan
 from onebend.drive.robots import Robot, ToolPose
 from onebend.drive.run import DriveOutcome, drive
 from onebend.drive.virtual import CellCamera, CellRobot, VirtualCell, VirtualSetup
@@ -154,7 +154,7 @@ QUICK = DriveSettings(rest=0.5, stay=0.3, limits=DriveLimits(force=1.2, curvatur
 def planned(
     rec: Recording, goals: list[tuple[float, float]], model: StoredModel | None = None,
     settings: DriveSettings = QUICK, *, at_s: float = 1.0, point_s: float = 1.0, place: Placement | None = None,
-) -> Plan:  # fmt: skip
+) -> DrivePlan:  # fmt: skip
     """A plan for these goals, one after the other."""
     wanted = [(math.nan, np.array(goal)) for goal in goals]
     return make_plan(
@@ -162,13 +162,13 @@ def planned(
     )
 
 
-def driven(folder: Path, plan: Plan, setup: VirtualSetup, **more: Any) -> tuple[DriveOutcome, VirtualCell]:
+def driven(folder: Path, plan: DrivePlan, setup: VirtualSetup, **more: Any) -> tuple[DriveOutcome, VirtualCell]:
     """Drive a cell on a played clock."""
     cell = VirtualCell(setup)
     return drive_cell(folder, plan, cell, **more), cell
 
 
-def drive_cell(folder: Path, plan: Plan, cell: VirtualCell, **more: Any) -> DriveOutcome:
+def drive_cell(folder: Path, plan: DrivePlan, cell: VirtualCell, **more: Any) -> DriveOutcome:
     given: dict[str, Any] = {"clock": PlayedClock(), "beside": False, "setup": 0.15} | more
     robot, camera = given.pop("robot", CellRobot(cell)), given.pop("camera", CellCamera(cell))
     return drive(folder, plan, camera, robot, **given)

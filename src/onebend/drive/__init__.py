@@ -12,6 +12,6 @@ COMMANDS = {
     "drive": Place(
         "onebend.drive.commands:drive",
         "Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded.",
-        "out/linear-beam out/driven --goal 0.1338 0.0638 --like examples/linear-beam/train",
+        "out/linear-beam examples/linear-beam/train --goal 0.1338 0.0638",
     ),
 }

@@ -2,8 +2,8 @@ from .machine import Drive as Drive, DriveState as DriveState, GoalOutcome as Go
 from .placing import Placement as Placement, from_recording as from_recording, stated_placement as stated_placement
 from .plan import (
     DriveLimits as DriveLimits,
+    DrivePlan as DrivePlan,
     DriveSettings as DriveSettings,
-    Plan as Plan,
     PlannedGoal as PlannedGoal,
     make_plan as make_plan,
 )

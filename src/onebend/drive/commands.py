@@ -17,7 +17,7 @@ from onebend.cli.models import read_trusted
 from onebend.drive import plan as plans, specs
 from onebend.drive.machine import DriveState
 from onebend.drive.placing import Placement, from_recording, stated_placement
-from onebend.drive.plan import DriveSettings, Plan
+from onebend.drive.plan import DrivePlan, DriveSettings
 from onebend.drive.run import DriveOutcome, drive as run
 from onebend.drive.virtual import VirtualRobot
 from onebend.errors import RecordingError
@@ -160,7 +160,7 @@ class _Either:
         return bool(self._first.is_set() or self._other.is_set())
 
 
-def _show_plan(console: Console, plan: Plan) -> None:
+def _show_plan(console: Console, plan: DrivePlan) -> None:
     table = common.facts_table()
     for what, says in plans.plan_rows(plan):
         table.add_row(what, Text(says))

@@ -23,7 +23,7 @@ from onebend.beam.problem import Resolution
 from onebend.control.loaded_beam import prepared, trace
 from onebend.control.loop import Controller, ControllerState, bounded
 from onebend.drive.placing import Placement
-from onebend.drive.plan import ARM, Plan
+from onebend.drive.plan import ARM, DrivePlan
 from onebend.drive.robots import ArmState, Robot, ToolForce, ToolPose
 from onebend.drive.seeing import BentModel, DelayMeter, Eye, SeenBeam, point_between
 from onebend.errors import OnebendError
@@ -96,7 +96,7 @@ class Drive:
     """A plan, a robot and an eye. `read` turns the loop; `see` takes pictures, from another thread."""
 
     def __init__(
-        self, plan: Plan, robot: Robot, rec: Recording, sensor: ForceSource | None = None,
+        self, plan: DrivePlan, robot: Robot, rec: Recording, sensor: ForceSource | None = None,
         watch: Callable[[DriveState], None] = lambda _: None,
     ) -> None:  # fmt: skip
         """`sensor`: measures the force instead of the robot; `watch`: told what is known, some ten times a second."""

@@ -111,7 +111,7 @@ class PlannedGoal:
 
 
 @dataclass(frozen=True)
-class Plan:
+class DrivePlan:
     """All of a drive before it begins."""
 
     model: StoredModel
@@ -169,7 +169,7 @@ def make_plan(
     point_s: float = 1.0,
     fps: float = 30.0,
     progress: Progress = Silent(),
-) -> Plan:
+) -> DrivePlan:
     """The plan for goals (time [s] or NaN, (2,) m), one after the other.
 
     Raises:
@@ -210,7 +210,7 @@ def make_plan(
         hand.append(np.array(places))
         start, before = control.reference.ends, before if math.isnan(time) else time
     made[-1] = replace(made[-1], waits=True)
-    plan = Plan(
+    plan = DrivePlan(
         stored, settings, limits, push_s, point_s, gravity, tuple(made), np.concatenate(forces), np.concatenate(hand),
         margin, curvature, _spread(stored, goals[-1][1], push_s, point_s, gravity, limits), placement,
         (HELD,) if settings.hand == "hold" else (),
@@ -303,7 +303,7 @@ def _spread(
     return predicted_error(stored.beam, stored.uncertain, found, draws=0).covariance
 
 
-def _within_limits(plan: Plan, rec: Recording) -> None:
+def _within_limits(plan: DrivePlan, rec: Recording) -> None:
     """Raises `ControlError` where the planned way breaks a limit."""
     limits, most = plan.limits, float(np.max(np.hypot(*plan.forces.T)))
     told = [
@@ -344,7 +344,7 @@ def read_wanted(
     return [(math.nan, found.xy(point_s)[0])]
 
 
-def plan_rows(plan: Plan) -> list[tuple[str, str]]:
+def plan_rows(plan: DrivePlan) -> list[tuple[str, str]]:
     """The plan in words: what, and what is said of it."""
     limits, goal = plan.limits, plan.goals[-1].control
     force, sure = plan.force, plan.open_loop
@@ -369,7 +369,7 @@ def plan_rows(plan: Plan) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def plan_data(plan: Plan) -> dict[str, Any]:
+def plan_data(plan: DrivePlan) -> dict[str, Any]:
     """The same for `to_json`, SI."""
     ellipse, limits = plan.open_loop, plan.limits
     return {

@@ -17,7 +17,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loop import Controller, ControllerSettings, controller
 from onebend.drive.machine import Drive, DriveState, mean_ratio
-from onebend.drive.plan import Plan, plan_data
+from onebend.drive.plan import DrivePlan, plan_data
 from onebend.drive.robots import Robot
 from onebend.errors import OnebendError, RecordingError
 from onebend.files.single_file import write_file
@@ -90,7 +90,7 @@ class _Watched:
 
 
 def drive(
-    folder: Path, plan: Plan, camera: CameraSource, robot: Robot, sensor: ForceSource | None = None, *,
+    folder: Path, plan: DrivePlan, camera: CameraSource, robot: Robot, sensor: ForceSource | None = None, *,
     watch: Callable[[DriveState], None] = lambda _: None, stop: Stop | None = None, clock: Clock | None = None,
     beside: bool = True, overwrite: bool = False, setup: float = 1.0,
 ) -> DriveOutcome:  # fmt: skip
@@ -152,7 +152,7 @@ def state_push(folder: Path, push_s: float) -> None:
         write_file(path, with_values(content, "push", {"at_s": f"{push_s:.6g}"}), overwrite=True)
 
 
-def drive_data(plan: Plan, made: Drive) -> dict[str, Any]:
+def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
     """What drive.json holds, SI."""
     latency, turns = np.array(made.latency), np.array(made.turns)
     goals = [
