@@ -161,7 +161,7 @@ def test_nobody_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     ended = camera.read(0.0)
     assert isinstance(ended, End)
     assert ended.fault
-    assert "sends no pictures" in ended.why
+    assert "the topic /image sends nothing" in ended.why
     camera.close()
 
 

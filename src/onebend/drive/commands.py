@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import SimpleNamespace
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from onebend.cli import common
@@ -17,7 +18,7 @@ from onebend.cli.models import read_trusted
 from onebend.drive import plan as plans, specs
 from onebend.drive.machine import DriveState
 from onebend.drive.placing import Placement, from_recording, stated_placement
-from onebend.drive.plan import DrivePlan, DriveSettings
+from onebend.drive.plan import DriveSettings
 from onebend.drive.run import DriveOutcome, drive as run
 from onebend.drive.virtual import VirtualRobot
 from onebend.errors import RecordingError
@@ -103,7 +104,10 @@ def drive(
         if made is not None and settings.by not in made.can:
             raise RecordingError(f"--by {settings.by}: {made.name} cannot be asked for it. Take --by pose.")
     if not as_json:
-        _show_plan(common.screen(), plan)
+        table = common.facts_table()
+        for what, says in plans.plan_rows(plan):
+            table.add_row(what, Text(says))
+        common.screen().print(table)
     with common.clean_errors():
         if not go:
             if as_json:
@@ -126,7 +130,14 @@ def drive(
             ) as view,
         ):
             outcome = run(
-                folder, plan, eye, made, sensor, watch=view.show, stop=_Either(stop, enter), overwrite=overwrite
+                folder,
+                plan,
+                eye,
+                made,
+                sensor,
+                watch=view.show,
+                stop=SimpleNamespace(is_set=lambda: stop.is_set() or enter.is_set()),
+                overwrite=overwrite,
             )
     _answer(outcome, as_json)
 
@@ -148,23 +159,6 @@ def _placement(rec: Recording, like: Path | None, place: str, tag: int | None) -
     if like is None:
         raise RecordingError(f"--place {place} takes the push of a recording: name it with --like.")
     return from_recording(read_recording(folder_of(like)), tool_tag=tag)
-
-
-class _Either:
-    """Set when one of two events is: Ctrl-C, or the Enter key."""
-
-    def __init__(self, first: Any, other: Any) -> None:
-        self._first, self._other = first, other
-
-    def is_set(self) -> bool:
-        return bool(self._first.is_set() or self._other.is_set())
-
-
-def _show_plan(console: Console, plan: DrivePlan) -> None:
-    table = common.facts_table()
-    for what, says in plans.plan_rows(plan):
-        table.add_row(what, Text(says))
-    console.print(table)
 
 
 def _screen(state: DriveState) -> RenderableType:

@@ -13,6 +13,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
@@ -255,7 +256,8 @@ class Drive:
         noise = float(np.sqrt(np.mean(np.var(raw, axis=0))))
         self._sensor_sd = math.hypot(noise, self._sensor_sd if math.isfinite(self._sensor_sd) else 3.0 * noise)
         same = np.all(raw[1:] == raw[:-1], axis=1)
-        self._same_at_rest = self._period * _longest_run(same)
+        longest = max((len([*run]) for alike, run in groupby(same.tolist()) if alike), default=0)
+        self._same_at_rest = self._period * longest
         self._settled = True
 
     def _placed(self) -> Placement:
@@ -783,11 +785,3 @@ def mean_ratio(beam: Beam, other: Beam) -> float:
     """The geometric mean over s of k of one over that of the other."""
     s = np.linspace(0.0, 1.0, 41)
     return float(np.exp(np.mean(np.log(np.asarray(beam.stiffness(s)) / np.asarray(other.stiffness(s))))))
-
-
-def _longest_run(flags: Array) -> int:
-    best = run = 0
-    for flag in flags.tolist():
-        run = run + 1 if flag else 0
-        best = max(best, run)
-    return best

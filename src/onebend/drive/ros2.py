@@ -104,11 +104,10 @@ class RosNetwork:
 
     def participant(self) -> Any:
         """Raises `MissingPackageError`, `RecordingError`."""
+        made = package("cyclonedds.domain", "ros2")
         try:
-            return package("cyclonedds.domain", "ros2").DomainParticipant(self.domain)
+            return made.DomainParticipant(self.domain)
         except Exception as wrong:
-            if isinstance(wrong, ImportError):
-                raise
             raise RecordingError(
                 f"domain {self.domain} of DDS cannot be joined ({wrong}). Is a network there? See CYCLONEDDS_URI."
             ) from None
@@ -150,15 +149,10 @@ class RosReader:
         return None
 
 
-class RosWriter:
-    """Sends on one topic."""
-
-    def __init__(self, participant: Any, topic: str, name: str, quality: Any) -> None:
-        made = package("cyclonedds.topic", "ros2").Topic(participant, dds_name(topic), message_class(name))
-        self._writer = package("cyclonedds.pub", "ros2").DataWriter(participant, made, qos=quality)
-
-    def send(self, one: Any) -> None:
-        self._writer.write(one)
+def ros_writer(participant: Any, topic: str, name: str, quality: Any) -> Any:
+    """What sends on one topic."""
+    made = package("cyclonedds.topic", "ros2").Topic(participant, dds_name(topic), message_class(name))
+    return package("cyclonedds.pub", "ros2").DataWriter(participant, made, qos=quality)
 
 
 def dds_name(topic: str) -> str:
@@ -193,9 +187,9 @@ class RosRobot:
         self._now = now
         self._pose: ToolPose | None = None
         self._stamp, self._wrench = math.nan, np.full(6, np.nan)
-        self._kept: tuple[RosWriter, Any] | None = None
+        self._kept: tuple[Any, Any] | None = None
         self._readers: list[RosReader] = []
-        self._writers: dict[Skill, RosWriter] = {}
+        self._writers: dict[Skill, Any] = {}
         self._participant: Any = None
 
     def connect(self, clock: Clock) -> None:
@@ -205,9 +199,9 @@ class RosRobot:
         if topics.wrench_in:
             self._readers.append(RosReader(joined, topics.wrench_in, FORCE, quality))
         sent = self._network.quality(deadline=True)
-        self._writers = {"pose": RosWriter(joined, topics.pose_out, POSE, sent)}
+        self._writers = {"pose": ros_writer(joined, topics.pose_out, POSE, sent)}
         if topics.wrench_out:
-            self._writers["force"] = RosWriter(joined, topics.wrench_out, FORCE, sent)
+            self._writers["force"] = ros_writer(joined, topics.wrench_out, FORCE, sent)
         until = clock.now() + SILENT
         while self._pose is None:
             if clock.now() > until:
@@ -221,7 +215,7 @@ class RosRobot:
     def state(self) -> ArmState:
         self._listen()
         if self._kept is not None:  # what was told last is told again: a controller may have a deadline
-            self._kept[0].send(self._kept[1])
+            self._kept[0].write(self._kept[1])
         assert self._pose is not None
         return ArmState(self._stamp, self._pose, self._wrench)
 
@@ -249,7 +243,7 @@ class RosRobot:
         header = message("std_msgs/msg/Header", stamp=stamp, frame_id=self._network.frame)
         made = message(name, header=header, **values)
         self._kept = (self._writers[skill], made)
-        self._writers[skill].send(made)
+        self._writers[skill].write(made)
 
     def _listen(self) -> None:
         if (came := self._readers[0].newest()) is not None:

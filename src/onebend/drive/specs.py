@@ -13,11 +13,11 @@ from onebend.beam.stiffness import Scaled
 from onebend.drive.plan import DriveSettings
 from onebend.drive.robots import SERVO_LOOKAHEAD, STIFFNESS, FrankaArm, Robot, UniversalRobot
 from onebend.drive.ros2 import RosCamera, RosForce, RosNetwork, RosRobot, RosTopics, Trust
-from onebend.drive.virtual import VirtualRobot, VirtualSetup, default_tags
+from onebend.drive.virtual import VirtualRobot, VirtualSetup
 from onebend.errors import RecordingError
 from onebend.lab.designs import DESIGNS, find_design
 from onebend.lab.random_bench import FilmRequest, design_with_effects, filming_of
-from onebend.lab.virtual import VirtualBench
+from onebend.lab.virtual import VirtualBench, VirtualTag
 from onebend.live.sources import CameraSource, ForceSource
 from onebend.live.specs import CAMERAS, FORCES, Options, SourceKind, made, number
 from onebend.recording.entries import Recording
@@ -91,7 +91,8 @@ def _virtual(place: str, options: Options) -> MakeRobot:
     bench = _bench(place, factor, effects, seed)
 
     def virtual(rec: Recording, settings: DriveSettings) -> Robot:
-        here, holds = replace(bench, tags=default_tags(rec)), settings.hand == "hold"
+        tags = tuple(VirtualTag(tag.id, tag.s) for tag in rec.tags.on_beam)
+        here, holds = replace(bench, tags=tags), settings.hand == "hold"
         return VirtualRobot(VirtualSetup(here, rec, holds=holds, lag=lag, white=white, fps=fps, delay=delay, seed=seed))
 
     return virtual

@@ -26,7 +26,7 @@ from onebend.errors import MechanicsError, RecordingError
 from onebend.lab.bench_camera import BenchCamera
 from onebend.lab.filming import PLACES
 from onebend.lab.rod import RodTask, balanced, cells_of, contact_of, poses_of
-from onebend.lab.virtual import VirtualBench, VirtualTag
+from onebend.lab.virtual import VirtualBench
 from onebend.live.sources import Clock, End, Frame, StampTiming
 from onebend.progress import interrupts_held, leave_interrupts_to_parent
 from onebend.recording.entries import Recording
@@ -479,8 +479,3 @@ def _obey(cell: VirtualCell, orders: Connection, order: Any) -> bool:
     else:
         orders.send(getattr(cell, order))
     return True
-
-
-def default_tags(rec: Recording) -> tuple[VirtualTag, ...]:
-    """Those of recording.toml, where they are written."""
-    return tuple(VirtualTag(tag.id, tag.s) for tag in rec.tags.on_beam)
