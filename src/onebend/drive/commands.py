@@ -29,63 +29,32 @@ from onebend.recording.folder import FILE_NAME, folder_of, read_recording
 
 Out = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to record into; with recording.toml, or --like.")]
 Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
-Goals = Annotated[
-    Path | None, typer.Option("--goals", metavar="CSV", help="Goals of the point in time: time_s, x_m, y_m.")
-]
-Shape = Annotated[
-    Path | None,
-    typer.Option("--shape", metavar="CSV", help="A shape, as for `onebend shape`; one force makes what it can."),
-]
+Goals = Annotated[Path | None, typer.Option("--goals", metavar="CSV", help="Goals in time: time_s, x_m, y_m.")]
+Shape = Annotated[Path | None, typer.Option("--shape", metavar="CSV", help="A shape, as for `onebend shape`.")]
 CameraOption = Annotated[
-    str | None, typer.Option("--camera", metavar="SPEC", help="As for `onebend record`, or ros2:DOMAIN,topic=/NAME.")
+    str | None, typer.Option("--camera", metavar="SPEC", help="As `record`; ros2:DOMAIN,topic=/NAME.")
 ]
 RobotOption = Annotated[
-    str | None, typer.Option("--robot", metavar="SPEC", help="ur:HOST, franka:HOST, ros2:DOMAIN,..., virtual:linear.")
+    str | None, typer.Option("--robot", metavar="SPEC", help="ur:, franka:, ros2:, virtual:linear.")
 ]
-ForceOption = Annotated[
-    str | None,
-    typer.Option("--force", metavar="SPEC", help="A force sensor as for `onebend record`; default: the robot's."),
-]
-Like = Annotated[
-    Path | None,
-    typer.Option("--like", metavar="REC", help="A recording of this beam on this bench: its recording.toml."),
-]
+ForceOption = Annotated[str | None, typer.Option("--force", metavar="SPEC", help="As `record`; default: the robot's.")]
+Like = Annotated[Path | None, typer.Option("--like", metavar="REC", help="A recording of this beam on this bench.")]
 PlaceBy = Annotated[
     Literal["start", "push", "tag"],
-    typer.Option(
-        "--place",
-        help="How the robot's base lies. start: the axes in recording.toml. push: from the push in --like. tag: from a "
-        "tag on the tool there.",
-    ),
+    typer.Option("--place", help="The robot's base, by: recording.toml's axes; the push, or a tool's tag, in --like."),
 ]
-ToolTag = Annotated[
-    int | None, typer.Option("--tool-tag", metavar="ID", min=0, help="The tag on the tool, for --place tag.")
-]
+ToolTag = Annotated[int | None, typer.Option("--tool-tag", metavar="ID", min=0, help="On the tool, for --place tag.")]
 Go = Annotated[bool, typer.Option("--go", help="Move. Without it the plan is shown, and nothing else happens.")]
 Replace = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier recording in DIR.")]
 
 
 def drive(
-    model: common.Model,
-    folder: Out,
-    *,
-    goal: Goal = None,
-    goals: Goals = None,
-    shape: Shape = None,
-    point: common.Point = 1.0,
-    push_at: common.PushAt = 1.0,
-    camera: CameraOption = None,
-    robot: RobotOption = None,
-    force: ForceOption = None,
-    like: Like = None,
-    place: PlaceBy = "start",
-    tool_tag: ToolTag = None,
-    settings: DriveSettings,
-    go: Go = False,
-    overwrite: Replace = False,
-    as_json: common.Json = False,
+    model: common.Model, folder: Out, *, goal: Goal = None, goals: Goals = None, shape: Shape = None,
+    point: common.Point = 1.0, push_at: common.PushAt = 1.0, camera: CameraOption = None, robot: RobotOption = None,
+    force: ForceOption = None, like: Like = None, place: PlaceBy = "start", tool_tag: ToolTag = None,
+    settings: DriveSettings, go: Go = False, overwrite: Replace = False, as_json: common.Json = False,
     quiet: common.Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
     with common.clean_errors(), common.progress_of(quiet or as_json) as progress:
         stored = read_trusted(model)

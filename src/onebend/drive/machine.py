@@ -81,7 +81,6 @@ class DriveState:
     says: str = ""  # the newest thing that was said
     goal: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) m
     point: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) m, seen
-    axis: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (m, 2) m, the tags
     asked: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N
     felt: Array = field(default_factory=lambda: np.full(2, np.nan))  # (2,) N
     delay: float = math.nan  # s, measured
@@ -113,9 +112,9 @@ class Drive:
         self._period, self._settings, self._limits = 1.0 / plan.settings.rate, plan.settings, plan.limits
         tags = np.array([tag.s for tag in rec.tags.on_beam])
         self._places = np.append(tags, [plan.point_s, plan.push_s])
-        self._model = BentModel(plan.beam, plan.push_s, self._places, plan.gravity)
+        self._model = BentModel(plan.model.beam, plan.push_s, self._places, plan.gravity)
         self._rest = self._model.poses()
-        self._held_at = prepared(plan.beam, plan.push_s, plan.push_s, plan.gravity, Resolution())
+        self._held_at = prepared(plan.model.beam, plan.push_s, plan.push_s, plan.gravity, Resolution())
         self._apart, self._k_sd = 0.0, -math.log(1.0 - plan.settings.k_error) / 3.0  # m; of log k
         self.eye = Eye(rec, self._rest[: len(tags)])
         assert rec.force is not None
@@ -536,7 +535,7 @@ class Drive:
             self._errors.append((now, point))
             while self._errors[0][0] < now - SETTLING:
                 self._errors.popleft()
-            self.state = replace(self.state, point=point, axis=seen.xy)
+            self.state = replace(self.state, point=point)
         self._loop, asked = control.step(self._loop, point, now)
         asked = bounded(asked, self._limits.force)
         if not self._model.bend(asked):

@@ -130,10 +130,6 @@ class DrivePlan:
     remarks: tuple[str, ...] = ()
 
     @property
-    def beam(self) -> Beam:
-        return self.model.beam
-
-    @property
     def force(self) -> Array:
         """(2,) N at the last goal, by the model."""
         return self.goals[-1].control.reference.ends

@@ -75,6 +75,7 @@ class VirtualCell:
         at = 1.0 if setup.holds or rec.push is None else bench.push.at_s
         self._task = RodTask(bench.beam, bench.effects, np.array([tag.s for tag in bench.tags]), _nothing, at, 1.0)
         self._cells = cells_of(self._task, PLACES)
+        self.edges = self._cells.edges  # (N + 1,) s of `poses`
         self._contact = contact_of(self._task, self._cells)
         count = len(self._cells.size)
         self._angle, self._lagged, self._turned = self._contact.rest, np.zeros(count), np.zeros(count)
@@ -94,11 +95,6 @@ class VirtualCell:
         if draws:
             self._camera = BenchCamera(bench, rec, noise=setup.noise, sees=setup.sees, seed=setup.seed)
         self.largest, self._wrench = 0.0, np.zeros(6)  # N on the beam so far; as it was said last
-
-    @property
-    def edges(self) -> Array:
-        """(N + 1,) s of `poses`."""
-        return self._cells.edges
 
     def advance(self, until: float) -> None:
         """Go on to `until` [s]."""
