@@ -108,7 +108,7 @@ def drive(
                 stop=SimpleNamespace(is_set=lambda: stop.is_set() or enter.is_set()),
                 overwrite=overwrite,
             )
-    _answer(outcome, as_json)
+    _answer(outcome, data_alone=as_json)
 
 
 def _described(folder: Path, like: Path | None) -> Recording:
@@ -146,9 +146,9 @@ def _screen(state: DriveState) -> RenderableType:
     )
 
 
-def _answer(outcome: DriveOutcome, as_json: bool) -> None:
+def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
     made, folder = outcome.drive, outcome.recorded.folder
-    if as_json:
+    if data_alone:
         common.print_json({**outcome.data, "folder": str(folder)})
     else:
         for one in made.outcomes:
