@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-WINGS = ("live", "many", "lab", "studio")  # folders that may be left out, each with commands of its own
+WINGS = ("live", "many", "lab", "drive", "studio")  # folders that may be left out, each with commands of its own
 
 
 def wings() -> list[str]:
