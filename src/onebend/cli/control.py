@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import typer
+from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -151,9 +152,7 @@ def reach(
             found, force, error = there.found, there.force, there.error
         if not found.converged:
             raise ControlError(found.reason)
-        beyond = beyond_learned(setup or stored.setup, force)
-        if beyond:
-            common.say_warning(beyond, about="beyond what was learned")
+        warn_beyond_learned(stored.setup, force)
         summary = control_files.reach_summary(str(model), found, error, force, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import reaching  # here: loads Matplotlib
@@ -168,16 +167,15 @@ def reach(
 _BEYOND = 1.5  # times the largest force of the recording
 
 
-def beyond_learned(setup: SetUp | None, force: Array) -> str:
-    """What is to be said of a force (2,) [N] far beyond those of the recording, or ""."""
-    if setup is None:
-        return ""
-    size, learned = math.hypot(*force), math.hypot(*setup.force)
-    if not size > _BEYOND * learned:
-        return ""
-    return (
-        f"The force of {significant(size)} N is {significant(size / learned)} times the largest one that the beam was "
-        "learned from. The answer holds only if the beam is as elastic there."
+def warn_beyond_learned(setup: SetUp | None, forces: ArrayLike) -> None:
+    """Warn of forces (..., 2) [N] that are far beyond those of the recording."""
+    size = float(np.max(np.linalg.norm(np.asarray(forces), axis=-1), initial=0.0))
+    if setup is None or not size > _BEYOND * math.hypot(*setup.force):
+        return
+    common.say_warning(
+        f"The force of {significant(size)} N is {significant(size / math.hypot(*setup.force))} times the largest one "
+        "that the beam was learned from. The answer holds only if the beam is as elastic there.",
+        about="beyond what was learned",
     )
 
 
@@ -346,6 +344,7 @@ def shape(
                 f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
                 f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
             )
+        warn_beyond_learned(stored.setup, found.forces)
         summary = control_files.shape_summary(str(model), found, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import shaping  # here: loads Matplotlib
@@ -389,6 +388,7 @@ def path(
         if between == "force" or (between is None and _alone(wanted, pushes, holding)):
             wanted = _led(beam, wanted, pushes, holding, weight)
         way = follow_goals(beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
+        warn_beyond_learned(stored.setup, way.forces)
         sure = None if known is None else path_spread(way, known)
         summary = control_files.path_summary(str(model), way, sure, written_by=BY)
         bag = installed("rosbags")

@@ -298,7 +298,8 @@ def with_sites(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
             sd[layout.known_to(number)] = np.sqrt(np.diag(posterior.pair(number)))
         for block in wanted:
             key, where = (block.name, block.recording), block.where
-            sites[key] = updated(block, sites.get(key) or first_site(block), mean[where], sd[where])
+            size = start.sizes.get(block.name, 1.0)
+            sites[key] = updated(block, sites.get(key) or first_site(block, size), mean[where], sd[where], size)
         start = replace(start, sites=sites)
     return start
 
@@ -320,7 +321,7 @@ def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array
     """(FACTORS,) log posterior density of the log of one allowance's factor, up to a constant, all else at `start`."""
     layout, before = evidence.problem.layout, prior(evidence.problem, start)
     where = [_stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)]
-    sd = [before.roots[i].sd[index] / start.sizes.get(name, 1.0) for i, index in enumerate(where)]
+    sd = [np.concatenate([np.zeros(0), *(b.prior_sd for b in own if b.name == name)]) for own in layout.free_blocks]
     if len(where[0]):
         form = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
         return log_density_of([_scaled(form, 0, sd[0])], 0)

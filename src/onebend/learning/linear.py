@@ -129,7 +129,8 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
                 mean[where], of_axis = error.mean.ravel(), error.root(h.coloured, h.memory, h.walk, h.load)
                 blocks += [(index[axis::2], of_axis) for axis in range(2)]
             elif is_shaped(block):
-                mean[where], sd[where] = h.sites.get((block.name, block.recording)) or first_site(block)
+                site = h.sites.get((block.name, block.recording))
+                mean[where], sd[where] = site or first_site(block, h.sizes.get(block.name, 1.0))
             else:
                 sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
         return BlockRoot(sd[part], tuple(blocks))

@@ -20,10 +20,7 @@ from onebend.records import Array
 
 Sites = Mapping[tuple[str, int], tuple[Array, Array]]  # of blocks: means (n,) and sds (n,) of the normal priors
 
-import os
-
-_LO, _HI = map(float, os.environ.get("SZ", "0.02,1").split(","))
-_SIZES = np.exp(np.linspace(np.log(_LO), np.log(_HI), 13))
+_SIZES = np.exp(np.linspace(np.log(0.05), np.log(2.0), 13))  # of a sparse parameter, over its sd
 _WIDEST = 1e3  # of a site's sd, over the prior's: there the data say all
 
 
@@ -42,14 +39,14 @@ def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[A
     return log_mass, mean + sign * sd * shift, variance * np.clip(1.0 + bend - shift**2, 1e-8, 1.0)
 
 
-def first_site(block: Block) -> tuple[Array, Array]:
-    """Means and sds (n,) of the prior itself."""
-    return _matched(block, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
+def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
+    """Means and sds (n,) of the prior itself, whose sds are `size` times those of the block."""
+    return _matched(block, size, np.zeros(len(block.prior_sd)), np.full(len(block.prior_sd), np.inf))
 
 
-def _matched(block: Block, mean: Array, variance: Array) -> tuple[Array, Array]:
+def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior times normal densities of this mean and variance (n,)."""
-    sizes = block.prior_sd[:, None] * (_SIZES if block.sparse else np.ones(1))
+    sizes = size * block.prior_sd[:, None] * (_SIZES if block.sparse else np.ones(1))
     mean, given = mean[:, None], np.isfinite(variance)[:, None]
     variance = np.where(given, variance[:, None], 1.0)
     both = np.where(given, 1.0 / (1.0 / sizes**2 + 1.0 / variance), sizes**2)
@@ -63,14 +60,17 @@ def _matched(block: Block, mean: Array, variance: Array) -> tuple[Array, Array]:
     return average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
 
 
-def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array) -> tuple[Array, Array]:
-    """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that."""
+def updated(
+    block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0
+) -> tuple[Array, Array]:
+    """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that. No site
+    widens a marginal; where the true prior does, the site is next to flat, and the mean alone is met."""
     least = 1.0 / (_WIDEST * block.prior_sd) ** 2
     precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, least)
     without = (mean / sd**2 - site[0] / site[1] ** 2) / precision
-    wanted, spread = _matched(block, without, 1.0 / precision)
+    wanted, spread = _matched(block, size, without, 1.0 / precision)
     left = np.maximum(1.0 / spread**2 - precision, least)
-    return (wanted / spread**2 - without * precision) / left, 1.0 / np.sqrt(left)
+    return (wanted * (precision + left) - without * precision) / left, 1.0 / np.sqrt(left)
 
 
 def is_shaped(block: Block) -> bool:
