@@ -7,7 +7,7 @@ import numpy as np
 from onebend.learning.allowances import PushCourse, discrepancy
 
 BEND = np.array([0.2, 0.6, 1.0, 0.8, 0.1])
-RUN = PushCourse(np.arange(5.0), BEND, np.array([0.0, 0, 0, 1, 1]), np.cumsum(BEND) / 2.7, np.zeros((5, 3)))
+RUN = PushCourse(np.arange(5.0), BEND, np.array([0.0, 0, 0, 1, 1]), np.cumsum(BEND) / 2.7, np.zeros((5, 3)), 0.0)
 
 
 def test_every_coordinate_of_every_tag_has_its_own_functions() -> None:
