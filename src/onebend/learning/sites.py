@@ -20,7 +20,7 @@ from onebend.records import Array
 
 Sites = Mapping[tuple[str, int], tuple[Array, Array]]  # of blocks: means (n,) and sds (n,) of the normal priors
 
-_SIZES = np.exp(np.linspace(np.log(0.05), np.log(2.0), 13))  # of a sparse parameter, over its sd
+_SIZES = np.exp(np.linspace(np.log(0.005), np.log(2.0), 17))  # of a sparse parameter, over its sd
 _WIDEST = 1e3  # of a site's sd, over the prior's: there the data say all
 
 
@@ -60,9 +60,7 @@ def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[A
     return average, np.sqrt(np.sum(weights * (spread + (found - average[:, None]) ** 2), axis=1))
 
 
-def updated(
-    block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0
-) -> tuple[Array, Array]:
+def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0) -> tuple[Array, Array]:
     """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that. No site
     widens a marginal; where the true prior does, the site is next to flat, and the mean alone is met."""
     least = 1.0 / (_WIDEST * block.prior_sd) ** 2

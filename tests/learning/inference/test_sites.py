@@ -51,7 +51,8 @@ def test_moments_between_bounds_are_those_of_the_truncated_normal(
 @pytest.mark.parametrize("measured", [-0.4, -0.05, 0.0, 0.1, 0.5])
 @pytest.mark.parametrize("noise", [0.02, 0.2, 1.0])
 @pytest.mark.parametrize(
-    "one", [block(POSITIVE), block(sparse=True), block(POSITIVE, sparse=True), block((-np.inf, 0.1)), block((-0.3, 0.2))]
+    "one",
+    [block(POSITIVE), block(sparse=True), block(POSITIVE, sparse=True), block((-np.inf, 0.1)), block((-0.3, 0.2))],
 )
 def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: float, noise: float) -> None:
     """With one normal measurement, expectation propagation is exact after one update."""
