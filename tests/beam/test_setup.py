@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from onebend.beam.continuation import equilibrium
 from onebend.beam.loads import push
 from onebend.beam.model import Beam
 from onebend.beam.setup import PARTS, SetUp
-from onebend.beam.continuation import equilibrium
 from onebend.beam.stiffness import LogSpline, UncertainStiffness
 from onebend.control.reach import reach, reach_in_setup
 from onebend.errors import MechanicsError
@@ -59,7 +59,9 @@ def test_a_push_off_its_place_is_a_force_and_a_moment() -> None:
     np.testing.assert_allclose(moved.bent(BEAM, KNOWN, FORCE).solved.xy(np.array([0.5])), exact, atol=1e-4)
 
 
-@pytest.mark.parametrize("part, value", [("direction", 0.05), ("gain", 0.04), ("force_error", [0.02, -0.01, 0.0, 0.0])])
+@pytest.mark.parametrize(
+    ("part", "value"), [("direction", 0.05), ("gain", 0.04), ("force_error", [0.02, -0.01, 0.0, 0.0])]
+)
 def test_what_the_sensor_shows_bends_the_beam_as_the_force_on_it(part: str, value: float | list[float]) -> None:
     one = setup(**{part: value})
     bent = setup().bent(BEAM, KNOWN, FORCE)
@@ -108,7 +110,8 @@ def test_a_goal_is_met_in_the_set_up() -> None:
     np.testing.assert_allclose(tips(one, found.force[None])[0], goal, atol=1e-6)
     alone = reach(BEAM, goal)
     assert np.linalg.norm(tips(one, alone.force[None])[0] - goal) > 1e-3
-    assert found.error is not None and found.error.holds(goal)
+    assert found.error is not None
+    assert found.error.holds(goal)
     new = reach_in_setup(BEAM, KNOWN, one, goal, new=("tool", "sensor"))
     assert new.error is not None
     assert new.error.ellipse().semi_axes[0] > 1.5 * found.error.ellipse().semi_axes[0]

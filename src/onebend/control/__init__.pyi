@@ -58,8 +58,10 @@ from .reach import (
     HoldingLoad as HoldingLoad,
     PredictedError as PredictedError,
     Reach as Reach,
+    ReachInSetUp as ReachInSetUp,
     WarmReach as WarmReach,
     predicted_error as predicted_error,
+    reach_in_setup as reach_in_setup,
 )
 from .reach_set import NearestPoint as NearestPoint, ReachableSet as ReachableSet, reachable as reachable
 from .shape import (
