@@ -37,7 +37,7 @@ def suffered_well(folder: Path, fault: Injected) -> None:
         with pytest.raises(ObservationError, match=r"apart|turned by"):
             observe(rec)
     else:
-        assert len(observe(rec).time) >= frames - 5
+        assert len(observe(rec).time) > 30  # those after the last good row of the force are left out
 
 
 @pytest.mark.parametrize("kind", [pytest.param(one, marks=() if one in QUICKLY else pytest.mark.slow) for one in SAYS])
