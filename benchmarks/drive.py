@@ -186,7 +186,6 @@ def suffered(fault: Injected) -> dict[str, Any]:
             "hold": one.hold_after,
             "force": one.cell.largest / one.limit,
             "message": one.message,
-            "right": bool(re.search(SAYS[fault.kind], one.message)),
             "ended": one.outcome.drive.stage == "done" and one.outcome.drive.fault,
             "whole": whole,
             "last": one.outcome.drive.events[-1].text,
@@ -214,7 +213,7 @@ def goal_rows(found: dict[str, Any]) -> Iterable[str]:
             why = one.get("refused") or one["happened"][-1]
             yield f"| {goal.name} | {goal.factor:g} | {why} | | | |"
             continue
-        numbers = f"{one['seconds']:.1f} | {1e3 * one['off']:.2f} | {1e3 * one['said']:.2f} | {1e3 * one['noise']:.2f}"
+        numbers = f"{one['seconds']:.1f} | {1e3 * one['off']:.2f} | {1e3 * one['said']:.2f} | {1e3 * one['noise']:.3f}"
         yield f"| {goal.name} | {goal.factor:g} | {numbers} |"
 
 
@@ -238,26 +237,31 @@ def goal_summary(found: dict[str, Any]) -> Iterable[str]:
     yield f"- delay as measured, from exposure to the robot's motion: {delay.mean():.0f} ms, sd {delay.std():.0f} ms."
 
 
+def right(one: dict[str, Any]) -> bool:
+    """Whether the message names the fault."""
+    return bool(re.search(SAYS[one["kind"]], one["message"]))
+
+
 def fault_rows(found: dict[str, Any]) -> Iterable[str]:
     kinds = defaultdict(list)
     for one in found.values():
         kinds[one["kind"]].append(one)
-    yield "| fault | runs | to hold [ms], largest | force over its limit, largest | message right | recording whole |"
+    yield "| fault | runs | to hold [ms], largest | force over its limit, largest | message right | can be observed |"
     yield f"|{' --- |' * 6}"
     for kind in SAYS:
         runs = kinds[kind]
         holds, force = [1e3 * one["hold"] for one in runs], max(one["force"] for one in runs)
-        right, whole = (sum(map(bool, some)) for some in (
-            [one["right"] for one in runs], [not one["whole"].startswith("refused") for one in runs]))  # fmt: skip
+        told, whole = (sum(map(bool, some)) for some in (
+            [right(one) for one in runs], [not one["whole"].startswith("refused") for one in runs]))  # fmt: skip
         late = f"{max(holds):.0f}" + (" (the robot stops by itself)" if kind in DEAD else "")
-        yield f"| {kind} | {len(runs)} | {late} | {force:.2f} | {right} | {whole} |"
+        yield f"| {kind} | {len(runs)} | {late} | {force:.2f} | {told} | {whole} |"
     every = list(found.values())
     yield ""
     yield (
         f"{len(every)} faults: {sum(one['hold'] <= LATE + 1e-9 for one in every)} held within 100 ms, "
         f"{sum(one['force'] <= 1.05 for one in every)} kept the force within 105 % of its limit (largest "
         f"{max(one['force'] for one in every):.2f}), {sum(one['ended'] for one in every)} ended as a fault and let go, "
-        f"{sum(one['right'] for one in every)} said the right thing, "
+        f"{sum(map(right, every))} said the right thing, "
         f"{sum(not one['whole'].startswith('refused') for one in every)} left a recording that can be observed."
     )
 

@@ -41,7 +41,7 @@ SAYS = {  # words of the message
     "hidden": "the point is not seen any more: tag . is hidden",
     "swapped": "the point is not seen any more: tag .*(jumped|from where|hidden)",
     "stuck": "the force sensor is stuck",
-    "flipped": "under the force that is felt|N are on the beam",
+    "flipped": "under the force that is felt|N will be on the beam",
     "silent": "answers no more",
     "raises": "answers no more",
     "deaf": "answers no more",

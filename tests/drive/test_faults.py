@@ -34,10 +34,10 @@ def suffered_well(folder: Path, fault: Injected) -> None:
     frames = sum(1 for _ in read_frames(rec.video))
     assert frames == len((folder / "frames.csv").read_text(encoding="utf-8").splitlines()) - 1
     if fault.kind in ("swapped", "flipped"):  # what is wrong to the end contradicts itself, and learning says so
-        with pytest.raises(ObservationError, match=r"apart|turned by"):
+        with pytest.raises(ObservationError, match=r"apart|turned by|opposite sign"):
             observe(rec)
     else:
-        assert len(observe(rec).time) >= frames - 5
+        assert len(observe(rec).time) > 30  # those after the last good row of the force are left out
 
 
 @pytest.mark.parametrize("kind", [pytest.param(one, marks=() if one in QUICKLY else pytest.mark.slow) for one in SAYS])
