@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.entries import CameraEntry, Recording, TagEntry
-from onebend.records import Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
+from onebend.records import POINT_ID, Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
 
 
 def project(view: View, xy: Array) -> Array:
@@ -571,9 +571,6 @@ def measure_markers(detections: Detections, description: Recording, outline: Out
         by_camera=by_camera(plane, detections.corners, base, outline)[:, order],
         traced=None if traced is None else traced[order],
     )
-
-
-POINT_ID = 100_000  # the ids of an outline's points begin here: no family has so many tags
 
 
 def _fields(poses: Poses) -> tuple[Array, Array, Array]:

@@ -49,7 +49,15 @@ from onebend.report.style import (
     shape,
     styled,
 )
-from onebend.report.wording import LEVELS, highest_shown, millimetres, only_frequencies, significant, words_of
+from onebend.report.wording import (
+    LEVELS,
+    highest_shown,
+    millimetres,
+    only_frequencies,
+    significant,
+    tag_words,
+    words_of,
+)
 from onebend.text_files import figure_text
 
 MM = 1000.0
@@ -315,7 +323,7 @@ def shapes(beam: Beam, comparison: Comparison, observations: Observations, fitte
         for i in range(count):
             axes.plot(
                 *(MM * shown.measured[t, i]), shape(i), color=hue_of(i, count), alpha=strength, markersize=6, zorder=4,
-                label=f"tag {shown.tag_id[i]} measured" if order == len(chosen) - 1 and i in named(count) else None,
+                label=f"{tag_words(shown, i)} measured" if order == len(chosen) - 1 and i in named(count) else None,
             )  # fmt: skip
     axes.plot([], [], color=BLUE, label="simulated beam" if fitted is None else "fitted beam")
     if fitted is not None and not comparison.static:
@@ -379,7 +387,7 @@ def residuals(comparison: Comparison, title: str = "measured to simulated") -> F
     time, count = comparison.time - comparison.time[0], len(comparison.tag_id)
     for i, rms in enumerate(comparison.rms):
         distance, tint = distances(residual[:, i]), hue_of(i, count)
-        label = f"tag {comparison.tag_id[i]}: {millimetres(rms)} RMS" if i in named(count) else None
+        label = f"{tag_words(comparison, i)}: {millimetres(rms)} RMS" if i in named(count) else None
         left.plot(*_unbroken(time, distance), color=tint, linewidth=1.1, label=label, **_marked(i, time))
         if both:
             panels[1].plot(*residual[:, i].T, shape(i), color=tint, markersize=2.6, alpha=0.5, markeredgewidth=0)
@@ -468,7 +476,7 @@ def validation(comparisons: Sequence[Comparison]) -> Figure:
             end = np.nanmax([rms, MM * comparison.sensor_rms[i], 0.0])
             text = f"{millimetres(comparison.rms[i])} ({millimetres(comparison.sensor_rms[i])})"
             axes.annotate(text, (end, y), (6, 0), textcoords="offset points", va="center", fontsize=8.5)
-            tag = f"tag {comparison.tag_id[i]}"
+            tag = tag_words(comparison, i)
             ticks.append((y, f"{figure_text(comparison.name)}  {tag}" if i == 0 else tag))
             y += 1.0
         y += 0.7

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -13,10 +13,7 @@ from onebend.beam.stiffness import UncertainStiffness, half_width_words
 from onebend.learning.attribution import GROUPS
 from onebend.learning.outcome import Comparison
 from onebend.learning.run import Run
-from onebend.records import CleanForce, ClockOffset, Observations
-
-if TYPE_CHECKING:
-    pass
+from onebend.records import POINT_ID, CleanForce, ClockOffset, Observations
 
 
 def name_of(findings: Run) -> str:
@@ -168,8 +165,9 @@ def worst_tag(comparison: Comparison) -> str:
 
 
 def tag_words(comparison: Comparison, index: int) -> str:
-    """By its id in `recording.toml`."""
-    return f"tag {int(comparison.tag_id[index])}"
+    """A tag by its id in `recording.toml`, a point of the outline by its place."""
+    number = int(comparison.tag_id[index])
+    return f"tag {number}" if number < POINT_ID else f"the outline at s = {comparison.marker_s[index]:.2g}"
 
 
 def clock_words(clock: ClockOffset) -> str:
