@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from onebend.cli import OPTIONS, Command, all_commands, app, as_data, function_of
 from onebend.results.model import save_model
-from onebend.wings import wings
+from onebend.wings import GROUPS, wings
 from tests import made_up
 
 COMMANDS = all_commands()
@@ -116,10 +116,14 @@ def test_every_command_is_in_the_table() -> None:
                 assert f"{module}:{name}" in places
 
 
-def test_help_lists_the_commands_in_their_order() -> None:
+def test_help_lists_the_commands_by_group() -> None:
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).stdout
     at = [text.index(f"│ {name} ") for name in COMMANDS]
     assert at == sorted(at)
+    heads = [(text.index(f"─ {group} ─"), group) for group in GROUPS]
+    assert [max(heads for heads in heads if heads[0] < one)[1] for one in at] == [
+        one.group for one in COMMANDS.values()
+    ]
 
 
 def test_a_misspelt_command_is_answered_with_the_nearest() -> None:
