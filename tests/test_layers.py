@@ -25,6 +25,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("cli",),
     ("__main__",),
     ("live", "many", "lab"),
+    ("drive",),
     ("studio",),
 )
 STRANGERS = {("recording", "beam")}  # the first stands above the second and does not import it either
@@ -100,6 +101,7 @@ def test_wings_stand_above_the_core() -> None:
         ("report", "def lazy():\n    from onebend.cli import main"),
         ("results", "from onebend.lab import virtual"),
         ("lab", "from onebend.live.session import record"),
+        ("live", "from onebend.drive.robots import Robot"),
         ("cellar", "import math"),
     ],
 )

@@ -78,6 +78,7 @@ SECTIONS: dict[str, str] = {
     "pose": "no-equilibrium-is-near-the-points-of-a-pose",
     "pose history": "a-pose-is-in-another-equilibrium-than-its-turning-leads-to",
     "no equilibrium": "the-simulated-beam-snaps-or-buckles",
+    "beyond what was learned": "the-force-is-larger-than-those-learned-from",
     "no regression": "the-papers-regression-found-no-beam",
     # the force
     "axes": "the-force-contradicts-the-bending",
@@ -99,6 +100,7 @@ SECTIONS: dict[str, str] = {
     "unseen tag": "a-tag-is-never-seen",
     "small tags": "tags-are-too-small-in-the-picture",
     "no plane": "the-tags-lie-in-no-flat-plane",
+    "outline": "the-bodys-outline-is-lost",
     "film hung": "the-film-hung",
     "frame rate": "the-frame-rate-is-not-as-written",
     "base moves": "the-base-moves",

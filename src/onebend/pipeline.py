@@ -29,7 +29,7 @@ from onebend.recording.folder import check_same_beam, check_same_length, read_re
 from onebend.recording.observe import Detect, ObserveSettings, observe
 from onebend.recording.tags import detect_tags
 from onebend.recording.video import KeptFrames
-from onebend.records import Observations, Remark
+from onebend.records import FEW, Observations, Remark
 from onebend.report.sentences import worded
 from onebend.results.model import read_model
 
@@ -62,7 +62,7 @@ def learn(
     for one in others:
         read_recording(one)
     check_same_beam(wanted, jointly=fitting is not None)
-    trials(settings, len(wanted[0].tags.on_beam))  # mistakes in files and settings come out before the work
+    trials(settings, len(wanted[0].tags.on_beam) or FEW)  # mistakes in files and settings come out before the work
     watch = Stopwatch(progress)
     with watch.whole("observe"):
         every = [observe(one, settings=observing, detect=detect, frames=frames, progress=watch) for one in wanted]

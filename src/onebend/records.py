@@ -110,6 +110,19 @@ class Markers:
     view: View | None  # of the base tag's plane and frame (first frame, where the base moves); None for tracked markers
     remarks: tuple[Remark, ...] = ()
     by_camera: Array | None = None  # (T, m, 3, n) what one sd of each unknown of camera and plane does to all poses
+    traced: BoolArray | None = None  # (m,) as `Observations.traced`
+
+
+@dataclass(frozen=True)
+class OutlineTrack:
+    """Points of a body's centreline in T frames, in pixels (as `Detections`)."""
+
+    s: Array  # (n,) places along the body, 0 at the clamp
+    px: Array  # (T, n, 2) px; where the flanks were not seen, as the curve runs there
+    ahead: Array  # (T, n, 2) px of a place a little farther along the curve
+    sd: Array  # (T, n) px, one sd across the curve; NaN where the flanks were not seen
+    width: Array  # (n,) m, of the body between its flanks
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -354,6 +367,35 @@ class Observations:
     by_camera: Array | None = None
     frequencies: tuple[MeasuredFrequency, ...] = ()
     means: FrameMeans | None = None  # where the frames are means of several frames of the film
+    # (m,) which are points of the body's outline and no tags: measured across the curve alone, whose direction there is
+    # `angle`; their place along it is free. None: none
+    traced: BoolArray | None = None
+
+
+def tags_among(seen: Markers | Observations) -> BoolArray:
+    """(m,) which of the markers are tags, and no points of an outline."""
+    return np.ones(seen.xy.shape[1], dtype=bool) if seen.traced is None else ~seen.traced
+
+
+FEW = 6  # points of an outline that are read where there are no tags
+
+
+def read_before_fit(seen: Markers | Observations) -> IntArray:
+    """The markers that everything but the fit reads: the tags, or some points of the outline where there are none."""
+    tags, m = np.flatnonzero(tags_among(seen)), seen.xy.shape[1]
+    if len(tags) or m <= FEW:
+        return tags if len(tags) else np.arange(m)
+    return np.linspace(0, m - 1, FEW + 1).round().astype(np.int64)[1:]
+
+
+def of_markers(markers: Markers, kept: IntArray) -> Markers:
+    """Some of the markers."""
+    if len(kept) == len(markers.s):
+        return markers
+    every = {name: getattr(markers, name)[:, kept] for name in ("xy", "angle", "covariance")}
+    by_camera = None if markers.by_camera is None else markers.by_camera[:, kept]
+    traced = None if markers.traced is None else markers.traced[kept]
+    return replace(markers, tag_id=markers.tag_id[kept], s=markers.s[kept], by_camera=by_camera, traced=traced, **every)
 
 
 def covariance_with_camera(seen: Markers | Observations) -> Array:

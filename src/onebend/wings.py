@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Literal, get_args
 
-WINGS = ("live", "many", "lab", "studio")  # folders that may be left out, each with commands of its own
+WINGS = ("live", "many", "lab", "drive", "studio")  # folders that may be left out, each with commands of its own
 
 Group = Literal["Measure", "Learn", "Use", "Many", "Lab"]  # of commands, as `--help` lists them
 GROUPS: tuple[Group, ...] = get_args(Group)

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 DEAR = (
     "learn", "validate", "plan", "damp", "loop", "check",
     "rerun", "mould", "film", "calibrate", "reproduce", "rehearse", "batch",
-    "population", "record",
+    "population", "record", "drive",
 )  # fmt: skip
 ENDLESS = ("studio",)  # it serves until it is stopped; tests/studio/ starts it
 

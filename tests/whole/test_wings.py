@@ -1,4 +1,4 @@
-"""The core without its wings: the package with the four folders deleted."""
+"""The core without its wings: the package with the five folders deleted."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from onebend.beam.continuation import follow, refine
 from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import first_resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
@@ -51,10 +51,11 @@ PARTS: dict[str, tuple[str, Renewed | None]] = {
     "gain": ("1", "sensor"),  # log of the sensor's scale over that of the sensor that taught k(s)
 }
 _PASSES = 4  # of the parts that follow the shape: each pass leaves a few percent of their error
-_FITTED = 6  # Legendre polynomials of log k that the equivalent beam differs by
+RESOLUTION = Resolution(order=8, widest=0.125)
+_FITTED = 6  # Legendre polynomials of log k that the ideal beam differs by
+_LENGTH_STEP, _CLAMP_STEP, _LOG_K_STEP = 0.002, 0.005, 0.05  # typical: log, rad, log
 _SHARES, _TURNS = (0.25, 0.5, 0.75, 1.0), (-0.35, 0.0, 0.35)  # of the largest force, rad: where it is compared
 _PLACES = np.linspace(0.1, 1.0, 10)
-_DRAWS = 200
 
 
 @dataclass(frozen=True)
@@ -136,8 +137,7 @@ class SetUp:
             return self._part(x, name, size)
 
         still = push(np.zeros((count, 2)), push_s)
-        loads = still + weight(gravity) if any(gravity) else still
-        plain = make_problem(beam, loads, first_resolution(beam, loads)[0])
+        plain = make_problem(beam, still + weight(gravity) if any(gravity) else still, RESOLUTION)
         nodes, weights = plain.grid.nodes, plain.weights
         log_k = coefficients @ known.basis(nodes).T + part("log k", 3) @ Modes(3).curvature(nodes).T
         k = np.exp(log_k + (0.0 if known.offset is None else known.offset(nodes)))
@@ -167,9 +167,9 @@ class SetUp:
             away = solved.xy(np.array(self.tags)) - rest.xy(np.array(self.tags))
             bend = np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1))[:, None] / self.moved
         assert solved is not None
-        return Bent(self, solved, x)
+        return Bent(self, solved, bend[:, 0], x)
 
-    def equivalent(
+    def ideal(
         self,
         beam: Beam,
         known: UncertainStiffness,
@@ -177,44 +177,57 @@ class SetUp:
         push_s: float | None = None,
         gravity: tuple[float, float] = (0.0, 0.0),
     ) -> Beam:
-        """The inextensible beam on a rigid clamp that goes where this one goes under the logged forces.
+        """The inextensible beam on a rigid clamp that goes where this one goes under the same forces on the beam.
 
-        Length, clamp and rest curvature are those of the set-up; log k differs by a few Legendre polynomials. It is
-        compared under forces up to the largest of the recording. What reaches for a point, a shape or a path with it
-        moves the beam in the set-up. Raises `MechanicsError`: no equilibrium under these forces.
+        Length, clamp angle and log k differ, the latter by a few Legendre polynomials, so that both meet under forces
+        up to the largest of the recording. Raises `MechanicsError`: no equilibrium under these forces.
         """
+        exact = self._with_zeros("direction", "force error", "gain")
         size, angle = float(np.hypot(*self.force)), float(np.arctan2(self.force[1], self.force[0]))
         polar = [(share * size, angle + turn) for share in _SHARES for turn in _TURNS]
         force = np.array([[f * np.cos(a), f * np.sin(a)] for f, a in polar])
-        there = self.bent(beam, known, force, push_s=push_s, gravity=gravity)
-        stands = there.solved.converged
-        if not np.any(stands):
+        there = exact.bent(beam, known, force, push_s=push_s, gravity=gravity)
+        force = force[there.stands]
+        if not len(force):
             raise MechanicsError("the beam does not stand in its set-up under the forces that it was learned from")
-        force, wanted = force[stands], there.solved.xy(_PLACES)[stands]
+        wanted = there.solved.xy(_PLACES)[there.stands]
         s = np.linspace(0.0, 1.0, 8 * len(known.mean))
         onto = np.linalg.lstsq(known.basis(s), Modes(_FITTED).curvature(s), rcond=None)[0]
-        plain = replace(
-            beam,
-            length=beam.length * float(np.exp(self._part(self.mean, "length", 1)[0])),
-            clamp_angle=beam.clamp_angle + float(self._part(self.mean, "clamp", 1)[0]),
-            thickness=None,
-        )
         loads = push(force, self.push_s if push_s is None else push_s)
         loads = loads + weight(gravity) if any(gravity) else loads
-        resolution, _ = first_resolution(beam, loads)
-        knots, offset = tuple(known.knots.tolist()), known.offset
 
         def of(c: Array) -> Beam:
-            logs = tuple((known.mean + onto @ c).tolist())
-            return replace(plain, stiffness=LogSpline(knots, logs, known.degree, offset))
+            logs = tuple((known.mean + onto @ c[2:]).tolist())
+            return replace(
+                beam,
+                length=beam.length * float(np.exp(c[0])),
+                clamp_angle=beam.clamp_angle + float(c[1]),
+                stiffness=LogSpline(tuple(known.knots.tolist()), logs, known.degree, known.offset),
+                thickness=None,
+            )
 
         def away(c: Array) -> Array:
-            solved = follow(make_problem(of(c), loads, resolution))
-            return (np.where(solved.converged[:, None, None], solved.xy(_PLACES) - wanted, beam.length)).ravel()
+            solved = follow(make_problem(of(c), loads, RESOLUTION))
+            stands = solved.converged[:, None, None]
+            return np.asarray(np.where(stands, solved.xy(_PLACES) - wanted, beam.length).ravel())
 
-        begin = np.zeros(_FITTED)
-        found = least_squares(away, begin, x_scale=0.05, xtol=1e-6, ftol=1e-8, max_nfev=20)
-        return of(found.x)
+        begin = np.zeros(2 + _FITTED)
+        begin[:2] = self._part(self.mean, "length", 1)[0], self._part(self.mean, "clamp", 1)[0]
+        scale = np.array([_LENGTH_STEP, _CLAMP_STEP, *[_LOG_K_STEP] * _FITTED])
+        return of(least_squares(away, begin, x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=20).x)
+
+    def logged(self, force: Array, bend: Array) -> Array:
+        """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `bend` (T,): tags moved, over `moved`."""
+        error = self._part(self.mean, "force error", 4)
+        on_sensor = force - bend[:, None] * error[:2] - bend[:, None] ** 2 * error[2:]
+        turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
+        return np.asarray(np.exp(self._part(self.mean, "gain", 1)[0]) * _turned(on_sensor, turn))
+
+    def _with_zeros(self, *names: str) -> SetUp:
+        mean = self.mean.copy()
+        for name in names:
+            mean[self.columns.get(name, slice(0))] = 0.0
+        return replace(self, mean=mean)
 
     def _part(self, x: Array, name: str, size: int) -> Array:
         """(..., size) of numbers (..., n); zeros where the set-up lacks the part."""
@@ -258,6 +271,7 @@ class Bent:
 
     setup: SetUp
     solved: Equilibrium
+    bend: Array  # (T,) the tags' displacement over `SetUp.moved`
     numbers: Array  # (T, n) of the set-up
 
     @property

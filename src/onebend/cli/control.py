@@ -11,50 +11,108 @@ from typing import Annotated, Literal
 
 import numpy as np
 import typer
+from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import Renewed, SetUp
+from onebend.beam.stiffness import LogSpline, UncertainStiffness
 from onebend.cli import BY, common
 from onebend.cli.models import gravity_on, read_trusted
 from onebend.control.goals import Between, Goals, read_goals, read_targets
 from onebend.control.loop import Controller, Margins
 from onebend.control.loop_simulation import SETTLED, LoopTrial
 from onebend.control.path import FollowedPath, PathSettings, PathSpread, by_force, follow_goals, path_spread
-from onebend.control.reach import SURE, PredictedError, Reach, ReachSettings, predicted_error, reach as solve_reach
+from onebend.control.reach import (
+    SURE,
+    PredictedError,
+    Reach,
+    ReachSettings,
+    predicted_error,
+    reach as solve_reach,
+    reach_in_setup,
+)
 from onebend.control.reach_set import ReachableSet, reachable
 from onebend.control.shape import Grip, Pusher, ShapeResult, ShapeSettings, shape as solve_shape
 from onebend.control.trajectory_files import FRAME
 from onebend.errors import ControlError
 from onebend.extras import installed
 from onebend.options import POSITIVE, option
+from onebend.records import Array
 from onebend.report.wording import length_words, significant
 from onebend.results import control_files
-from onebend.results.model import model_file
+from onebend.results.model import StoredModel, model_file
 
 
-def show_reach(console: Console, result: Reach, error: PredictedError | None, output: Path | None) -> None:
+@dataclass(frozen=True)
+class SetUpOptions:
+    """In which set-up the beam is bent."""
+
+    new_tool: bool = option(
+        "--new-tool", False, "Another tool pushes than in the recording: where it acts and how it slides is open."
+    )
+    new_sensor: bool = option(
+        "--new-sensor", False, "Another sensor gives the force: its scale, axes and slow error are open."
+    )
+    remounted: bool = option("--remounted", False, "The beam was clamped anew: its clamp is open.")
+    beam_alone: bool = option(
+        "--beam-alone", False, "Bend the learned k(s) alone: inextensible, rigidly clamped, the force exact."
+    )
+
+    def of(self, stored: StoredModel) -> SetUp | None:
+        """The set-up; None for the beam alone, or where the model has none."""
+        parts: dict[Renewed, bool] = {"tool": self.new_tool, "sensor": self.new_sensor, "mounting": self.remounted}
+        new = [name for name, is_new in parts.items() if is_new]
+        if self.beam_alone and new:
+            raise ControlError("--beam-alone takes no set-up, so nothing in it can be new: give one or the other")
+        if stored.setup is None and new:
+            raise ControlError(
+                "the model has no set-up, so nothing says what is known of it: learn it again with `onebend learn` "
+                "from a push with a force log, or leave --new-tool, --new-sensor and --remounted out"
+            )
+        return None if self.beam_alone or stored.setup is None else stored.setup.renewed(new)
+
+
+def in_setup(
+    stored: StoredModel, setup: SetUp | None, push_s: float, gravity: tuple[float, float]
+) -> tuple[Beam, UncertainStiffness | None]:
+    """The ideal beam that goes where the learned one goes in its set-up, with the relative band of that."""
+    known = stored.uncertain
+    if setup is None or known is None:
+        return stored.beam, known
+    beam = setup.ideal(stored.beam, known, push_s=push_s, gravity=gravity)
+    assert isinstance(beam.stiffness, LogSpline)
+    return beam, replace(known, mean=np.asarray(beam.stiffness.coefficients), nominal=None)
+
+
+def show_reach(
+    console: Console, result: Reach, force: Array, error: PredictedError | None, output: Path | None, *, bare: bool
+) -> None:
+    """`bare`: k(s) alone, without a set-up."""
     table = common.facts_table()
-    table.add_row(f"force at s = {result.push_s:.3g}", common.force_words(result.force))
+    table.add_row(f"force at s = {result.push_s:.3g}", common.force_words(force))
+    if not bare and np.hypot(*(force - result.force)) > 1e-3 * np.hypot(*force):
+        table.add_row("on the beam", f"{common.force_words(result.force)}; the sensor shows the one above")
     if result.settings.moment:
         table.add_row("moment there", f"[bold]{result.moment:.4g} N m[/]")
     x, y = 1e3 * result.reached[:2]
     angle = math.degrees(result.reached[2])
     table.add_row(f"point s = {result.point_s:.3g}", f"at ({x:.3f}, {y:.3f}) mm, tangent at {angle:.1f} deg")
     table.add_row("from the goal", f"{length_words(result.error)} in the model, after {result.iterations} iterations")
-    table.add_row("sure to within", _sureness_of_goal(error))
+    table.add_row("sure to within", _sureness_of_goal(error, "band on k(s)" if bare else "set-up of the recording"))
     table.add_row("way there", f"{len(result.path) - 1} steps from rest, each a stable equilibrium on one branch")
     console.print(table)
     common.say_written(console, output, "path.csv, reach.png, summary.json")
 
 
-def _sureness_of_goal(error: PredictedError | None) -> str:
+def _sureness_of_goal(error: PredictedError | None, source: str) -> str:
     if error is None:
         return common.NO_BAND
     long, short = error.ellipse(SURE).semi_axes
     ellipse = f"± {length_words(long)} along and ± {length_words(short)} across"
-    return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the band on k(s)"
+    return f"{ellipse} its {100 * SURE:.0f} % ellipse, from the {source}"
 
 
 GoalAngle = Annotated[
@@ -71,6 +129,7 @@ def reach(
     point: common.Point = 1.0,
     goal_angle: GoalAngle = None,
     settings: ReachSettings,
+    where: SetUpOptions,
     gravity: common.Gravity = (0.0, 0.0),
     output: common.Output = None,
     overwrite: common.Overwrite = False,
@@ -80,18 +139,44 @@ def reach(
         stored = read_trusted(model)
         settings = replace(settings, gravity=gravity_on(stored.beam, gravity))
         wanted = np.array([*goal, *([] if goal_angle is None else [math.radians(goal_angle)])])
-        found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
+        setup, known = where.of(stored), stored.uncertain
+        if settings.moment or settings.method == "paper" or known is None:
+            setup = None
+        if setup is None or known is None:
+            found = solve_reach(stored.beam, wanted, push_s=push_at, point_s=point, settings=settings)
+            force, error = found.force, None
+            if found.converged and known is not None:
+                error = predicted_error(stored.beam, known, found)
+        else:
+            there = reach_in_setup(stored.beam, known, setup, wanted, push_s=push_at, point_s=point, settings=settings)
+            found, force, error = there.found, there.force, there.error
         if not found.converged:
             raise ControlError(found.reason)
-        error = None if stored.uncertain is None else predicted_error(stored.beam, stored.uncertain, found)
-        summary = control_files.reach_summary(str(model), found, error, written_by=BY)
+        warn_beyond_learned(stored.setup, force)
+        summary = control_files.reach_summary(str(model), found, error, force, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import reaching  # here: loads Matplotlib
 
             tables = partial(control_files.write_reach, result=found)
             figures = {"reach": lambda: reaching(found, error, _within(found))}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model)])
-    common.answer(as_json, summary, lambda console: show_reach(console, found, error, output), output)
+    bare = setup is None
+    common.answer(as_json, summary, lambda console: show_reach(console, found, force, error, output, bare=bare), output)
+
+
+_BEYOND = 1.5  # times the largest force of the recording
+
+
+def warn_beyond_learned(setup: SetUp | None, forces: ArrayLike) -> None:
+    """Warn of forces (..., 2) [N] that are far beyond those of the recording."""
+    size = float(np.max(np.linalg.norm(np.asarray(forces), axis=-1), initial=0.0))
+    if setup is None or not size > _BEYOND * math.hypot(*setup.force):
+        return
+    common.say_warning(
+        f"The force of {significant(size)} N is {significant(size / math.hypot(*setup.force))} times the largest one "
+        "that the beam was learned from. The answer holds only if the beam is as elastic there.",
+        about="beyond what was learned",
+    )
 
 
 def _within(found: Reach) -> ReachableSet | None:
@@ -234,6 +319,7 @@ def shape(
     targets: TargetsFile,
     hands: Hands,
     settings: ShapeSettings,
+    where: SetUpOptions,
     gravity: common.Gravity = (0.0, 0.0),
     output: common.Output = None,
     overwrite: common.Overwrite = False,
@@ -242,14 +328,15 @@ def shape(
     with common.clean_errors():
         stored = read_trusted(model)
         pushes, holding = hands.actuators()
-        wanted = read_targets(targets, stored.beam.length)
+        wanted, pull = read_targets(targets, stored.beam.length), gravity_on(stored.beam, gravity)
+        beam, known = in_setup(stored, where.of(stored), pushes[0].at_s if pushes else 1.0, pull)
         found = solve_shape(
-            stored.beam,
+            beam,
             wanted,
             pushes=pushes,
             grip=holding,
-            gravity=gravity_on(stored.beam, gravity),
-            uncertain=stored.uncertain,
+            gravity=pull,
+            uncertain=known,
             settings=settings,
         )
         if found.rms > FAR * stored.beam.length:
@@ -257,12 +344,13 @@ def shape(
                 f"nothing near the targets can be reached: the closest shape is {1e3 * found.rms:.4g} mm rms away from "
                 f"them, the beam {1e3 * stored.beam.length:.4g} mm long. Give targets that the beam can reach"
             )
+        warn_beyond_learned(stored.setup, found.forces)
         summary = control_files.shape_summary(str(model), found, written_by=BY)
         if output is not None:
             from onebend.report.control_figures import shaping  # here: loads Matplotlib
 
             tables = partial(control_files.write_shape, result=found)
-            figures = {"shape": lambda: shaping(stored.beam, found)}
+            figures = {"shape": lambda: shaping(beam, found)}
             common.save_results(output, overwrite, summary, tables, figures, [model_file(model), targets])
     common.answer(as_json, summary, lambda console: show_shape(console, found, output), output)
 
@@ -274,6 +362,7 @@ def path(
     point: GoalPoint = 1.0,
     hands: Hands,
     settings: PathSettings,
+    where: SetUpOptions,
     between: BetweenGoals = None,
     gravity: common.Gravity = (0.0, 0.0),
     frame: FrameName = FRAME,
@@ -293,12 +382,14 @@ def path(
                 "--max-force-rate-N-per-s limits a push, and there is none: add --push-at, or leave it out"
             )
         weight = gravity_on(stored.beam, gravity)
+        beam, known = in_setup(stored, where.of(stored), pushes[0].at_s if pushes else 1.0, weight)
         by_points: Between = "smooth" if between is None or between == "force" else between
         wanted = read_goals(goals, point_s=point, between=by_points)
         if between == "force" or (between is None and _alone(wanted, pushes, holding)):
-            wanted = _led(stored.beam, wanted, pushes, holding, weight)
-        way = follow_goals(stored.beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
-        sure = None if stored.uncertain is None else path_spread(way, stored.uncertain)
+            wanted = _led(beam, wanted, pushes, holding, weight)
+        way = follow_goals(beam, wanted, pushes=pushes, grip=holding, gravity=weight, settings=settings)
+        warn_beyond_learned(stored.setup, way.forces)
+        sure = None if known is None else path_spread(way, known)
         summary = control_files.path_summary(str(model), way, sure, written_by=BY)
         bag = installed("rosbags")
         if output is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from typing import Literal
@@ -17,6 +17,7 @@ from onebend.beam.loads import Loads, push, twist, weight
 from onebend.beam.model import Beam
 from onebend.beam.problem import Resolution, make_problem, make_problems, missed_by_angles
 from onebend.beam.sensitivity import of_stiffness, respond
+from onebend.beam.setup import Bent, Renewed, SetUp
 from onebend.beam.statics import Equilibrium, tangent
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.goals import BEYOND, METRES
@@ -626,6 +627,12 @@ class PredictedError:
         return bool(self.distance(xy) <= _squared_radius(level))
 
 
+_NO_BOUND = (
+    "{lost} of {draws} beams within the band do not stand under this load: its error has no bound. "
+    "Learn the beam better, or take a goal with a smaller force"
+)
+
+
 @one_blas_thread
 def predicted_error(
     beam: Beam,
@@ -654,10 +661,7 @@ def predicted_error(
     solved = refine(problem, np.repeat(result.solved.q, draws, axis=0))
     stands = solved.converged & solved.stable
     if np.sum(stands) < max(3, draws // 2):
-        raise ControlError(
-            f"{np.sum(~stands)} of {draws} beams within the band do not stand under this load: its error has no bound. "
-            "Learn the beam better, or take a goal with a smaller force"
-        )
+        raise ControlError(_NO_BOUND.format(lost=int(np.sum(~stands)), draws=draws))
     places = solved.xy(np.array([result.point_s]))[stands, 0]
     return PredictedError(result.reached[:2], np.mean(places, axis=0), np.cov(places.T), float(np.mean(~stands)))
 
@@ -672,3 +676,80 @@ def _first_order(known: UncertainStiffness, result: Reach) -> Array:
         raise ControlError("the shape is at a limit point, where the smallest error of k(s) is too much")
     common = known.gain_sd**2 * np.outer(moved[:, -1], moved[:, -1])
     return np.asarray(moved[:, :-1] @ known.covariance @ moved[:, :-1].T + common)
+
+
+# In its set-up: the ideal beam that goes where the learned one goes is led to the goal, corrected by what is left.
+
+_CORRECTIONS, _MET = 4, 1e-6  # of the length
+
+
+@dataclass(frozen=True)
+class ReachInSetUp:
+    """A force for a goal in the set-up in which the beam was learned, or in one with new parts."""
+
+    found: Reach  # of the ideal beam, under the force on the beam
+    force: Array  # (2,) N, as the sensor of the set-up shows it
+    error: PredictedError | None  # None where the goal is not reached
+
+
+@one_blas_thread
+def reach_in_setup(
+    beam: Beam,
+    uncertain: UncertainStiffness,
+    setup: SetUp,
+    goal: ArrayLike,
+    *,
+    push_s: float | None = None,
+    point_s: float = 1.0,
+    settings: ReachSettings = ReachSettings(),
+    new: Iterable[Renewed] = (),
+    draws: int = 400,
+    seed: int = 0,
+) -> ReachInSetUp:
+    """As `reach`, for the set-up of the recording: its place of the push, clamp, sensor, section and length.
+
+    `new`: what is another one now, its parts drawn from their priors. `push_s`: default as in the recording. The error
+    is that of `draws` from the joint posterior. `uncertain` is the band of `beam`; raises as `reach`.
+    """
+    wanted, now = checked_goal(goal, settings), setup.renewed(new)
+    push_s = setup.push_s if push_s is None else push_s
+    ideal = now.ideal(beam, uncertain, push_s=push_s, gravity=settings.gravity)
+    point, aim, force = np.array([point_s]), wanted.copy(), np.zeros(2)
+    found = reach(ideal, aim, push_s=push_s, point_s=point_s, settings=settings)
+    for _ in range(_CORRECTIONS if found.converged and not found.moment else 0):
+        force, there = _as_logged(now, beam, uncertain, found, push_s)
+        missed = wanted[:2] - there.solved.xy(point)[0, 0]
+        if not np.all(there.stands) or np.max(np.abs(missed)) < _MET * beam.length:
+            break
+        aim[:2] += missed
+        again = reach(ideal, aim, push_s=push_s, point_s=point_s, settings=settings)
+        if not again.converged:
+            break
+        found = again
+    if not found.converged:
+        return ReachInSetUp(replace(found, goal=wanted), found.force, None)
+    force, there = _as_logged(now, beam, uncertain, found, push_s)
+    at = now.draw(uncertain, draws, seed=seed)
+    felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
+    drawn = now.bent(beam, uncertain, felt, at, push_s=push_s, gravity=settings.gravity)
+    stands = drawn.stands
+    if np.sum(stands) < max(3, draws // 2):
+        raise ControlError(_NO_BOUND.format(lost=int(np.sum(~stands)), draws=draws))
+    places, straight = drawn.solved.xy(point)[stands, 0], np.array([point_s * beam.length, 0.0])
+    middle = there.solved.xy(point)[0, 0]
+    covariance = np.cov(places.T) + (now.discrepancy * np.linalg.norm(middle - straight)) ** 2 * np.eye(2)
+    error = PredictedError(middle, np.mean(places, axis=0), covariance, float(np.mean(~stands)))
+    reached = np.append(middle, found.reached[2])
+    return ReachInSetUp(replace(found, goal=wanted, reached=reached), force, error)
+
+
+def _as_logged(
+    setup: SetUp, beam: Beam, uncertain: UncertainStiffness, found: Reach, push_s: float
+) -> tuple[Array, Bent]:
+    """(2,) N as the sensor shows the force that was found, and the beam under it."""
+    tags = np.array(setup.tags)
+    rest = refine(found.pushed.loaded(np.zeros(3)), found.pushed.whole(found.pushed.start.q)[None])
+    away = found.solved.xy(tags)[0] - rest.xy(tags)[0]
+    bend = float(np.sqrt(np.mean(np.sum(away**2, axis=-1)))) / setup.moved
+    force = setup.logged(found.force[None], np.array([bend]))
+    return force[0], setup.bent(beam, uncertain, force, push_s=push_s, gravity=found.settings.gravity)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, get_args
 
@@ -12,7 +12,7 @@ import numpy as np
 from onebend.beam.grid import Grid, Modes, apply
 from onebend.beam.problem import Problem
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
-from onebend.records import Array, BoolArray, Observations, PointMass, View
+from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
 #   "log k"       (Q, n) or (F, Q, n): added to log k at the nodes
@@ -23,6 +23,9 @@ from onebend.records import Array, BoolArray, Observations, PointMass, View
 #   "poses"       (F, m, 3, n): added to the tags' poses
 #   "section", "relaxation", "length": the model's own; no basis, or the frames' times
 Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", "relaxation", "length"]
+
+
+ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class Allowance:
     basis: Array  # see `Entry`
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
+    within: tuple[float, float] = ANYTHING  # bounds of each parameter
+    sparse: bool = False  # an effect that most benches lack, see `sites`
 
     @property
     def count(self) -> int:
@@ -84,13 +89,16 @@ def with_rest(values: Array, count: int) -> Array:
     return out
 
 
+CLAMP_TAG = 1.0 / 3.0  # s about which a point of an outline is taken for the tag next to the clamp
 GIVE_SD = 0.01  # rad per rad that the first tag turns
 
 
-def giving(run: PushCourse, count: int) -> Allowance:
-    """The moment at the clamp follows the turn of the tag next to it; `count` frames, those at rest last."""
-    basis = with_rest(run.turn[:, :1], count)
-    return Allowance("clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis)
+def giving(run: PushCourse, count: int, beside: int = 0) -> Allowance:
+    """The moment at the clamp follows the turn of the tag `beside` it; `count` frames, those at rest last."""
+    basis = with_rest(run.turn[:, beside, None], count)
+    return Allowance(
+        "clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis, within=POSITIVE, sparse=True
+    )
 
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
@@ -99,7 +107,7 @@ SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a 
 def sliding(marker_s: Array, run: PushCourse, push_s: Array) -> Allowance:
     """`s_a(t) = s_0 + b (a(s_0, t) - a(s_0, 0))` with b in m per rad; `push_s` (F,)."""
     basis = with_rest(turn_at_push(marker_s, run.turn, push_s)[:, None], len(push_s))
-    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis)
+    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis, sparse=True)
 
 
 def turn_at_push(marker_s: Array, turn: Array, push_s: Array) -> Array:
@@ -120,6 +128,22 @@ LEVER = 0.3  # of the length: a smooth error of place d has a slope of about d o
 def discrepancy(run: PushCourse, tags: tuple[str, ...], length: float, count: int) -> tuple[Allowance, Allowance]:
     """For the tags' places, and for their angles; `count` frames, those at rest last."""
     return discrepancy_of(with_rest(smooth_functions(run), count), tags, length)
+
+
+OUTLINE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
+_TERMS = 6  # Legendre polynomials along the body
+
+
+def outline_error(marker_s: Array, run: PushCourse, across: Array) -> Allowance:
+    """The error of an outline, smooth along the body: one that stays, and two that grow with the bending (light and
+    shade turn with the body, walls come into sight); `across` (F, m, 2), zero at tags, frames at rest last."""
+    grows = with_rest(np.stack([run.bend, run.bend**2], axis=1), len(across))
+    in_time = np.column_stack([np.ones(len(across)), grows])  # (F, 3)
+    along = np.polynomial.legendre.legvander(2.0 * marker_s - 1.0, _TERMS - 1)  # (m, n)
+    basis = np.zeros((*across.shape[:2], 3, 3 * _TERMS))
+    basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", across, in_time, along).reshape(*across.shape, -1)
+    labels = tuple(f"outline error {t}{n}" for t in ("stays", "grows", "grows more") for n in range(_TERMS))
+    return Allowance("outline", "poses", "m", labels, np.full(len(labels), OUTLINE_SD), basis, sized=True)
 
 
 def discrepancy_of(functions: Array, tags: tuple[str, ...], length: float) -> tuple[Allowance, Allowance]:
@@ -163,7 +187,7 @@ def unknown_mass(observations: Observations, frames: BoolArray, problem: Problem
     if not np.any(force):
         return None
     sd = np.array([MASS_SD * observations.length**3])
-    return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True)
+    return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True, within=POSITIVE)
 
 
 def inertial_force(
@@ -257,6 +281,8 @@ def between_recordings(nodes: Array) -> Allowance:
 PATCH_SD = 0.4  # of the log of the factor on k under a tag, before the evidence has chosen: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
+PAPER = 1.5  # of the same: wider layers are beyond the paper of a tag
+NEXT_TO_NONE = 1e-3
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -282,11 +308,13 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
     return np.asarray(np.diff(to_edges, axis=-2, prepend=0.0) / grid.weights[..., None])
 
 
-def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) -> Allowance:
-    """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis."""
+def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None, *, traced: bool = False) -> Allowance:
+    """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis. Where the body's
+    outline is `traced` beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
     basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
-    return Allowance("patches", "log k", "1", labels, PATCH_SD * np.sqrt(SHARES), basis, shared=True, sized=True)
+    sd = PATCH_SD * np.sqrt(SHARES) * np.where(traced & (WIDTHS > PAPER), NEXT_TO_NONE, 1.0)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sparse=True)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -306,16 +334,19 @@ def camera_place(view: View) -> tuple[Array, float]:
 
 
 def heights(observations: Observations, measured: Array) -> Allowance:
-    """Each tag's own height [m]; `measured` (F, m, 3) poses of the tags."""
+    """Each tag's own height [m], and those of the outline at the clamp and at the tip; `measured` (F, m, 3) poses."""
     view = _view(observations)
     foot, distance = camera_place(view)
     away = np.nan_to_num(measured[..., :2] - foot) / distance
-    tags = measured.shape[1]
-    basis = np.zeros((*measured.shape, tags))
-    for i in range(tags):
-        basis[:, i, :2, i] = away[:, i]
-    labels = tuple(f"height of tag {i}" for i in observations.tag_id)
-    return Allowance("heights", "poses", "m", labels, np.full(tags, HEIGHT_SD), basis, shared=True)
+    labels, tags = [f"height of tag {i}" for i in observations.tag_id], tags_among(observations)
+    functions = np.eye(len(tags))
+    if not tags.all():
+        s, labels = observations.marker_s, [labels[i] for i in np.flatnonzero(tags)]
+        functions = np.column_stack([functions[:, tags], ~tags * (1.0 - s), ~tags * s])
+        labels += ["height of the outline at the clamp", "height of the outline at the tip"]
+    basis = np.zeros((*measured.shape, len(labels)))
+    basis[:, :, :2] = away[..., None] * functions[:, None, :]
+    return Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
 
 
 def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
@@ -382,7 +413,7 @@ def posture_bias(run: PushCourse, force: Array) -> Allowance:
     largest = float(np.max(np.linalg.norm(force, axis=1)))
     basis = on_each_axis(with_rest(powers(run.bend), len(force)))
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
-    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis)
+    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis, sparse=True)
 
 
 def powers(bend: Array) -> Array:
@@ -407,7 +438,17 @@ LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 def relaxation(run: PushCourse) -> Allowance:
     """The shares that relax with each of the times."""
     labels = tuple(f"share that relaxes within {t:g} s" for t in TIMES)
-    return Allowance("relaxation", "relaxation", "1", labels, np.full(len(TIMES), SHARE_SD), run.time, shared=True)
+    return Allowance(
+        "relaxation",
+        "relaxation",
+        "1",
+        labels,
+        np.full(len(TIMES), SHARE_SD),
+        run.time,
+        shared=True,
+        within=POSITIVE,
+        sparse=True,
+    )
 
 
 def lags(time: Array) -> Array:
@@ -514,7 +555,7 @@ def section(*, known: bool) -> Allowance:
     """The relative change of the square of the thickness, from the stated one or the usual one."""
     sd = np.array([KNOWN_SD if known else UNKNOWN_SD])
     label = "change of section thickness squared"
-    return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True)
+    return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True, within=(-1.0, np.inf))
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:
@@ -543,6 +584,7 @@ AllowanceName = Literal[
     "rolling shutter",
     "discrepancy",
     "angle discrepancy",
+    "outline",
     "between recordings",
 ]
 EVERY_ALLOWANCE: frozenset[AllowanceName] = frozenset(get_args(AllowanceName))
@@ -557,22 +599,30 @@ def allowances_of(
     force: Array,
     grid: Grid,
     wanted: frozenset[AllowanceName],
+    across: Array | None = None,
 ) -> tuple[Allowance, ...]:
     """The wanted allowances of a film's chosen `frames` (T,); none of static poses.
 
-    `measured` (F, m, 3), `push_s` (F,) and `force` (F, 2) N: of these frames and of the beam at rest after them.
+    `measured` (F, m, 3), `push_s` (F,), `force` (F, 2) N and `across` (F, m, 2), unit vectors across an outline at its
+    points: of these frames and of the beam at rest after them.
     """
     if observations.static or not np.any(frames):
         return ()
-    run, tags = course(observations, frames), tuple(f"tag {i}" for i in observations.tag_id)
+    run, on_body = course(observations, frames), tags_among(observations)
+    tags = tuple(f"tag {i}" for i in observations.tag_id[on_body])
+    beside = 0 if on_body.all() else int(np.argmin(np.abs(observations.marker_s - CLAMP_TAG)))
     every = [
         section(known=bool(np.isfinite(observations.stated.thickness))),
         relaxation(run),
-        patches(observations.marker_s, observations.length, observations.stated.tag_size, grid),
         length(),
-        giving(run, len(force)),
-        *discrepancy(run, tags, observations.length, len(force)),
+        giving(run, len(force), beside),
     ]
+    if tags:
+        under = observations.marker_s[on_body], observations.length, observations.stated.tag_size
+        every.append(patches(*under, grid, traced=not on_body.all()))
+        every += [_at(on_body, one) for one in discrepancy(run, tags, observations.length, len(force))]
+    if across is not None and not on_body.all():
+        every.append(outline_error(observations.marker_s, run, across))
     if np.any(force != 0.0):
         every += [sliding(observations.marker_s, run, push_s), posture_bias(run, force)]
     if observations.source.view is not None:
@@ -582,3 +632,12 @@ def allowances_of(
     if observations.by_camera is not None:
         every.append(camera(observations, frames, len(force)))
     return tuple(one for one in every if one.name in wanted)
+
+
+def _at(tags: BoolArray, one: Allowance) -> Allowance:
+    """An allowance of the poses of tags, for markers of which `tags` (m,) are these."""
+    if tags.all():
+        return one
+    basis = np.zeros((len(one.basis), len(tags), *one.basis.shape[2:]))
+    basis[:, tags] = one.basis
+    return replace(one, basis=basis)

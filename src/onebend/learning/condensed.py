@@ -175,6 +175,10 @@ def white_share(o: Observations, poses: Array) -> Array:
     """(m,) share of each tag's stated variance that is white, at most 1, from third differences of poses (T, m, 3)."""
     third = np.diff(poses, n=3, axis=0)
     stated = np.diagonal(o.covariance, axis1=2, axis2=3)[: len(third)]
+    if o.traced is not None:  # of an outline only what is across it is measured
+        angle = o.angle[: len(third), o.traced]
+        third[:, o.traced, 0] = third[:, o.traced, 1] * np.cos(angle) - third[:, o.traced, 0] * np.sin(angle)
+        third[:, o.traced, 1:] = np.nan
     usable = np.isfinite(third) & np.isfinite(stated) & (stated > 0.0)
     ratio = np.where(usable, np.abs(third) / np.sqrt(np.where(usable, stated, 1.0) * _THIRD), np.nan)
     flat = np.moveaxis(ratio, 1, 0).reshape(ratio.shape[1], -1)

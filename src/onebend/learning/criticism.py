@@ -196,7 +196,8 @@ def _changes(data: FitData, run: Course, patterns: dict[str, Array]) -> list[Alt
         Alternative(Suspect("change", "creep", recording=name), _in_time(patterns["rest shape"], run)),
         Alternative(Suspect("change", "slip", recording=name), _in_time(slip, run)),
     ]
-    for i, tag in enumerate(data.observations.tag_id.tolist()):
+    for i in data.tags.tolist():
+        tag = int(data.observations.tag_id[i])
         own = np.zeros((frames, tags, 3, 3))
         own[:, i] = np.eye(3)
         out.append(Alternative(Suspect("change", "loose", tag, name), _in_time(own, run)))
@@ -204,15 +205,15 @@ def _changes(data: FitData, run: Course, patterns: dict[str, Array]) -> list[Alt
 
 
 def _trends(data: FitData, run: Course) -> list[Alternative]:
-    side, tags = run.after - 0.5, data.observations.tag_id.tolist()
+    side, ids = run.after - 0.5, data.observations.tag_id
     smooth = [run.bend, run.bend**2, run.bend * side, run.bend**2 * side, run.past]
     functions = np.stack(smooth, axis=1) * (1.0 - run.resting[:, None])
     out = []
-    for i, tag in enumerate(tags):
+    for i in data.tags.tolist():
         for c, axis in enumerate(AXES):
-            pattern = np.zeros((len(run.bend), len(tags), 3, len(smooth)))
+            pattern = np.zeros((len(run.bend), len(ids), 3, len(smooth)))
             pattern[:, i, c] = functions
-            out.append(Alternative(Suspect("trend", axis, tag, data.observations.source.name), pattern))
+            out.append(Alternative(Suspect("trend", axis, int(ids[i]), data.observations.source.name), pattern))
     return out
 
 
@@ -303,7 +304,7 @@ def pulls(fit: LinearisedFit) -> list[Score]:
             continue
         whose = "" if block.recording < 0 else fit.problem.recordings[block.recording].observations.source.name
         tags = (
-            fit.problem.recordings[0].observations.tag_id.tolist()
+            fit.problem.recordings[0].observations.tag_id[fit.problem.recordings[0].tags].tolist()
             if block.name in ("along", "across", "turn")
             else [-1]
         )

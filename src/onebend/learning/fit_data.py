@@ -15,12 +15,12 @@ from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Unifo
 from onebend.errors import LearningError
 from onebend.learning.allowances import Allowance, AllowanceName, Entry, allowances_of, inertial_force, unknown_mass
 from onebend.learning.force_error import ForceError, force_error
-from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical
+from onebend.learning.frames import known_loads, mass_profile, pose_whitening, push_places, typical, whitening_across
 from onebend.learning.parameters import NEEDS_MASS, KnownShape, Priors, Spline, curvature_sd
 from onebend.learning.static_poses import HeldEnds, SeenPoses, held_ends, resolution_of, seen_poses
 from onebend.recording.signals import low_pass
 from onebend.recording.tracks import chord_angles
-from onebend.records import Array, BoolArray, Observations, covariance_with_camera
+from onebend.records import Array, BoolArray, IntArray, Observations, covariance_with_camera, tags_among
 
 # The beam at rest: natural curvature and mounting errors of the tags, separated by their priors. A mounting error turns
 # with the beam, so it is subtracted in the tag's own frame.
@@ -205,6 +205,8 @@ class FitData:
     frames: BoolArray  # (T,) which frames of the recording are used
     measured: Array  # (F, m, 3) x, y, angle; NaN where missing
     whiten: Array  # (F, m, 3, 3) or (F, 3 m, 3 m), see `pose_whitening`; zero where missing
+    tags: IntArray  # (k,) which of the m markers are tags; the others are points of an outline
+    across: Array  # (F, m, 2) unit vectors across the outline at its points; zeros at tags
     rulers: Array | None  # (F, m) m: where rulers stand; None: points are marks on the beam
     force: Array  # (F, 2) N as logged
     rate: Array  # (F, 2) N/s, derivative of the logged force
@@ -227,6 +229,18 @@ class FitData:
     def resting(self) -> BoolArray:
         """(F,) which frame shows the beam at rest."""
         return np.asarray(np.arange(len(self.measured)) >= np.sum(self.frames))
+
+    def of_tags(self, values: Array) -> Array:
+        """(m,) values of the tags (k,); zero at points of an outline."""
+        out = np.zeros(self.measured.shape[1])
+        out[self.tags] = values
+        return out
+
+    def off(self, pose: Array) -> Array:
+        """(F, m, 2) m from poses (F, m, 3) to what was measured; of an outline's points what is across it."""
+        away = (self.measured - pose)[..., :2]
+        across = np.sum(away * self.across, axis=-1, keepdims=True) * self.across
+        return np.where(np.any(self.across, axis=-1, keepdims=True), across, away)
 
     def entering(self, enters: Entry) -> list[Allowance]:
         """The allowances that enter the model here."""
@@ -266,6 +280,13 @@ def fit_data(
         push_s, gravity = np.append(push_s, push_s[-1]), np.vstack([gravity, np.zeros(2)])
         weights = np.vstack([weights, np.zeros(weights.shape[1])])
         other = _rested(other)
+    tags, across = tags_among(o), np.zeros((*measured.shape[:2], 2))
+    direction = measured[:, ~tags, 2]
+    across[:, ~tags] = np.stack([-np.sin(direction), np.cos(direction)], axis=-1)
+    measured[:, ~tags, 2] = np.nan
+    whiten = pose_whitening(o, measured, covariance)
+    if not tags.all():
+        whiten[:, ~tags] = whitening_across(measured, covariance, across)[:, ~tags]
     weighs = bool(np.any(gravity != 0.0))
     if weighs and not np.isfinite(o.stated.mass):
         raise LearningError(f"{o.source.name}: {NEEDS_MASS}")
@@ -276,7 +297,7 @@ def fit_data(
     problem = make_problem(carrier, _loads(np.zeros_like(force), push_s, gravity) + other, resolution_of(o))
     ends = held_ends(o, frames, problem)
     nodes = problem.grid.nodes
-    allowed = allowances_of(o, frames, measured, push_s, force, problem.grid, allowances)
+    allowed = allowances_of(o, frames, measured, push_s, force, problem.grid, allowances, across)
     known_mass = bool(allowances) and (np.isfinite(o.stated.mass) or o.stated.masses) and not o.static
     inertia = inertial_force(o, frames, problem, line, len(force), o.stated.masses) if known_mass else np.zeros(1)
     mass = unknown_mass(o, frames, problem, len(force)) if "inertia" in allowances else None
@@ -286,7 +307,9 @@ def fit_data(
         number=number,
         frames=frames,
         measured=measured,
-        whiten=pose_whitening(o, measured, covariance),
+        whiten=whiten,
+        tags=np.flatnonzero(tags),
+        across=across,
         rulers=rulers,
         force=force,
         rate=rate,

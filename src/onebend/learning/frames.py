@@ -13,7 +13,7 @@ from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import Polyline, Profile, Table, Uniform
 from onebend.errors import LearningError
 from onebend.recording.signals import low_pass
-from onebend.records import Array, BoolArray, IntArray, Observations
+from onebend.records import Array, BoolArray, IntArray, Observations, read_before_fit
 
 _BENT = 5.0  # times the median change by a second low-pass: a larger change is not noise
 _SLIGHT = 0.01  # of the largest force: a smaller change is neglected
@@ -115,10 +115,17 @@ def with_seen_tags(recordings: Sequence[Observations]) -> list[Observations]:
     return list(recordings) if seen.all() else [_of_tags(one, seen) for one in recordings]
 
 
+def read_alone(one: Observations) -> Observations:
+    """The observations without the points of an outline; where there are no tags with few of these."""
+    kept = np.zeros(len(one.tag_id), dtype=bool)
+    kept[read_before_fit(one)] = True
+    return one if kept.all() else _of_tags(one, kept)
+
+
 def _of_tags(one: Observations, kept: BoolArray) -> Observations:
     """The observations of the tags `kept` (m,) alone."""
     every = slice(None), kept
-    changes = _taken(one, ("tag_id", "marker_s", "rest_xy", "rest_angle", "rest_covariance"), kept)
+    changes = _taken(one, ("tag_id", "marker_s", "rest_xy", "rest_angle", "rest_covariance", "traced"), kept)
     changes |= _taken(one, ("xy", "angle", "covariance", "by_camera"), every)
     if one.means is not None:
         changes["means"] = replace(one.means, **_taken(one.means, ("acceleration",), every))
@@ -180,6 +187,17 @@ def whitening(measured: Array, covariance: Array) -> Array:
     A pose may lack its angle, or one coordinate: the rest of it counts by its own part of the covariance.
     """
     return _inverse_root(covariance, _known(measured, covariance))
+
+
+def whitening_across(measured: Array, covariance: Array, across: Array) -> Array:
+    """(F, m, 3, 3) whitening of points (F, m, 3) of which only the place along `across` (F, m, 2) is measured."""
+    variance = np.einsum("fmi,fmij,fmj->fm", across, covariance[..., :2, :2], across)
+    known = np.isfinite(measured[..., :2]).all(axis=-1) & (variance > 0.0)
+    row = np.where(known[..., None], across / np.sqrt(np.where(known, variance, 1.0))[..., None], 0.0)
+    mostly_y = np.abs(across[..., 1]) > np.abs(across[..., 0])  # the row of the coordinate that it tells most of
+    out = np.zeros((*measured.shape, 3))
+    out[..., 0, :2], out[..., 1, :2] = row * ~mostly_y[..., None], row * mostly_y[..., None]
+    return out
 
 
 def _known(measured: Array, covariance: Array) -> BoolArray:

@@ -22,7 +22,7 @@ from onebend.learning.fit_data import MASS_MODES, POWERS, REST_MODES, OwnWeight,
 from onebend.learning.frames import mass_profile
 from onebend.learning.outcome import Notice
 from onebend.learning.parameters import NEEDS_MASS, Layout, Spline
-from onebend.records import Array, IntArray, MeasuredFrequency, Observations, PointMass
+from onebend.records import Array, IntArray, MeasuredFrequency, Observations, PointMass, tags_among
 
 _ORDER, _WIDEST = 6, 0.125  # as the statics of the fit: 1e-7 in the frequencies of the first modes
 MOST_MODES = 8  # beyond, a beam is no slender one any more
@@ -69,7 +69,7 @@ def _prepared(o: Observations, number: int, spline: Spline) -> FrequencyData:
     nodes, line = grid.nodes, mass_profile(o)
     written = line if o.stated.mass_along not in POWERS else Uniform(0.0)
     measured = np.array([one.frequency for one in o.frequencies])
-    glued = not o.static and np.isfinite(o.stated.tag_size)
+    glued = not o.static and np.isfinite(o.stated.tag_size) and bool(np.any(tags_among(o)))
     return FrequencyData(
         name=o.source.name,
         number=number,
@@ -79,7 +79,7 @@ def _prepared(o: Observations, number: int, spline: Spline) -> FrequencyData:
         length=o.length,
         grid=grid,
         on_nodes=spline.basis(nodes),
-        patches=patch_functions(o.marker_s, o.length, o.stated.tag_size, nodes) if glued else None,
+        patches=patch_functions(o.marker_s[tags_among(o)], o.length, o.stated.tag_size, nodes) if glued else None,
         rest_on_nodes=REST_MODES.curvature(nodes),
         mass=own_weight(o, grid, np.zeros((1, 2)), MASS_MODES.curvature(nodes), line),
         written=np.asarray(written(nodes)),

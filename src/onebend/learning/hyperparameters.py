@@ -47,6 +47,7 @@ from onebend.learning.normal import (
     unit_root,
 )
 from onebend.learning.parameters import Block
+from onebend.learning.sites import first_site, is_shaped, updated
 from onebend.progress import each
 from onebend.records import Array, IntArray
 
@@ -283,6 +284,26 @@ def correlation_time(r: Array) -> float:
     return total
 
 
+_SITE_ROUNDS = 4  # of sites and posterior
+
+
+def with_sites(evidence: Evidence, start: Hyperparameters) -> Hyperparameters:
+    """The hyperparameters with the sites of the parameters whose priors are not normal."""
+    layout = evidence.problem.layout
+    wanted = [block for block in layout.blocks if is_shaped(block)]
+    for _ in range(_SITE_ROUNDS):
+        posterior, sites = evidence.posterior(start), dict(start.sites)
+        mean, sd = posterior.mean, np.ones(layout.size)
+        for number in range(len(evidence.problem.recordings)):
+            sd[layout.known_to(number)] = np.sqrt(np.diag(posterior.pair(number)))
+        for block in wanted:
+            key, where = (block.name, block.recording), block.where
+            size = start.sizes.get(block.name, 1.0)
+            sites[key] = updated(block, sites.get(key) or first_site(block, size), mean[where], sd[where], size)
+        start = replace(start, sites=sites)
+    return start
+
+
 FACTORS = np.exp(np.linspace(np.log(0.02), np.log(10.0), 120))  # that are tried
 
 
@@ -300,7 +321,7 @@ def size_density(evidence: Evidence, start: Hyperparameters, name: str) -> Array
     """(FACTORS,) log posterior density of the log of one allowance's factor, up to a constant, all else at `start`."""
     layout, before = evidence.problem.layout, prior(evidence.problem, start)
     where = [_stands(inside, name, part.start) for inside, part in zip(layout.free_blocks, layout.parts, strict=True)]
-    sd = [before.roots[i].sd[index] / start.sizes.get(name, 1.0) for i, index in enumerate(where)]
+    sd = [np.concatenate([np.zeros(0), *(b.prior_sd for b in own if b.name == name)]) for own in layout.free_blocks]
     if len(where[0]):
         form = marginal(solved(evidence.data, before).left, before.mean[layout.parts[0]], before.roots[0], where[0])
         return log_density_of([_scaled(form, 0, sd[0])], 0)

@@ -37,8 +37,9 @@ from onebend.learning.normal import (
 )
 from onebend.learning.parameters import Block, Layout
 from onebend.learning.prediction import Prediction, Slopes
+from onebend.learning.sites import Sites, first_site, is_shaped
 from onebend.progress import each
-from onebend.records import Array, IntArray
+from onebend.records import Array, IntArray, tags_among
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class Hyperparameters:
     load: float  # sd of the force error that comes with the load, likewise
     noise: tuple[RecordingNoise, ...]
     sizes: Sizes = field(default_factory=dict)  # of allowances whose size the evidence chooses; 1 where not named
+    sites: Sites = field(default_factory=dict)  # of parameters whose priors are not normal; their moments where absent
     chains: Array | None = None  # where the sampler's chains stand, see `normal.mean_part_variances`
 
 
@@ -126,6 +128,9 @@ def prior(problem: FitProblem, hyperparameters: Hyperparameters, log_k: Array | 
                 error = problem.recordings[block.recording].error
                 mean[where], of_axis = error.mean.ravel(), error.root(h.coloured, h.memory, h.walk, h.load)
                 blocks += [(index[axis::2], of_axis) for axis in range(2)]
+            elif is_shaped(block):
+                site = h.sites.get((block.name, block.recording))
+                mean[where], sd[where] = site or first_site(block, h.sizes.get(block.name, 1.0))
             else:
                 sd[where] = block.prior_sd * h.sizes.get(block.name, 1.0)
         return BlockRoot(sd[part], tuple(blocks))
@@ -142,7 +147,8 @@ def log_k_map(problem: FitProblem) -> tuple[IntArray, Array]:
     under_tags, o = layout.index.get(("patches", -1)), problem.recordings[0].observations
     if under_tags is not None and under_tags.start >= 0:
         index.append(np.arange(under_tags.where.start, under_tags.where.stop))
-        onto.append(fine.nearest(lambda s: patch_functions(o.marker_s, o.length, o.stated.tag_size, s)))
+        tag_s = o.marker_s[tags_among(o)]
+        onto.append(fine.nearest(lambda s: patch_functions(tag_s, o.length, o.stated.tag_size, s)))
     return np.concatenate(index), np.concatenate(onto, axis=1)
 
 

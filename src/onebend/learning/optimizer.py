@@ -23,6 +23,7 @@ from onebend.learning.hyperparameters import (
     expected_recording_noise,
     likely_sizes,
     new_noise,
+    with_sites,
 )
 from onebend.learning.linear import (
     FitProblem,
@@ -331,7 +332,7 @@ class Miss:
 
 def recording_rms(data: FitData, fitted: Prediction) -> Array:
     """(m,) m: distance of the tags from the fit; NaN for a tag that was never seen."""
-    return marker_rms((data.measured - fitted.pose)[..., :2])
+    return marker_rms(data.off(fitted.pose))
 
 
 def misses(recordings: Sequence[FitData], fitted: Sequence[Prediction]) -> tuple[Miss, ...]:
@@ -546,6 +547,7 @@ def _new_hyperparameters(problem: FitProblem, estimate: MapEstimate) -> Hyperpar
     hyperparameters = replace(hyperparameters, noise=noise)
     evidence = Evidence(problem, data_information(problem, rows, estimate.x, hyperparameters))
     hyperparameters = replace(hyperparameters, sizes=choose_sizes(evidence, hyperparameters))
+    hyperparameters = with_sites(evidence, hyperparameters)
     return choose_hyperparameters(evidence, hyperparameters)
 
 
@@ -739,7 +741,7 @@ def _chosen_anew(data: FitData, kept: BoolArray, now: Prediction) -> Prediction:
 def _explained(prediction: Prediction) -> BoolArray:
     """(F,) frames near a stable equilibrium; of a film all."""
     data = prediction.data
-    off = (data.measured - prediction.pose)[..., :2]
+    off = data.off(prediction.pose)
     if data.poses is None or len(off) == 1:
         return np.ones(len(off), dtype=bool)
     return ~unexplained(np.where(_is_free(data), pose_rms(off), 0.0), data.observations.length)

@@ -20,6 +20,7 @@ from onebend.learning.frames import (
     mass_profile,
     nothing_moves,
     push_places,
+    read_alone,
     usable_frames,
     whitened,
     whitening,
@@ -535,6 +536,7 @@ def regress(
     Raises:
         LearningError: too few loaded frames, or no (n, m) gives a beam that can be simulated.
     """
+    observations = read_alone(observations)
     rest = at_rest(observations)
     candidates = table(observations, rest, settings, progress, most_frames)
     chosen, training = standing(candidates, observations, rest)

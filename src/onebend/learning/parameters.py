@@ -13,7 +13,7 @@ from scipy.linalg import null_space
 from onebend.beam.section import moment_errors, relative_moment
 from onebend.beam.stiffness import LogSpline, Polyline, Profile, Uniform
 from onebend.errors import LearningError
-from onebend.learning.allowances import Allowance
+from onebend.learning.allowances import ANYTHING, Allowance
 from onebend.learning.frames import zeroed_coordinates
 from onebend.options import NOT_NEGATIVE, option
 from onebend.recording.beam_frame import MOUNTING_SD
@@ -26,6 +26,7 @@ from onebend.records import (
     Observations,
     StatedSection,
     StiffnessAlong,
+    tags_among,
 )
 
 # Stated shape of k: log k(s) = o(s) + l + e(s) + v(s). o is log I(s) of the section less its mean (zero for an "even"
@@ -313,6 +314,7 @@ def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tu
 
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
 _REST = ("mean", "slope", "bow")  # of the curvature at rest
+_BEYOND_SD = 0.005  # of the length: its error, by which a push at the tip may seem to act beyond it
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
 _EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: sd of its uneven parts where its spread is stated
@@ -354,6 +356,8 @@ class Block:
     prior_sd: Array
     labels: tuple[str, ...]
     start: int
+    within: tuple[float, float] = ANYTHING
+    sparse: bool = False
 
     @property
     def where(self) -> slice:
@@ -448,7 +452,7 @@ def make_layout(
     """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
     shared = {a.name: a for own in allowances for a in own if a.shared}
     first = recordings[0]
-    tags = [f"tag {i}" for i in first.tag_id]
+    tags = [f"tag {i}" for i in first.tag_id[tags_among(first)]]
     placement = _or(priors.placement, first.stated.placement_sd)
     mounting = _or(priors.mounting, first.stated.turn_sd)
     curvature = max(curvature_sd(r, priors) for r in recordings)
@@ -482,13 +486,20 @@ def make_layout(
             ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
             ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
+    shapes = {(a.name, -1): (a.within, a.sparse) for a in shared.values()}
+    for r, one in enumerate(recordings):
+        shapes["place", r] = (
+            (-np.inf, _BEYOND_SD * one.length + float(np.nanmin(1.0 - one.push_s)) * one.length),
+            False,
+        )
+        shapes |= {(a.name, r): (a.within, a.sparse) for a in (allowances[r] if allowances else ()) if not a.shared}
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:
         sds = np.full(len(labels), sd)
         free = len(labels) > 0 and bool(np.all(sds > 0.0))
         if name == "mass":
             sds[1:] = _mass_spread(recordings, priors)
-        blocks.append(Block(name, r, unit, sds, labels, start if free else -1))
+        blocks.append(Block(name, r, unit, sds, labels, start if free else -1, *shapes.get((name, r), ())))
         start += len(labels) if free else 0
     index = {(b.name, b.recording): b for b in blocks}
     return Layout(spline, tuple(blocks), start, index, known_shape(recordings))

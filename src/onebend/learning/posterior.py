@@ -223,6 +223,8 @@ def quantities(block: Block, data: Sequence[FitData]) -> Quantities:
 
 _HOPELESS_ROUNDS, _HOPELESS_STEPS = 2, 10  # with all frames, where the first ones show that the model cannot be right
 
+STRAYS = 3.0  # times what the pictures' own noise explains: an outline that is farther off is not the body's
+
 Grade = Literal["holds", "holds with allowances", "not to be trusted"]
 
 
@@ -296,6 +298,9 @@ class Posterior:
             doubts.append("the recording contradicts the ideal model")
         if (self.place is not None and self.place.accused) or moved_off(self.layout, self.mean) > FAR:
             doubts.append("the stated place of the push (at_s) is wrong")
+        noises = zip(self.recordings, self.optimum.hyperparameters.noise, strict=True)
+        if any(len(data.tags) < len(data.observations.tag_id) and one.marker > STRAYS for data, one in noises):
+            doubts.append("the outline contradicts the fit")
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts

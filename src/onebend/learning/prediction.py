@@ -272,15 +272,17 @@ def put_blocks(out: Array, columns: Mapping[str, slice], blocks: Mapping[str, Ar
             out[..., columns[name]] = block
 
 
-def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion) -> None:
-    """Write derivatives with the tags' places and turns, the origin and the scale to `out` (F, m, 3, C)."""
-    tags = np.arange(out.shape[1])
-    own = {name: columns[name].start + tags for name in ("along", "across", "turn") if name in columns}
+def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion, tags: IntArray | None = None) -> None:
+    """Write derivatives with the tags' places and turns, the origin and the scale to `out` (F, m, 3, C); `tags` (k,)
+    are those of the m markers that have places and turns of their own, None: all."""
+    tags = np.arange(out.shape[1]) if tags is None else tags
+    number = np.arange(len(tags))
+    own = {name: columns[name].start + number for name in ("along", "across", "turn") if name in columns}
     for c in range(2):
         if "along" in own:
-            out[:, tags, c, own["along"]] = motion.along[..., c]
+            out[:, tags, c, own["along"]] = motion.along[:, tags, c]
         if "across" in own:
-            out[:, tags, c, own["across"]] = motion.across[..., c]
+            out[:, tags, c, own["across"]] = motion.across[:, tags, c]
         if "origin" in columns and motion.origin is not None:
             out[:, :, c, columns["origin"]] = motion.origin[:, :, c]
         elif "origin" in columns:
@@ -288,7 +290,7 @@ def put_tags(out: Array, columns: Mapping[str, slice], motion: TagMotion) -> Non
         if "scale" in columns:
             out[:, :, c, columns["scale"].start] = motion.xy[..., c]
     if "along" in own:
-        out[:, tags, 2, own["along"]] = motion.bend
+        out[:, tags, 2, own["along"]] = motion.bend[:, tags]
     if "turn" in own:
         out[:, tags, 2, own["turn"]] = 1.0
 
@@ -383,14 +385,14 @@ class State:
         if data.rulers is not None:
             return ruler_places(solved, np.nan_to_num(data.rulers) + self.value("along") - self.value("origin")[0])
         length = data.observations.length
-        s = data.observations.marker_s + self.value("along") / length
+        s = data.observations.marker_s + data.of_tags(self.value("along")) / length
         return np.clip(s, 0.0, 1.0), length * (s - np.clip(s, 0.0, 1.0))
 
     def ride(self, solved: Equilibrium) -> TagRide:
         """The tags on these equilibria."""
         s, over = self.places(solved)
         scale, ruler = 1.0 + float(self.value("scale")[0]), self.data.rulers is not None
-        across = np.zeros(over.shape[1]) if ruler else self.value("across")
+        across = np.zeros(over.shape[1]) if ruler else self.data.of_tags(self.value("across"))
         return TagRide(solved.angle(s), over, across, scale, ruler)
 
 
@@ -618,7 +620,7 @@ def predict(data: FitData, layout: Layout, x: Array, start: Array | None, own: A
     xy = ride.scale * (solved.xy(s) + ride.offset) + value("origin")
     if data.rulers is not None:
         xy = paired(data.rulers, xy[..., 1] + value("across"))
-    pose = np.concatenate([xy, (ride.angle + value("turn"))[..., None]], axis=-1)
+    pose = np.concatenate([xy, (ride.angle + data.of_tags(value("turn")))[..., None]], axis=-1)
     for (i, c), zero in zip(zeroed_coordinates(data.observations), value("zero"), strict=True):
         pose[:, i, c] -= zero
     return Prediction(data, layout, x, solved, pose + allowed("poses"), force, own)
@@ -651,7 +653,7 @@ def _slopes(now: Prediction) -> Slopes:
     blocks |= {a.name: blocks["clamp"] * a.basis[:, None, None, :] for a in data.entering("clamp")}
     blocks |= {a.name: a.basis for a in data.entering("poses")}
     put_blocks(slopes.j, free, blocks)
-    put_tags(slopes.j, free, _tag_motion(now, ride, s))
+    put_tags(slopes.j, free, _tag_motion(now, ride, s), data.tags)
     if data.ends is not None:
         held = replace(ride, angle=ride.angle[data.ends.frames])
         put_ends(slopes.j, data.ends, layout, data.number, held.carry(by_end))

@@ -83,14 +83,15 @@ def with_own_noise(fit: AtPlace) -> AtPlace | None:
 
 
 def coarsened(found: Hyperparameters, problem: FitProblem) -> Hyperparameters:
-    """With noise so large that the frames of a recording count as at most _FRAMES; means count as all their frames."""
+    """With noise so large that the frames of a recording count as at most _FRAMES, means as all their frames; and with
+    normal priors that do not know the data, for sites of one place do not hold at another."""
     noise = []
     for one, data in zip(found.noise, problem.recordings, strict=True):
         means = data.observations.means
         frames = int(np.sum(data.frames if means is None else means.count[data.frames]))
         wider = float(np.sqrt(max(frames / _FRAMES, 1.0)))
         noise.append(RecordingNoise(wider * one.marker, wider * one.force))
-    return replace(found, noise=tuple(noise))
+    return replace(found, noise=tuple(noise), sites={})
 
 
 def moved(fit: AtPlace, place: float, settings: FitSettings, most: float = -np.inf) -> AtPlace | None:

@@ -19,6 +19,7 @@ from onebend.learning.frames import (
     mass_profile,
     nothing_moves,
     points_of,
+    read_alone,
     usable_frames,
 )
 from onebend.learning.frequencies import stiffness_level, swinging_mass, with_modes
@@ -57,7 +58,7 @@ def start_of(recordings: Sequence[Observations], learned: Learned | None) -> Pro
     Raises:
         LearningError: a recording has no usable frame, or weight acts and no mass is given.
     """
-    recordings = with_modes(recordings)
+    recordings = with_modes([read_alone(o) for o in recordings])
     frames = [_some(o) for o in recordings]
     if mass_is_open(recordings):
         names = ", ".join(o.source.name for o in recordings if needs_mass(o))

@@ -23,6 +23,7 @@ from onebend.learning.frames import (
     nothing_moves,
     points_of,
     push_places,
+    read_alone,
     usable_frames,
 )
 from onebend.learning.frequencies import validated_frequencies
@@ -53,6 +54,7 @@ def validate(
     come from `rest`, or else from the beam's own shape at rest. `stiffness`: its k(s) with a band, if it was learned
     from other recordings; it gives the likely RMS. Raises `LearningError` without a usable frame, or without a mass
     where weight acts; `MechanicsError` if k(s) is not positive."""
+    observations = read_alone(observations)
     frames = usable_frames(observations)
     if not np.any(frames):
         why = nothing_moves(observations) or "no frame has a load, a force and a tag"

@@ -20,7 +20,7 @@ from onebend.learning.prediction import Prediction
 from onebend.learning.push_place import FAR, LIKELIER, moved_off
 from onebend.learning.static_poses import pose_names
 from onebend.progress import one_blas_thread
-from onebend.records import Array, Observations
+from onebend.records import Array, Observations, read_before_fit
 
 _SLIP = 1e-3  # m, an error of the push's place whose effect is told
 _OUT = 1.2  # s: a push farther out than that is no place
@@ -150,8 +150,9 @@ def unseen_place(posterior: Posterior) -> Notice | None:
 
 def fitted_rms(posterior: Posterior) -> tuple[Array, ...]:
     """(m,) m of each recording: distance of the tags from the fit with all nuisances, the force log's slow error
-    included; NaN for a tag never seen."""
-    return tuple(map(recording_rms, posterior.recordings, posterior.slow))
+    included; NaN for a tag never seen. Where there are no tags, of the few points that stand for an outline."""
+    pairs = zip(posterior.recordings, posterior.slow, strict=True)
+    return tuple(recording_rms(data, now)[read_before_fit(data.observations)] for data, now in pairs)
 
 
 def possible(posterior: Posterior) -> Posterior:
@@ -243,7 +244,7 @@ def _free_clamp(posterior: Posterior) -> list[Notice]:
 
 def _far_nuisances(posterior: Posterior) -> list[Notice]:
     struck = {(f.score.suspect.name, f.score.suspect.tag) for f in posterior.criticism.striking}
-    ids = posterior.recordings[0].observations.tag_id.tolist()
+    ids = posterior.recordings[0].observations.tag_id[posterior.recordings[0].tags].tolist()
     skipped = {"stiffness", "force", BETWEEN}
     skipped |= {a.name for data in posterior.recordings for a in data.allowances if a.enters == "poses" and a.sized}
     out = []
@@ -287,20 +288,22 @@ def _one(posterior: Posterior, data: FitData, prediction: Prediction, rms: Array
     observations, x, layout = data.observations, posterior.mean, posterior.layout
     used = slice(0, int(np.sum(data.frames)))  # beyond them stands the beam at rest
     scale, origin = 1.0 + layout.get(x, "scale", data.number), layout.get(x, "origin", data.number)
+    kept = read_before_fit(observations)
+    measured = np.concatenate([prediction.pose[..., :2] + data.off(prediction.pose), data.measured[..., 2:]], axis=-1)
     comparison = Comparison(
         name=observations.source.name,
         frame=observations.frame[data.frames],
         time=observations.time[data.frames],
-        tag_id=observations.tag_id,
-        marker_s=observations.marker_s,
-        measured=_points(data, layout, x, data.measured)[used],
-        predicted=_points(data, layout, x, prediction.pose)[used],
+        tag_id=observations.tag_id[kept],
+        marker_s=observations.marker_s[kept],
+        measured=_points(data, layout, x, measured)[used][:, kept],
+        predicted=_points(data, layout, x, prediction.pose)[used][:, kept],
         force=prediction.force[used],
         push_s=data.push_s[used],
         stable=prediction.solved.stable[used],
         rms=rms,
-        sensor_rms=np.full(len(observations.tag_id), np.nan),
-        likely_rms=np.full(len(observations.tag_id), np.nan),
+        sensor_rms=np.full(len(kept), np.nan),
+        likely_rms=np.full(len(kept), np.nan),
         static=observations.static,
     )
     return Explained(comparison, scale * prediction.solved.xy(PLACES)[used] + origin, data.force[used])

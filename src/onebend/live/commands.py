@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Generic, Self, TypeVar
 
 import numpy as np
 import typer
@@ -23,21 +24,27 @@ from onebend.recording.folder import FILE_NAME, folder_of
 
 STAGE_NAMES = {stage: "picture" if stage == "exposure" else stage for stage in STAGES}
 _BAR = 30  # columns
+State = TypeVar("State")
 
 
-class RecordingView:
-    """What `onebend record` shows while it records: on a screen a picture that is renewed, on a pipe a line for each
-    stage and each new advice. A context manager."""
+class StateView(Generic[State]):
+    """What is shown of a state that changes: on a screen a picture that is renewed, on a pipe a line for each
+    thing that is new. A context manager."""
 
-    def __init__(self, console: Console | None) -> None:
-        """`console`: None: nothing is shown."""
-        self._console = console
+    def __init__(
+        self,
+        console: Console | None,
+        screen: Callable[[State], RenderableType],
+        line: Callable[[State], tuple[object, str]],
+    ) -> None:
+        """`console`: None: nothing is shown. `line`: what must change for a new line, and that line."""
+        self._console, self._screen, self._line = console, screen, line
         self._live = None
         if console is not None and console.is_terminal:
             self._live = Live(console=console, refresh_per_second=8, transient=True)
-        self._said: tuple[str, str] = ("", "")
+        self._said: object = None
 
-    def __enter__(self) -> RecordingView:
+    def __enter__(self) -> Self:
         if self._live is not None:
             self._live.start()
         return self
@@ -46,16 +53,28 @@ class RecordingView:
         if self._live is not None:
             self._live.stop()
 
-    def show(self, state: CaptureState) -> None:
+    def show(self, state: State) -> None:
         """What is known now."""
         if self._live is not None:
-            self._live.update(recording_screen(state))
+            self._live.update(self._screen(state))
         elif self._console is not None:
-            said = state.stage, without_numbers(state.advice[0] if state.advice else "")
+            said, line = self._line(state)
             if said != self._said:
                 self._said = said
-                advice = "; ".join(state.advice[:2])
-                self._console.print(f"{state.seconds:6.1f} s  {STAGE_NAMES[state.stage]}: {advice}", markup=False)
+                self._console.print(line, markup=False)
+
+
+class RecordingView(StateView[CaptureState]):
+    """What `onebend record` shows while it records."""
+
+    def __init__(self, console: Console | None) -> None:
+        super().__init__(console, recording_screen, _recording_line)
+
+
+def _recording_line(state: CaptureState) -> tuple[object, str]:
+    advice = "; ".join(state.advice[:2])
+    said = state.stage, without_numbers(state.advice[0] if state.advice else "")
+    return said, f"{state.seconds:6.1f} s  {STAGE_NAMES[state.stage]}: {advice}"
 
 
 def without_numbers(text: str) -> str:

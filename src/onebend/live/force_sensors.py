@@ -20,6 +20,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from onebend.errors import RecordingError
 from onebend.extras import Extra, package
@@ -39,6 +40,7 @@ KNOWN = (
     f"{COUNTER} for a counter, {IGNORED} for what is left out"
 )
 WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+TOOL = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")  # a robot's tool in its base: place, rotation vector
 SEPARATORS = re.compile(r"[,;\s]+")
 
 
@@ -499,7 +501,7 @@ SILENT_PACKAGE = 3.0  # s without a row
 class _Robot(Device):
     """A robot whose state is asked for, again and again."""
 
-    columns: tuple[str, ...] = WRENCH
+    columns: tuple[str, ...] = (*WRENCH, *TOOL)
     _package: str  # its maker's
     _extra: Extra  # that brings it
     _hint: str  # to look at if it does not answer
@@ -554,12 +556,12 @@ class _Robot(Device):
         """Nothing, if the robot needs no goodbye."""
 
     def _state(self) -> tuple[float, list[float]]:
-        """Its time [s] and its wrench."""
+        """Its time [s], its wrench, and where its tool is."""
         raise NotImplementedError
 
 
 class UrForce(_Robot):
-    """The wrench at a Universal Robot's tool, in the axes of its base, through `ur-rtde`."""
+    """The wrench at a Universal Robot's tool and the tool's pose, in the axes of its base, through `ur-rtde`."""
 
     _package, _extra, _hint = "rtde_receive", "ur", "Is it on, and is RTDE allowed?"
 
@@ -575,12 +577,12 @@ class UrForce(_Robot):
     def _state(self) -> tuple[float, list[float]]:
         if not self._robot.isConnected():
             raise ConnectionError("the connection was lost")
-        return float(self._robot.getTimestamp()), list(self._robot.getActualTCPForce())
+        return float(self._robot.getTimestamp()), [*self._robot.getActualTCPForce(), *self._robot.getActualTCPPose()]
 
 
 class FrankaForce(_Robot):
-    """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`), in its base's axes, through `pylibfranka`.
-    Nothing is asked to move."""
+    """The outer wrench that a Franka arm estimates (`O_F_ext_hat_K`) and its tool's pose, in its base's axes, through
+    `pylibfranka`. Nothing is asked to move."""
 
     _package, _extra, _hint = "pylibfranka", "franka", "Is FCI active, and nobody else on it?"
 
@@ -592,7 +594,9 @@ class FrankaForce(_Robot):
 
     def _state(self) -> tuple[float, list[float]]:
         state = self._robot.read_once()
-        return float(state.time.to_sec()), list(state.O_F_ext_hat_K)
+        pose = np.asarray(state.O_T_EE, dtype=float).reshape(4, 4).T  # it comes column by column
+        turned = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+        return float(state.time.to_sec()), [*state.O_F_ext_hat_K, *pose[:3, 3], *turned]
 
 
 class LslForce(Device):

@@ -38,6 +38,7 @@ class CaptureSettings:
     """How a push is recorded."""
 
     until: float = math.nan  # stop when k(s) is known to this share (half the 95 % band, median); NaN: after one push
+    ends: bool = True  # False: it goes on after the last rest, until it is stopped
     begin_at_once: bool = option("--now", False, "Film at once, whatever is wrong with the picture.")
     follow: bool = option("--no-learning", True, "Learn no k(s) meanwhile: for slow computers.")
     setup: float = 1.0  # s for which the picture must be good before the film begins; they are in the film

@@ -610,6 +610,8 @@ class Pump:
         item = source.read(float("inf"))
         if item is None or isinstance(item, End):
             self._ended.add(i)
+        if item is None and len(left) > 1:  # it has nothing, and ends without a word
+            return self._next_played()
         return source, item if item is not None else End(f"{source.name} ended")
 
     def _read(self, source: Source) -> None:

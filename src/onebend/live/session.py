@@ -167,6 +167,7 @@ class Follower:
             self._live.close()
 
 
+TagsSeen = Callable[[Frame, float, Array], None]  # of a picture: its time in the film [s], corners (b + m, 4, 2) px
 LEAST_OFTEN = 0.15  # s: where pictures wait, one is searched for tags as often as that
 FIRST_LOOKS = 5  # frames of a good picture at least, before the film begins
 
@@ -181,6 +182,7 @@ def record(
     *,
     begin: Stop | None = None,
     clock: Clock | None = None,
+    tags: TagsSeen = lambda *_: None,
 ) -> CaptureOutcome:
     """Record one push into `folder`, which holds a `recording.toml` that names its film and its force log.
 
@@ -192,6 +194,7 @@ def record(
         stop: set from anywhere to end it.
         begin: set from anywhere to begin the film in spite of what is wrong with the picture.
         clock: None: this machine's; `PlayedClock` plays played sources as fast as they can be read.
+        tags: called from this thread with each picture of the film whose tags were searched.
 
     Raises:
         RecordingError: recording.toml, the camera or the sensor cannot be used; nothing was recorded then.
@@ -204,7 +207,7 @@ def record(
         for source in sources:
             source.open(clock)
             opened.callback(source.close)
-        session = _Session(places, camera, force, settings, watch, clock)
+        session = _Session(places, camera, force, settings, watch, clock, tags)
         return session.run(stop or threading.Event(), begin or threading.Event())
 
 
@@ -219,8 +222,9 @@ class _Session:
         settings: CaptureSettings,
         watch: Callable[[CaptureState], None],
         clock: Clock,
+        tags: TagsSeen,
     ) -> None:
-        self._places, self._settings, self._watch, self._clock = places, settings, watch, clock
+        self._places, self._settings, self._watch, self._clock, self._tags = places, settings, watch, clock, tags
         self._pump = Pump(camera, force, clock)
         self._camera, self._force = camera, force
         self._logs = Logs(
@@ -341,6 +345,7 @@ class _Session:
         if self._too_late():
             self._state = replace(self._state, unfollowed=self._state.unfollowed + 1)
         elif (corners := self._follower.frame(frame.picture, time)) is not None:
+            self._tags(frame, time, corners)
             self._stages.update(time, corners)
             self._state = replace(
                 self._state, picture=frame.picture, tags=guidance.tag_views(self._places.rec.tags, corners)
@@ -399,7 +404,7 @@ class _Session:
                 lost_samples=self._logs.lost_samples,
                 clock_sd=self._logs.clock_sd,
             )
-            if state.stage == "done":
+            if state.stage == "done" and settings.ends:
                 state = replace(state, advice=(say("record: done"),))
                 self._end("ended: done")
         self._state = state

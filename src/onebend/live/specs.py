@@ -18,12 +18,12 @@ from onebend.text_files import QUOTED
 Options = Mapping[str, str]
 
 
-Made = TypeVar("Made", CameraSource, ForceSource)
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
 class SourceKind(Generic[Made]):
-    """One way to name a camera, or a force sensor."""
+    """One way to name a camera, a force sensor, or a robot."""
 
     example: str
     says: str
@@ -44,7 +44,7 @@ def camera_of(spec: str) -> CameraSource:
     Raises:
         RecordingError: there is no such kind, or a key that it does not know.
     """
-    return _made(spec, CAMERAS, "--camera")
+    return made(spec, CAMERAS, "--camera")
 
 
 def force_of(spec: str) -> ForceSource:
@@ -53,7 +53,7 @@ def force_of(spec: str) -> ForceSource:
     Raises:
         RecordingError: as `camera_of`.
     """
-    return _made(spec, FORCES, "--force")
+    return made(spec, FORCES, "--force")
 
 
 def number(options: Options, key: str, default: float, *, least: float = -math.inf, most: float = math.inf) -> float:
@@ -75,7 +75,8 @@ def number(options: Options, key: str, default: float, *, least: float = -math.i
     return value
 
 
-def _made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
+def made(spec: str, kinds: Mapping[str, SourceKind[Made]], option: str) -> Made:
+    """What a spec names, of one of these kinds; `option` is named where that fails. Raises `RecordingError`."""
     head, *more = spec.split(",")
     if head.endswith(":"):
         raise RecordingError(f"{option} {spec}: nothing stands behind the colon. Say where it is: {head}PLACE.")

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from onebend.errors import ObservationError, RecordingError
 from onebend.recording.entries import CameraEntry, Recording, TagEntry
-from onebend.records import Array, BoolArray, Detections, Markers, Remark, View
+from onebend.records import Array, BoolArray, Detections, Markers, OutlineTrack, Remark, View
 
 
 def project(view: View, xy: Array) -> Array:
@@ -514,12 +514,12 @@ def motion_remarks(pose: Poses, moving: bool, expected: bool) -> list[Remark]:
 FARTHEST = 99.0  # percentile of the distances that counts as the largest
 
 
-def measure_markers(detections: Detections, description: Recording) -> Markers:
+def measure_markers(detections: Detections, description: Recording, outline: OutlineTrack | None = None) -> Markers:
     """Pose of every beam tag relative to the base, per frame.
 
     All tags lie in one plane, and the camera stands still. A tag's pose is that of the square of the known size whose
     projected corners are nearest to the detected ones. The corners' noise comes from the residuals of the whole
-    recording.
+    recording. Points of the body's `outline` in the same frames lie in that plane, too; markers rise in s then.
 
     Raises:
         RecordingError: the calibration is of another picture size.
@@ -544,22 +544,54 @@ def measure_markers(detections: Detections, description: Recording) -> Markers:
     relative = relative_to(origin, part(poses, slice(base, None)))
     check_lengths(relative.xy, description)
     first = int(np.flatnonzero(np.isfinite(origin.angle))[0])
+    s, tag_id, traced = np.array([tag.s for tag in tags.on_beam]), detections.tag_id[base:], None
+    if outline is not None:
+        points = relative_to(origin, points_in_plane(plane.view, outline))
+        pairs = zip(_fields(relative), _fields(points), strict=True)
+        relative = Poses(*(np.concatenate(both, axis=1) for both in pairs))
+        traced = np.arange(len(s) + len(outline.s)) >= len(s)
+        tag_id = np.concatenate([tag_id, POINT_ID + np.arange(len(outline.s))])
+        s = np.concatenate([s, outline.s])
+    order = np.arange(len(s)) if traced is None else np.argsort(s, kind="stable")
     return Markers(
         time=detections.time,
-        tag_id=detections.tag_id[base:],
-        s=np.array([tag.s for tag in tags.on_beam]),
-        xy=relative.xy,
-        angle=unwrap(relative.angle),
-        covariance=relative.covariance,
+        tag_id=tag_id[order],
+        s=s[order],
+        xy=relative.xy[:, order],
+        angle=unwrap(relative.angle)[:, order],
+        covariance=relative.covariance[:, order],
         base_angle=unwrap(origin.angle[:, 0] - origin.angle[first, 0]),
         view=view_of(view, origin.xy[first, 0], float(origin.angle[first, 0])),
         remarks=(
             *detections.remarks,
             *wrong_remarks(detections, wrong),
             *motion_remarks(origin, moving, description.gravity is not None),
+            *(() if outline is None else outline.remarks),
         ),
-        by_camera=by_camera(plane, detections.corners, base),
+        by_camera=by_camera(plane, detections.corners, base, outline)[:, order],
+        traced=None if traced is None else traced[order],
     )
+
+
+POINT_ID = 100_000  # the ids of an outline's points begin here: no family has so many tags
+
+
+def _fields(poses: Poses) -> tuple[Array, Array, Array]:
+    return poses.xy, poses.angle, poses.covariance
+
+
+def points_in_plane(view: View, outline: OutlineTrack) -> Poses:
+    """The outline's points (T, n), without a place where they were not seen: alike in all directions, as only what is
+    across the curve counts. Their angle is the curve's, no measurement of its own."""
+    along = outline.ahead - outline.px
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1) / length
+    xy, ahead, beside = (to_plane(view, px) for px in (outline.px, outline.ahead, outline.px + across))
+    sd = outline.sd * np.linalg.norm(beside - xy, axis=-1)
+    turn = sd / np.linalg.norm(ahead - xy, axis=-1)
+    covariance = np.stack([sd, sd, turn], axis=-1)[..., None] ** 2 * np.eye(3)
+    seen = np.isfinite(outline.sd)[..., None]
+    return Poses(np.where(seen, xy, np.nan), np.arctan2(*np.moveaxis(ahead - xy, -1, 0)[::-1]), covariance)
 
 
 def check_picture(detections: Detections, camera: CameraEntry | None) -> None:
@@ -585,14 +617,17 @@ def spread(corners: Array) -> Array:
     return chosen[np.isfinite(chosen).all(axis=(1, 2))]
 
 
-def by_camera(plane: PlaneFit, corners: Array, base: int) -> Array:
-    """(T, m, 3, n) m, m, rad: how the beam tags' poses relative to the first base tag move with one sd of each of the n
-    unknowns of the plane and, without a calibration, of the camera. A hidden base counts as where it was seen nearest
-    in time; zero for tags that were not seen."""
+def by_camera(plane: PlaneFit, corners: Array, base: int, outline: OutlineTrack | None = None) -> Array:
+    """(T, m, 3, n) m, m, rad: how the poses of the beam's tags, and then of the outline's points, relative to the first
+    base tag move with one sd of each of the n unknowns of the plane and, without a calibration, of the camera. A hidden
+    base counts as where it was seen nearest in time; zero for tags that were not seen."""
     corners = np.concatenate([lasting_base(corners[:, :base]), corners[:, base:]], axis=1)
 
     def relative(view: View) -> Array:
         xy, angle = lay_square(to_plane(view, corners))
+        if outline is not None:
+            points = points_in_plane(view, outline)
+            xy, angle = np.concatenate([xy, points.xy], axis=1), np.concatenate([angle, points.angle], axis=1)
         none = np.zeros((*angle.shape, 3, 3))
         own = relative_to(Poses(xy[:, :1], angle[:, :1], none[:, :1]), Poses(xy[:, 1:], angle[:, 1:], none[:, 1:]))
         return np.concatenate([own.xy, own.angle[..., None]], axis=-1)

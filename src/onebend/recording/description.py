@@ -42,6 +42,7 @@ SECTIONS: dict[str, type] = {
     "markers": entries.MarkersEntry,
     "poses": entries.PosesEntry,
     "photos": entries.PhotosEntry,
+    "outline": entries.OutlineEntry,
 }
 SOURCES = ("video", "markers", "poses", "photos")  # a recording has one of them
 EMPTY = re.compile(r"^[^=#]*=\s*(#.*)?$")  # a key without a value
@@ -145,15 +146,17 @@ def read_frequencies(rows: Any, mistakes: Mistakes) -> tuple[FrequencyEntry, ...
     return tuple(one for one in read if one is not None)
 
 
-def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool) -> TagsEntry | None:
-    """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing."""
+def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool, bare: bool = False) -> TagsEntry | None:
+    """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing, and where the
+    body may be `bare` those on it."""
     if not isinstance(table, dict):
         mistakes.add(("tags",), f"[tags] must be a table, not {quoted(table)}.")
         return None
     lists: dict[str, tuple[TagEntry, ...]] = {}
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
         rows, place = table.get(group, []), ("tags", group)
-        if not isinstance(rows, list) or not (rows or (group == "on_base" and not pictures)):
+        may_lack = bare if group == "on_beam" else not pictures
+        if not isinstance(rows, list) or not (rows or may_lack):
             mistakes.add(place, f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
             rows = []
         if len(rows) > MOST_TAGS:

@@ -400,7 +400,17 @@ class TagsEntry:
         "turn_sd_deg = 1.5", ANGLE_SD, "how far off its written turn a tag may be (one sd), degrees; 0: exact", TURN_SD
     )  # rad
     on_base: tuple[TagEntry, ...] = ()  # at least one where a camera looks; the first is the origin
-    on_beam: tuple[TagEntry, ...] = ()  # at least one
+    on_beam: tuple[TagEntry, ...] = ()  # at least one, but in a film that shows the body's outline
+
+
+@dataclass(frozen=True)
+class OutlineEntry:
+    """[outline]: the body's own edges in the film, beside its tags or without any (then the table may be missing)."""
+
+    use: bool = key("use = true", flag, "whether the edges are looked for", True)
+    width: float = key(
+        "width_m = 0.015", POSITIVE, "the body's width in the picture near the clamp, m; else found", nan
+    )
 
 
 @dataclass(frozen=True)
@@ -511,6 +521,7 @@ class Recording:
     markers: MarkersEntry | None = None
     poses: PosesEntry | None = None
     photos: PhotosEntry | None = None
+    outline: OutlineEntry | None = None
     frequencies: tuple[FrequencyEntry, ...] = ()  # beside one of these, or alone
     scale_sd: float = nan  # of lengths in the picture; NaN: as usual
 
@@ -518,6 +529,13 @@ class Recording:
     def only_frequencies(self) -> bool:
         """Whether nothing shows the beam but how fast it swings."""
         return all(source is None for source in (self.video, self.markers, self.poses, self.photos))
+
+    @property
+    def traces_outline(self) -> bool:
+        """Whether the body's outline is to be read from the film."""
+        if self.video is None:
+            return False
+        return not self.tags.on_beam if self.outline is None else self.outline.use
 
     @property
     def start(self) -> tuple[float, float]:

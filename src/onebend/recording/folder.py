@@ -266,7 +266,9 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
     swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
     tags: TagsEntry | None = CLAMP_ALONE
     if "tags" in data:
-        tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data)
+        outline = data.get("outline")
+        bare = "video" in data and not (isinstance(outline, dict) and outline.get("use") is False)
+        tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data, bare=bare)
     beam = read_beam(data["beam"], mistakes) if "beam" in data else None
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None

@@ -18,6 +18,7 @@ from onebend.recording.clock import ClockSettings
 from onebend.recording.entries import Recording, TagsEntry, VideoEntry
 from onebend.recording.folder import FILE_NAME, read_recording
 from onebend.recording.force import ContactSettings, ForceSettings, find_contact
+from onebend.recording.outline import outline_track
 from onebend.recording.pairing import (
     check_direction,
     check_place,
@@ -49,9 +50,13 @@ from onebend.records import (
     BoolArray,
     Detections,
     ForceLog,
+    IntArray,
     Markers,
     Observations,
     Source,
+    of_markers,
+    read_before_fit,
+    tags_among,
 )
 
 FEWEST_FRAMES = 10
@@ -128,6 +133,8 @@ def _shown(
         detections = detect(rec.video, rec.tags, threads=settings.threads, progress=progress)
     searched, number = detections.of_searched()
     markers = markers_of(rec, searched)
+    if rec.traces_outline:
+        markers = with_outline(rec, markers, searched, number, progress)
     seen = assemble(rec, markers, log, base, settings)
     base_angle = markers.base_angle[seen.frame]
     seen = replace(seen, frame=number[seen.frame])
@@ -142,6 +149,18 @@ def markers_of(rec: Recording, detections: Detections) -> Markers:
     markers = measure_markers(detections, rec)
     check_turns(markers, rec)
     return markers
+
+
+def with_outline(
+    rec: Recording, markers: Markers, detections: Detections, number: IntArray, progress: Progress = Silent()
+) -> Markers:
+    """The `markers` of these detections, in frames of this `number`, with points of the body's outline."""
+    assert markers.view is not None
+    base = detections.corners[:, : len(rec.tags.on_base)]
+    outline = outline_track(rec, markers.view, base, number, progress=progress)
+    hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
+    outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
+    return measure_markers(detections, rec, outline)
 
 
 def observe_markers(
@@ -182,7 +201,8 @@ def assemble(
             "the whole push, with the beam at rest before it."
         )
     check_span(markers.time, rec.name, most=MOST_FRAMES)
-    reading = with_angles(markers)  # clocks and contact are read with angles; only measured ones are learned from
+    # Clocks and contact are read with angles; only measured ones are learned from.
+    reading = with_angles(of_markers(markers, read_before_fit(markers)))
     fit = match_clocks(rec, reading, log, base, settings.clock)
     log, slow = without_slow_sensor(rec, reading, log, fit, settings.clock, settings.force)
     if slow:
@@ -192,13 +212,15 @@ def assemble(
     gravity = gravity_in_frame(rec.gravity, base, markers, time)
     in_frame, rest, frame_remarks = to_beam_frame(markers, contact.still, rec.tags.placement_sd, gravity)
     if log is not None:
-        clean = cleaned(rec, markers, log, contact, fit, settings.force)
+        clean = cleaned(rec, reading, log, contact, fit, settings.force)
     force, push_s = pair(rec, clean, time, pairing=settings.pairing, epsilon=settings.epsilon, settings=settings.force)
     loaded = contact.loaded if clean is not None else np.zeros(len(time), dtype=bool)
-    angled = with_angles(in_frame)
-    bare = rest if angled is in_frame else rest_shape(angled, contact.still)
+    few = of_markers(in_frame, read_before_fit(in_frame))
+    angled = with_angles(few)
+    bare = rest_shape(angled, contact.still)
     implausible = check_direction(rec, angled, bare, force, push_s, loaded, refuse=settings.check_force)
-    implausible += check_place(rec, in_frame, rest, push_s, loaded)
+    if np.any(tags_among(few)):  # points of an outline have no angle of their own
+        implausible += check_place(rec, few, rest_shape(few, contact.still), push_s, loaded)
     use, drop_remarks = usable(markers, force)
     remarks = (*rec.remarks, *markers.remarks, *slow, *fit.remarks)
     remarks += frame_remarks if clean is None else (*contact.remarks, *frame_remarks, *clean.remarks)
@@ -252,5 +274,6 @@ def _observations(
         rest_angle=rest.angle,
         rest_covariance=rest.covariance,
         by_camera=None if markers.by_camera is None else markers.by_camera[use],
+        traced=markers.traced,
         **{name: values[use] for name, values in vars(loads).items()},
     )

@@ -13,11 +13,12 @@ from onebend.errors import OnebendError, told
 from onebend.progress import available_cores
 from onebend.recording.camera import check_turns, measure_markers
 from onebend.recording.entries import Recording, VideoEntry
+from onebend.recording.outline import outline_track
 from onebend.recording.tag_finder import Finder, Sighting
 from onebend.recording.tags import refuse_doubles, refuse_unseen, sure_doubles, take, unseen_remarks
 from onebend.recording.tool import ToolPlace, not_seen, tool_in, tool_remarks
 from onebend.recording.video import FilmFrame, picture_in, timed
-from onebend.records import Array, BoolArray, Detections, Markers, Remark
+from onebend.records import Array, BoolArray, Detections, Markers, Remark, of_markers, read_before_fit
 
 LOOKS = 20  # frames that are searched for tags
 MOST_READ = 4000  # frames that are read at most, two minutes of a usual film
@@ -81,9 +82,15 @@ def look_at(rec: Recording, *, count: int = LOOKS) -> Preview:
         refuse_unseen(rec.video, rec.tags, share, strangers, [frame.luma for frame in looked], len(looked))
         remarks += unseen_remarks(ids, share, len(looked))
         time = np.array([frame.time for frame in looked])
-        markers = measure_markers(Detections(time, np.array(ids), corners, width, height, ()), rec)
+        detections = Detections(time, np.array(ids), corners, width, height, ())
+        markers = measure_markers(detections, rec)
         check_turns(markers, rec)
-        tool = tool_in([frame.luma for frame in looked], rec, markers, bent(markers))
+        if rec.traces_outline and markers.view is not None:
+            numbers, base = np.array([frame.index for frame in looked]), corners[:, : len(rec.tags.on_base)]
+            outline = outline_track(rec, markers.view, base, numbers, apart=True)
+            markers = measure_markers(detections, rec, outline)
+        few = of_markers(markers, read_before_fit(markers))
+        tool = tool_in([frame.luma for frame in looked], rec, few, bent(few))
         remarks += tool_remarks(tool, rec)
     except OnebendError as wrong:
         fault = told(wrong)

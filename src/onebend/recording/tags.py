@@ -499,7 +499,7 @@ def refuse_unseen(
         text = missing_words(missing, sorted({*strangers, *every} - {*missing}), frames)
         raise ObservationError(f"{video.file}: {text[0].lower()}{text[1:]}", about="unseen tag")
     for what, part, entries in (("base", share[:base], tags.on_base), ("beam", share[base:], tags.on_beam)):
-        if not part.any():
+        if len(entries) and not part.any():
             ids = ", ".join(str(tag.id) for tag in entries)
             raise ObservationError(
                 f"{video.file}: no {what} tag (id {ids}) is in any of the {frames} frames. Check the ids in "

@@ -17,7 +17,17 @@ from onebend.recording.camera import project
 from onebend.recording.entries import Recording
 from onebend.recording.signals import from_clamp
 from onebend.recording.video import KeptFrames, Picture, pictures_at
-from onebend.records import Array, BoolArray, IntArray, Markers, Observations, Remark, View
+from onebend.records import (
+    Array,
+    BoolArray,
+    IntArray,
+    Markers,
+    Observations,
+    Remark,
+    View,
+    of_markers,
+    read_before_fit,
+)
 
 Pictures = NDArray[np.float32]  # (P, h, w)
 
@@ -395,9 +405,9 @@ def tool_checked(rec: Recording, seen: Observations, base_angle: Array, find: Fi
         return seen
     markers = Markers(
         seen.time, seen.tag_id, seen.marker_s, seen.xy, seen.angle, seen.covariance, base_angle,
-        seen.source.view,
+        seen.source.view, traced=seen.traced,
     )  # fmt: skip
-    tool = find(markers, seen.loaded, seen.frame)
+    tool = find(of_markers(markers, read_before_fit(seen)), seen.loaded, seen.frame)
     remarks, where_stated = tool_remarks(tool, rec), tool.seen and not _tool_elsewhere(tool, rec)
     source = replace(seen.source, remarks=(*seen.source.remarks, *remarks), place_seen=where_stated)
     return replace(seen, source=source)

@@ -14,14 +14,17 @@ from onebend.control.path import FollowedPath, PathSpread
 from onebend.control.reach import SURE, PredictedError, Reach
 from onebend.control.shape import ShapeResult
 from onebend.control.trajectory_files import write_bag, write_samples, write_yaml
+from onebend.records import Array
 from onebend.results.tables import write_csv
 
 REACH_FORMAT = "onebend-reach-1"
 PATH_COLUMNS = ("step", "force_x_N", "force_y_N", "moment_N_m", "point_x_m", "point_y_m")
 
 
-def reach_summary(model: str, result: Reach, error: PredictedError | None, *, written_by: str) -> dict[str, Any]:
-    """`reach --json` and `summary.json`; SI and radians."""
+def reach_summary(
+    model: str, result: Reach, error: PredictedError | None, force: Array, *, written_by: str
+) -> dict[str, Any]:
+    """`reach --json` and `summary.json`; SI and radians. `force` (2,) N, as the sensor of the set-up shows it."""
     nearest = result.nearest
     return {
         "format": REACH_FORMAT,
@@ -34,8 +37,9 @@ def reach_summary(model: str, result: Reach, error: PredictedError | None, *, wr
         "goal_angle_rad": float(result.goal[2]) if len(result.goal) == 3 else None,
         "converged": result.converged,
         "reason": result.reason,
-        "force_N": result.force.tolist(),
-        "force_size_N": float(np.hypot(*result.force)),
+        "force_N": force.tolist(),
+        "force_size_N": float(np.hypot(*force)),
+        "force_on_beam_N": result.force.tolist(),
         "moment_N_m": result.moment,
         "reached_m": result.reached[:2].tolist(),
         "reached_angle_rad": float(result.reached[2]),

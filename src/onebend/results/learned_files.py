@@ -11,7 +11,7 @@ import numpy as np
 
 from onebend.files.publish import write_summary
 from onebend.learning.design import PLACES, Plan, Proposal
-from onebend.learning.instruments import instruments_if_pushed
+from onebend.learning.instruments import instruments_if_pushed, setup_of
 from onebend.learning.outcome import Comparison, Learned, stated_section
 from onebend.learning.posterior import Posterior, tradeoffs, with_level
 from onebend.learning.run import Run
@@ -75,9 +75,9 @@ def _write_tables(folder: Path, findings: Run, version: str) -> None:
     learned, posterior = findings.learned, findings.posterior
     uncertain = None if posterior is None else posterior.stiffness
     origin = origin_of(learned, posterior, findings.trainings)
-    bench = None if posterior is None else instruments_if_pushed(posterior)
+    bench, setup = (None, None) if posterior is None else (instruments_if_pushed(posterior), setup_of(posterior))
     beam, section = findings.beam, stated_section(findings.recordings)
-    stored = StoredModel(beam, origin, uncertain, bench, section=section)
+    stored = StoredModel(beam, origin, uncertain, bench, setup, section=section)
     (folder / FILE_NAME).write_text(model_text(stored, written_by=f"onebend {version}"), encoding="utf-8")
     write_stiffness(folder / "stiffness.csv", beam, uncertain, section)
     if learned is not None:

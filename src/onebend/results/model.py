@@ -13,6 +13,7 @@ import numpy as np
 
 from onebend.beam.model import Beam
 from onebend.beam.section import ModulusBand, modulus_band, one_modulus, section_as_dict, section_from_dict
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError, MechanicsError, ResultsError
 from onebend.files.publish import OWN_CHECKSUM, SUMMARY, is_listed_otherwise, is_unchanged, with_checksum
@@ -62,13 +63,25 @@ def origin_of(learned: Learned | None, posterior: Posterior | None, trainings: S
 
 
 FORMAT = "onebend-model"
-VERSION = 7
+VERSION = 8
 # versions: 1 had no `uncertain`, 2 no `damping`, 3 no checksum, 4 no `section`, 5 no `offset`, 6 no `shared_mean` and
-# `discrepancy` in `bench`
-READABLE = (1, 2, 3, 4, 5, 6, 7)
+# `discrepancy` in `bench`, 7 no `setup`
+READABLE = (1, 2, 3, 4, 5, 6, 7, 8)
 FILE_NAME = "model.json"
 WIDEST = 1e3  # sd of log k
-KEYS = {"format", "version", "written_by", "beam", "origin", "uncertain", "bench", "damping", "section", OWN_CHECKSUM}
+KEYS = {
+    "format",
+    "version",
+    "written_by",
+    "beam",
+    "origin",
+    "uncertain",
+    "bench",
+    "setup",
+    "damping",
+    "section",
+    OWN_CHECKSUM,
+}
 
 
 @dataclass(frozen=True)
@@ -79,6 +92,7 @@ class StoredModel:
     origin: Origin | None
     uncertain: UncertainStiffness | None = None  # if learned with a band
     bench: Instruments | None = None  # instruments, if there is a band
+    setup: SetUp | None = None  # in which it was learned, if a force log shows a push
     damping: Damping | None = None  # from a free swing
     section: StatedSection | None = None  # if stated
     changed: str = ""  # how the file was changed; its k(s) is then in doubt
@@ -93,8 +107,9 @@ def save_model(
     origin: Origin | None = None,
     uncertain: UncertainStiffness | None = None,
     bench: Instruments | None = None,
+    setup: SetUp | None = None,
 ) -> None:
-    stored = StoredModel(beam, origin, uncertain, bench)
+    stored = StoredModel(beam, origin, uncertain, bench, setup)
     try:
         path.write_text(model_text(stored, written_by=written_by), encoding="utf-8")
     except ResultsError as error:
@@ -107,7 +122,7 @@ def model_text(stored: StoredModel, *, written_by: str) -> str:
     data["beam"] = stored.beam.as_dict()
     if stored.origin is not None:
         data["origin"] = asdict(stored.origin)
-    for name in ("uncertain", "bench", "damping"):
+    for name in ("uncertain", "bench", "setup", "damping"):
         part = getattr(stored, name)
         if part is not None:
             data[name] = part.as_dict()
@@ -140,6 +155,11 @@ def load_uncertain(path: Path | str) -> UncertainStiffness:
 def load_instruments(path: Path | str) -> Instruments | None:
     """Instruments and tag places behind the model; None without band or force log. Warns and raises as `load_model`."""
     return _read_and_warn(path).bench
+
+
+def load_setup(path: Path | str) -> SetUp | None:
+    """The set-up in which the beam was learned; None without band or force log. Warns and raises as `load_model`."""
+    return _read_and_warn(path).setup
 
 
 def load_modulus(path: Path | str, s: Array, level: float = 0.95) -> ModulusBand | None:
@@ -181,6 +201,7 @@ def read_model(path: Path | str) -> StoredModel:
         origin=_origin(file, data.get("origin")),
         uncertain=uncertain,
         bench=_bench(file, data.get("bench")),
+        setup=_setup(file, data.get("setup"), uncertain),
         damping=_damping(file, data.get("damping")),
         section=_section(file, data.get("section")),
         changed=changed,
@@ -243,6 +264,18 @@ def _bench(file: Path, data: Any) -> Instruments | None:
         return Instruments.from_dict(data)
     except LearningError as error:
         raise ResultsError(f"{file}: key 'bench' {error}. {_ADVICE}") from error
+
+
+def _setup(file: Path, data: Any, uncertain: UncertainStiffness | None) -> SetUp | None:
+    if data is None:
+        return None
+    try:
+        found = SetUp.from_dict(data)
+    except MechanicsError as error:
+        raise ResultsError(f"{file}: key 'setup' {error}. {_ADVICE}") from error
+    if uncertain is None or found.slope.shape[1] != len(uncertain.mean):
+        raise ResultsError(f"{file}: key 'setup' does not fit the band of k(s). {_ADVICE}")
+    return found
 
 
 def _damping(file: Path, data: Any) -> Damping | None:

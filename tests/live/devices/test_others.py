@@ -59,6 +59,9 @@ class UrRobot:
     def getActualTCPForce(self) -> list[float]:  # noqa: N802
         return [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
 
+    def getActualTCPPose(self) -> list[float]:  # noqa: N802
+        return [0.4, 0.5, 0.6, 0.0, 3.1, 0.0]
+
     def disconnect(self) -> None:
         self.connected = False
 
@@ -70,7 +73,7 @@ def test_a_universal_robot(module: Any) -> None:
     got = sensor.read(0.01)
     assert isinstance(got, Samples)
     assert np.diff(got.stamp) == pytest.approx(0.002)
-    assert got.force[0].tolist() == [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+    assert got.force[0].tolist() == [1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.0, 3.1, 0.0]
     sensor._robot.stands = True
     for _ in range(400):
         if isinstance(stood := sensor.read(0.01), End):
@@ -101,7 +104,8 @@ class FrankaArm:
             raise RuntimeError("libfranka: UDP receive: Timeout")
         seconds = 0.001 * self.count
         force = np.array([0.5, -0.5, 9.0, 0.0, 0.0, 0.0])
-        return SimpleNamespace(time=SimpleNamespace(to_sec=lambda: seconds), O_F_ext_hat_K=force)
+        pose = [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.4, 0.5, 0.6, 1.0]  # column by column
+        return SimpleNamespace(time=SimpleNamespace(to_sec=lambda: seconds), O_F_ext_hat_K=force, O_T_EE=pose)
 
 
 def test_a_franka_arm(module: Any) -> None:
@@ -111,7 +115,8 @@ def test_a_franka_arm(module: Any) -> None:
     got = sensor.read(0.005)
     assert isinstance(got, Samples)
     assert np.diff(got.stamp) == pytest.approx(0.001)
-    assert got.force[-1].tolist() == [0.5, -0.5, 9.0, 0.0, 0.0, 0.0]
+    wrench, pose = [0.5, -0.5, 9.0, 0.0, 0.0, 0.0], [0.4, 0.5, 0.6, 0.0, 0.0, 0.5 * np.pi]
+    assert got.force[-1] == pytest.approx([*wrench, *pose])
     ends = [sensor.read(0.01) for _ in range(10)]
     assert isinstance(ends[-1], End)
     assert "UDP receive: Timeout" in ends[-1].why

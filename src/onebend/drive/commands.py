@@ -1,0 +1,165 @@
+"""The command that drives a beam."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from rich.console import Group, RenderableType
+from rich.text import Text
+
+from onebend.cli import common
+from onebend.cli.models import read_trusted
+from onebend.drive import plan as plans, specs
+from onebend.drive.machine import DriveState
+from onebend.drive.placing import Placement, from_recording, stated_placement
+from onebend.drive.plan import DriveSettings
+from onebend.drive.run import DriveOutcome, drive as run
+from onebend.drive.virtual import VirtualRobot
+from onebend.errors import RecordingError
+from onebend.live.commands import StateView
+from onebend.live.recording_folder import copy_description
+from onebend.recording.entries import Recording
+from onebend.recording.folder import FILE_NAME, folder_of, read_recording
+
+Out = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to record into; with recording.toml, or --like.")]
+Goal = Annotated[tuple[float, float] | None, typer.Option("--goal", metavar="X Y", help="m, in the beam's frame.")]
+Goals = Annotated[Path | None, typer.Option("--goals", metavar="CSV", help="Goals in time: time_s, x_m, y_m.")]
+Shape = Annotated[Path | None, typer.Option("--shape", metavar="CSV", help="A shape, as for `onebend shape`.")]
+CameraOption = Annotated[
+    str | None, typer.Option("--camera", metavar="SPEC", help="As `record`; ros2:DOMAIN,topic=/NAME.")
+]
+RobotOption = Annotated[
+    str | None, typer.Option("--robot", metavar="SPEC", help="ur:, franka:, ros2:, virtual:linear.")
+]
+ForceOption = Annotated[str | None, typer.Option("--force", metavar="SPEC", help="As `record`; default: the robot's.")]
+Like = Annotated[Path | None, typer.Option("--like", metavar="REC", help="A recording of this beam on this bench.")]
+PlaceBy = Annotated[
+    Literal["start", "push", "tag"],
+    typer.Option("--place", help="The robot's base, by: recording.toml's axes; the push, or a tool's tag, in --like."),
+]
+ToolTag = Annotated[int | None, typer.Option("--tool-tag", metavar="ID", min=0, help="On the tool, for --place tag.")]
+Go = Annotated[bool, typer.Option("--go", help="Move. Without it the plan is shown, and nothing else happens.")]
+Replace = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier recording in DIR.")]
+
+
+def drive(
+    model: common.Model, folder: Out, *, goal: Goal = None, goals: Goals = None, shape: Shape = None,
+    point: common.Point = 1.0, push_at: common.PushAt = 1.0, camera: CameraOption = None, robot: RobotOption = None,
+    force: ForceOption = None, like: Like = None, place: PlaceBy = "start", tool_tag: ToolTag = None,
+    settings: DriveSettings, go: Go = False, overwrite: Replace = False, as_json: common.Json = False,
+    quiet: common.Quiet = False,
+) -> None:  # fmt: skip
+    """Bend a learned beam to a goal with a robot and a camera: a plan first, and with --go the real loop, recorded."""
+    with common.clean_errors(), common.progress_of(quiet or as_json) as progress:
+        stored = read_trusted(model)
+        rec = _described(folder, like)
+        rec = replace(rec, push=None if rec.push is None else replace(rec.push, at=push_at))
+        limits, gravity = plans.known_limits(stored, rec, settings.limits), plans.gravity_of(rec)
+        wanted = plans.read_wanted(
+            plans.levelled(stored, rec, gravity), limits, goal=goal, goals=goals, targets=shape, push_s=push_at,
+            point_s=point, gravity=gravity,
+        )  # fmt: skip
+        placement = _placement(rec, like, place, tool_tag)
+        plan = plans.make_plan(
+            stored, rec, wanted, placement, settings, push_s=push_at, point_s=point, progress=progress
+        )
+        made = specs.robot_of(robot)(rec, settings) if robot is not None else None
+        if made is not None and settings.by not in made.can:
+            raise RecordingError(f"--by {settings.by}: {made.name} cannot be asked for it. Take --by pose.")
+    if not as_json:
+        table = common.facts_table()
+        for what, says in plans.plan_rows(plan):
+            table.add_row(what, Text(says))
+        common.screen().print(table)
+    with common.clean_errors():
+        if not go:
+            if as_json:
+                common.print_json({"plan": plans.plan_data(plan), "moved": False})
+            else:
+                common.say("Nothing moved. To move, add --go.")
+            return
+        if made is None:
+            raise RecordingError("--robot is missing: which one is to move? See docs/drive.md.")
+        if camera is None and not isinstance(made, VirtualRobot):
+            raise RecordingError("--camera is missing: /dev/video0, or another of docs/record.md.")
+        if like is not None:
+            copy_description(like, folder)
+        eye = made.camera() if camera is None and isinstance(made, VirtualRobot) else specs.camera_of(str(camera))
+        sensor = None if force is None else specs.force_of(force)
+        with (
+            common.stopped_by_hand() as (stop, enter),
+            StateView(
+                None if quiet or as_json else common.stderr_screen(), _screen, lambda one: (one.says, one.says)
+            ) as view,
+        ):
+            outcome = run(
+                folder,
+                plan,
+                eye,
+                made,
+                sensor,
+                watch=view.show,
+                stop=SimpleNamespace(is_set=lambda: stop.is_set() or enter.is_set()),
+                overwrite=overwrite,
+            )
+    _answer(outcome, data_alone=as_json)
+
+
+def _described(folder: Path, like: Path | None) -> Recording:
+    """What recording.toml says, of the folder itself or of the one that it is to be like."""
+    if (folder / FILE_NAME).is_file():
+        return read_recording(folder, filmed=False)
+    if like is None:
+        raise RecordingError(f"{folder} holds no {FILE_NAME}. Name a recording of this beam with --like, or write one.")
+    return read_recording(folder_of(like), filmed=False)
+
+
+def _placement(rec: Recording, like: Path | None, place: str, tag: int | None) -> Placement:
+    if (place == "tag") != (tag is not None):
+        raise RecordingError("--place tag goes with --tool-tag, the number of the tag on the tool.")
+    if place == "start":
+        return stated_placement(rec)
+    if like is None:
+        raise RecordingError(f"--place {place} takes the push of a recording: name it with --like.")
+    return from_recording(read_recording(folder_of(like)), tool_tag=tag)
+
+
+def _screen(state: DriveState) -> RenderableType:
+    table = common.facts_table()
+    table.add_row("stage", Text(state.stage, "bold"))
+    table.add_row(
+        "from the goal", f"{1e3 * state.distance:.2f} mm" if math.isfinite(state.distance) else "not seen yet"
+    )
+    for name, force in (("force asked", state.asked), ("force felt", state.felt)):
+        if np.isfinite(force).all():
+            table.add_row(name, f"{float(np.hypot(*force)):.3f} N: ({force[0]:+.3f}, {force[1]:+.3f})")
+    if math.isfinite(state.delay):
+        table.add_row("delay", f"{1e3 * state.delay:.0f} ms, measured")
+    return Group(
+        Text(state.says), Text(""), table, Text(""), Text("Enter or Ctrl-C: hold, and release slowly", style="dim")
+    )
+
+
+def _answer(outcome: DriveOutcome, *, data_alone: bool) -> None:
+    made, folder = outcome.drive, outcome.recorded.folder
+    if data_alone:
+        common.print_json({**outcome.data, "folder": str(folder)})
+    else:
+        for one in made.outcomes:
+            off, x, y = 1e3 * float(np.linalg.norm(one.seen - one.goal)), *(1e3 * one.goal)
+            said = f"said: to {1e3 * one.said:.2g} mm"
+            common.say(
+                f"({x:.4g}, {y:.4g}) mm: {'reached' if one.reached else 'not reached'}, seen {off:.2g} mm off ({said})"
+            )
+        learning = made.plan.remarks or (f"learn from it with: onebend learn {folder}",)
+        common.say(f"Recorded {folder}; {learning[0]}")
+    if not outcome.good:
+        last = next((one.text for one in made.events if one.fault), made.events[-1].text if made.events else "it ended")
+        with common.clean_errors():
+            raise RecordingError(f"{last}. What happened is in {folder / 'drive.json'}")

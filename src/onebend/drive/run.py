@@ -1,0 +1,263 @@
+"""One drive, from the plan to the folder of its recording: what `onebend drive --go` does."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onebend.beam.model import Beam
+from onebend.beam.stiffness import UncertainStiffness
+from onebend.control.loop import Controller, ControllerSettings, controller
+from onebend.drive.machine import Drive, DriveState, mean_ratio
+from onebend.drive.plan import DrivePlan, plan_data
+from onebend.drive.robots import Robot
+from onebend.errors import OnebendError, RecordingError
+from onebend.files.single_file import write_file
+from onebend.live.guidance import CaptureOutcome, CaptureSettings, CaptureState, Stop
+from onebend.live.live import LiveSettings
+from onebend.live.recording_folder import GrowingTable, with_values
+from onebend.live.session import record
+from onebend.live.sources import CameraSource, Clock, End, ForceSource, Frame
+from onebend.progress import interrupts_held, leave_interrupts_to_parent
+from onebend.recording.folder import FILE_NAME, read_recording
+from onebend.records import Array
+from onebend.text_files import MOST_TOML, read_text, to_json
+
+TABLE, SUMMARY = "drive.csv", "drive.json"
+COLUMNS = (
+    *("time_s", "goal", "x_m", "y_m", "distance_m", "asked_x_N", "asked_y_N", "felt_x_N", "felt_y_N"),
+    *("tool_x_m", "tool_y_m", "delay_s"),
+)
+_FORMATS = ("%.6f", "%d", *("%.7g",) * 10)
+LEARNED_CHANGE = 0.03  # of k, on average: less is not worth a new plan
+LEARNED_EVERY = 3.0  # s
+
+
+@dataclass(frozen=True)
+class DriveOutcome:
+    """What a drive left."""
+
+    recorded: CaptureOutcome
+    drive: Drive
+    data: dict[str, Any]  # as in drive.json
+
+    @property
+    def good(self) -> bool:
+        """Whether every goal was reached and nothing went wrong."""
+        return not self.drive.fault and bool(self.data["reached"])
+
+
+class _Watched:
+    """A camera whose end is the drive's business: the film goes on until the tool is back."""
+
+    def __init__(self, camera: CameraSource, drive: Drive) -> None:
+        self.name, self.timing, self._camera, self._drive = camera.name, camera.timing, camera, drive
+        self._ended = False
+        self._clock: Clock | None = None
+
+    def open(self, clock: Clock) -> None:
+        self._clock = clock
+        self._camera.open(clock)
+
+    def close(self) -> None:
+        self._camera.close()
+
+    def due(self) -> float:
+        return math.inf if self._ended else float(self._camera.due())  # type: ignore[attr-defined]
+
+    def read(self, wait: float) -> Frame | End | None:
+        assert self._clock is not None
+        if not self._ended:
+            got = self._camera.read(wait)
+            if isinstance(got, Frame):
+                self._drive.came(got)
+            if not isinstance(got, End) or self._drive.stage == "waiting":
+                return got
+            self._ended = True
+            self._drive.camera_ended(got.why)
+        if self._drive.over:
+            return End("the drive is over")
+        self._clock.wait_until(self._clock.now() + min(wait, 0.05))
+        return None
+
+
+def drive(
+    folder: Path, plan: DrivePlan, camera: CameraSource, robot: Robot, sensor: ForceSource | None = None, *,
+    watch: Callable[[DriveState], None] = lambda _: None, stop: Stop | None = None, clock: Clock | None = None,
+    beside: bool = True, overwrite: bool = False, setup: float = 1.0,
+) -> DriveOutcome:  # fmt: skip
+    """Drive, and record into `folder`, which holds a recording.toml.
+
+    Args:
+        stop: set from anywhere: hold, and release slowly.
+        clock: None: this machine's.
+        beside: False: all in this process, as tests on a played clock want it.
+        setup: s for which the picture must be good before the film begins.
+
+    Raises:
+        RecordingError: it ended before anything moved.
+    """
+    state_push(folder, plan.push_s)
+    rec = read_recording(folder, filmed=False)
+    made = Drive(plan, robot, rec, sensor, watch)
+    over, table = threading.Event(), _DriveTable(folder / TABLE, made, overwrite=overwrite)
+    learner = Renewer(made, beside=beside) if plan.settings.learn else None
+
+    def now_and_then(state: CaptureState) -> None:
+        if stop is not None and stop.is_set() and not said:
+            said.append(True)
+            made.stop()
+        if learner is not None and state.stiffness is not None and state.live is not None:
+            learner.learned(
+                state.stiffness, doubtful=state.live.verdict.grade == "not to be trusted", now=state.seconds
+            )
+        if made.over:
+            over.set()
+
+    said: list[bool] = []
+    settings = CaptureSettings(
+        ends=False, setup=setup, share=0.0, rest=plan.settings.rest, follow=plan.settings.learn, overwrite=overwrite,
+        longest=1e5, live_beside=beside, live=LiveSettings(),
+    )  # fmt: skip
+    try:
+        recorded = record(
+            folder, _Watched(camera, made), made, settings, now_and_then, over, clock=clock, tags=table.see
+        )
+    finally:
+        table.close()
+        if learner is not None:
+            learner.close()
+    data = drive_data(plan, made)
+    if not made.moved:
+        why = made.events[-1].text if made.events else recorded.why
+        raise RecordingError(f"{why.rstrip('.')}: nothing moved")
+    write_file(folder / SUMMARY, to_json(data), overwrite=True)
+    return DriveOutcome(recorded, made, data)
+
+
+def state_push(folder: Path, push_s: float) -> None:
+    """Write into recording.toml where the tool acts."""
+    path = folder / FILE_NAME
+    content = read_text(path, RecordingError, most=MOST_TOML)
+    rec = read_recording(folder, filmed=False)
+    if rec.push is not None and rec.push.at != push_s:
+        write_file(path, with_values(content, "push", {"at_s": f"{push_s:.6g}"}), overwrite=True)
+
+
+def drive_data(plan: DrivePlan, made: Drive) -> dict[str, Any]:
+    """What drive.json holds, SI."""
+    latency, turns = np.array(made.latency), np.array(made.turns)
+    goals = [
+        {
+            "goal_m": one.goal.tolist(), "reached": one.reached, "seconds": one.seconds, "seen_m": one.seen.tolist(),
+            "off_m": float(np.linalg.norm(one.seen - one.goal)), "said_within_m": one.said,
+            "asked_N": one.force.tolist(), "felt_N": one.felt.tolist(),
+        }
+        for one in made.outcomes
+    ]  # fmt: skip
+    return {
+        "format": "onebend-drive-1",
+        "plan": plan_data(plan),
+        "reached": len(goals) == len(plan.goals) and all(one["reached"] for one in goals),
+        "fault": made.fault,
+        "goals": goals,
+        "happened": [{"time_s": one.time, "text": one.text, "fault": one.fault} for one in made.events],
+        "delay_s": made.meter.delay if math.isfinite(made.meter.sd) else math.nan,
+        "delay_sd_s": made.meter.sd,
+        "picture_to_command_s": _middle_and_worst(latency),
+        "turn_s": _middle_and_worst(turns),
+    }
+
+
+def _middle_and_worst(values: Array) -> dict[str, float]:
+    if not len(values):
+        return {}
+    return {"median": float(np.median(values)), "p99": float(np.quantile(values, 0.99)), "count": len(values)}
+
+
+class _DriveTable:
+    """drive.csv: a row a picture that is driven by."""
+
+    def __init__(self, path: Path, made: Drive, *, overwrite: bool) -> None:
+        self._path, self._drive = path, made
+        if path.exists() and not overwrite:
+            raise RecordingError(f"{path} is there already. Drive into another folder, or add --overwrite.")
+        self._table: GrowingTable | None = None
+
+    def see(self, frame: Frame, time: float, corners: Array) -> None:
+        made = self._drive
+        made.see(frame, time, corners)
+        if made.stage == "waiting":
+            return
+        if self._table is None:
+            self._path.unlink(missing_ok=True)
+            self._table = GrowingTable(self._path, COLUMNS)
+        state = made.now()
+        goal = [float(len(made.outcomes)), *state.point, state.distance, *state.asked, *state.felt]
+        self._table.add(np.array([[time, *goal, *made.tool, state.delay]]), _FORMATS)
+        if self._table.rows % 30 == 0:
+            self._table.flush()
+
+    def close(self) -> None:
+        if self._table is not None:
+            self._table.close()
+
+
+# A controller of k(s) as it is learned while driving, made by a process beside this one: it takes a second or two.
+
+
+def renewed_controller(
+    beam: Beam, goal: Array, start: Array, where: dict[str, Any], settings: ControllerSettings
+) -> Controller | None:
+    """The loop to the goal from the force `start`; None where this beam cannot be led there."""
+    try:
+        return controller(beam, goal, start=start, settings=settings, **where)
+    except OnebendError:
+        return None
+
+
+class Renewer:
+    """Plans anew when k(s) is known better."""
+
+    def __init__(self, made: Drive, *, beside: bool) -> None:
+        self._drive, self._beside, self._next = made, beside, 0.0
+        self._pool: ProcessPoolExecutor | None = None
+        self._coming: Future[Controller | None] | None = None
+
+    def learned(self, known: UncertainStiffness, *, doubtful: bool, now: float) -> None:
+        """k(s) as it is known at `now` [s]."""
+        if self._coming is not None and self._coming.done():
+            coming, self._coming = self._coming, None
+            if coming.exception() is None and (made := coming.result()) is not None:
+                self._drive.renew(made)
+        lead = self._drive.leads_to
+        if doubtful or lead is None or self._coming is not None or now < self._next:
+            return
+        goal, force, old = lead
+        beam = replace(old, stiffness=known.profile)
+        if abs(math.log(mean_ratio(beam, old))) < LEARNED_CHANGE:
+            return
+        self._next = now + LEARNED_EVERY
+        plan, control = self._drive.plan, self._drive.plan.goals[0].control
+        where = {"push_s": plan.push_s, "point_s": plan.point_s, "gravity": plan.gravity}
+        asked = (beam, goal, mean_ratio(beam, old) * force, where, replace(control.settings, gains=control.gains))
+        if not self._beside:
+            self._coming = Future()
+            self._coming.set_result(renewed_controller(*asked))
+            return
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=leave_interrupts_to_parent)
+        with interrupts_held():
+            self._coming = self._pool.submit(renewed_controller, *asked)
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)

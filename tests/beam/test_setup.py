@@ -1,0 +1,125 @@
+"""A learned beam in the set-up of its recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from onebend.beam.loads import push
+from onebend.beam.model import Beam
+from onebend.beam.setup import PARTS, SetUp
+from onebend.beam.continuation import equilibrium
+from onebend.beam.stiffness import LogSpline, UncertainStiffness
+from onebend.control.reach import reach, reach_in_setup
+from onebend.errors import MechanicsError
+from onebend.records import Array
+
+KNOTS = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, 6), np.ones(3)])
+MEAN = np.log(0.03) + np.linspace(-0.3, 0.4, 8)
+KNOWN = UncertainStiffness(KNOTS, MEAN, 0.05**2 * np.eye(8))
+BEAM = Beam(0.2, LogSpline(tuple(KNOTS.tolist()), tuple(MEAN.tolist())))
+SIZES = {"length": 1, "along": 2, "across": 2, "turn": 2, "clamp": 1, "clamp gives": 1, "origin": 2, "place": 1,
+         "slide": 1, "direction": 1, "force error": 4, "gain": 1}  # fmt: skip
+FORCE = np.array([[0.1, 0.2], [-0.1, 0.35], [0.0, 0.5]])
+
+
+def setup(**values: float | list[float]) -> SetUp:
+    """Zero but for these parts, all known to a hundredth of the sds before."""
+    n = sum(SIZES.values())
+    sd = np.concatenate([np.full(size, 1e-3 if PARTS[name][0] == "m" else 0.01) for name, size in SIZES.items()])
+    out = SetUp(
+        1.0, (0.0, 0.5), 0.05, (0.5, 1.0), 0.016, SIZES, np.zeros(n), np.zeros((n, 8)), np.diag(1e-4 * sd**2), sd
+    )
+    mean = out.mean.copy()
+    for name, value in values.items():
+        mean[out.columns[name.replace("_", " ")]] = value
+    return replace(out, mean=mean)
+
+
+def tips(one: SetUp, force: Array = FORCE) -> Array:
+    return one.bent(BEAM, KNOWN, force).solved.xy(np.array([1.0]))[:, 0]
+
+
+def test_a_setup_without_faults_is_the_beam() -> None:
+    plain = replace(setup(), thickness=1e-9)
+    here = plain.bent(BEAM, KNOWN, FORCE)
+    exact = equilibrium(BEAM, push(FORCE, 1.0))
+    np.testing.assert_allclose(here.solved.xy(np.array([0.5, 1.0])), exact.xy(np.array([0.5, 1.0])), atol=1e-8)
+    np.testing.assert_allclose(here.tags()[..., :2], exact.xy(np.array([0.5, 1.0])), atol=1e-8)
+
+
+def test_a_push_off_its_place_is_a_force_and_a_moment() -> None:
+    """Without bending beyond it, a force off by d acts as at d farther along the tangent."""
+    off = 0.004
+    moved, there = replace(setup(place=-off), thickness=1e-9), 1.0 - off / BEAM.length
+    exact = equilibrium(BEAM, push(FORCE, there)).xy(np.array([0.5]))
+    np.testing.assert_allclose(moved.bent(BEAM, KNOWN, FORCE).solved.xy(np.array([0.5])), exact, atol=1e-4)
+
+
+@pytest.mark.parametrize("part, value", [("direction", 0.05), ("gain", 0.04), ("force_error", [0.02, -0.01, 0.0, 0.0])])
+def test_what_the_sensor_shows_bends_the_beam_as_the_force_on_it(part: str, value: float | list[float]) -> None:
+    one = setup(**{part: value})
+    bent = setup().bent(BEAM, KNOWN, FORCE)
+    shown = one.logged(FORCE, bent.bend)
+    assert np.max(np.abs(shown - FORCE)) > 1e-3
+    np.testing.assert_allclose(tips(one, shown), tips(setup()), atol=2e-5)  # four passes
+
+
+def test_new_parts_have_their_priors_again() -> None:
+    old = setup(place=0.002, direction=0.03, clamp=0.01, length=0.004)
+    new = old.renewed(["tool"])
+    column = old.columns["place"].start
+    assert new.mean[column] == 0.0
+    assert new.covariance[column, column] == old.prior_sd[column] ** 2
+    for name in ("direction", "clamp", "length"):
+        assert new.mean[new.columns[name]] == old.mean[old.columns[name]]
+    every = old.renewed(["tool", "sensor", "mounting"])
+    assert {name for name in ("direction", "clamp", "place") if np.any(every.mean[every.columns[name]])} == set()
+    with pytest.raises(MechanicsError, match="new may be of"):
+        old.renewed(["camera"])  # type: ignore[list-item]
+
+
+def test_draws_follow_log_k() -> None:
+    one = setup()
+    slope = one.slope.copy()
+    slope[one.columns["place"], 3] = 0.01
+    coefficients, numbers = replace(one, slope=slope).draw(KNOWN, 4000, seed=1)
+    place = numbers[:, one.columns["place"]][:, 0]
+    assert np.corrcoef(place, coefficients[:, 3])[0, 1] > 0.99
+    np.testing.assert_allclose(np.std(coefficients, axis=0), 0.05, rtol=0.06)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(-0.003, 0.003), st.floats(0.0, 0.01), st.floats(-0.02, 0.02), st.floats(-0.004, 0.004))
+def test_the_ideal_beam_goes_where_the_set_up_goes(place: float, gives: float, clamp: float, length: float) -> None:
+    one = setup(place=place, clamp_gives=gives, clamp=clamp, length=length)
+    ideal = one.ideal(BEAM, KNOWN)
+    there = equilibrium(ideal, push(FORCE, 1.0)).xy(np.array([1.0]))[:, 0]
+    assert np.max(np.linalg.norm(there - tips(one), axis=1)) < 2e-4
+
+
+def test_a_goal_is_met_in_the_set_up() -> None:
+    one = setup(place=0.003, clamp_gives=0.01, direction=0.02, force_error=[0.02, -0.01, 0.01, 0.0])
+    goal = tips(one, np.array([[0.05, 0.4]]))[0]
+    found = reach_in_setup(BEAM, KNOWN, one, goal)
+    np.testing.assert_allclose(tips(one, found.force[None])[0], goal, atol=1e-6)
+    alone = reach(BEAM, goal)
+    assert np.linalg.norm(tips(one, alone.force[None])[0] - goal) > 1e-3
+    assert found.error is not None and found.error.holds(goal)
+    new = reach_in_setup(BEAM, KNOWN, one, goal, new=("tool", "sensor"))
+    assert new.error is not None
+    assert new.error.ellipse().semi_axes[0] > 1.5 * found.error.ellipse().semi_axes[0]
+
+
+def test_a_set_up_survives_json_and_refuses_what_is_none() -> None:
+    one = setup(place=0.002)
+    again = SetUp.from_dict(one.as_dict())
+    np.testing.assert_array_equal(again.mean, one.mean)
+    np.testing.assert_array_equal(again.covariance, one.covariance)
+    assert (again.sizes, again.force, again.tags) == (one.sizes, one.force, one.tags)
+    for broken in ({"mean": [0.0]}, {"sizes": {"camera": 1}}, {"moved": float("nan")}, {"slope": None}):
+        with pytest.raises(MechanicsError):
+            SetUp.from_dict({**one.as_dict(), **broken})

@@ -1,0 +1,80 @@
+"""Priors with bounds, and of effects that most benches lack, as normal priors with the same effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from scipy.stats import norm, truncnorm
+
+from onebend.learning.allowances import ANYTHING, POSITIVE
+from onebend.learning.parameters import Block
+from onebend.learning.sites import _SIZES, first_site, is_shaped, moments, updated
+from onebend.records import Array
+
+
+def block(within: tuple[float, float] = ANYTHING, *, sparse: bool = False, sd: float = 0.3) -> Block:
+    return Block("one", -1, "1", np.array([sd]), ("one",), 0, within, sparse)
+
+
+def through(site: tuple[Array, Array], measured: float, noise: float) -> tuple[Array, Array]:
+    """Mean and sd under a normal prior, of a measured value."""
+    precision = 1.0 / site[1] ** 2 + 1.0 / noise**2
+    return (site[0] / site[1] ** 2 + measured / noise**2) / precision, 1.0 / np.sqrt(precision)
+
+
+def exact(one: Block, measured: float, noise: float) -> tuple[float, float]:
+    """The same under the prior itself, by sums over a fine grid."""
+    x = np.concatenate([-np.geomspace(3.0, 1e-6, 60001), np.geomspace(1e-6, 3.0, 60001)])
+    sizes = one.prior_sd[0] * (_SIZES if one.sparse else np.ones(1))
+    inside = (x >= one.within[0]) & (x <= one.within[1])
+    mass = norm.cdf(one.within[1] / sizes) - norm.cdf(one.within[0] / sizes)
+    density = np.sum(norm.pdf(x[:, None] / sizes) / sizes / mass, axis=1) * inside * norm.pdf((x - measured) / noise)
+    weight = density * np.gradient(x)
+    mean = float(weight @ x / np.sum(weight))
+    return mean, float(np.sqrt(weight @ (x - mean) ** 2 / np.sum(weight)))
+
+
+@given(st.floats(-2.0, 2.0), st.floats(0.05, 2.0), st.floats(-3.0, 3.0), st.floats(0.05, 4.0))
+def test_moments_between_bounds_are_those_of_the_truncated_normal(
+    mean: float, sd: float, lower: float, width: float
+) -> None:
+    a, b = (lower - mean) / sd, (lower + width - mean) / sd
+    if min(abs(a), abs(b)) > 6.0 and a * b > 0.0:
+        return  # SciPy itself loses digits far out in a tail
+    _, found, variance = moments(lower, lower + width, np.array([mean]), np.array([sd**2]))
+    of = truncnorm(a, b, mean, sd)
+    assert found[0] == pytest.approx(of.mean(), abs=1e-6)
+    assert variance[0] == pytest.approx(of.var(), rel=1e-4, abs=1e-8)
+
+
+@pytest.mark.parametrize("measured", [-0.4, -0.05, 0.0, 0.1, 0.5])
+@pytest.mark.parametrize("noise", [0.02, 0.2, 1.0])
+@pytest.mark.parametrize(
+    "one", [block(POSITIVE), block(sparse=True), block(POSITIVE, sparse=True), block((-np.inf, 0.1)), block((-0.3, 0.2))]
+)
+def test_one_measured_parameter_has_the_exact_mean_and_sd(one: Block, measured: float, noise: float) -> None:
+    """With one normal measurement, expectation propagation is exact after one update."""
+    first = first_site(one)
+    site = updated(one, first, *through(first, measured, noise))
+    mean, sd = through(site, measured, noise)
+    wanted = exact(one, measured, noise)
+    assert mean[0] == pytest.approx(wanted[0], abs=2e-3)
+    assert sd[0] == pytest.approx(min(wanted[1], noise), rel=0.02, abs=1e-3)
+
+
+def test_a_sparse_parameter_shrinks_where_nothing_is_seen_and_stays_where_much_is() -> None:
+    plain, sparse = block(), block(sparse=True)
+    little, much = 0.02, 0.6
+    for measured, shrinks in ((little, True), (much, False)):
+        first = first_site(sparse)
+        found = through(updated(sparse, first, *through(first, measured, 0.05)), measured, 0.05)[0][0]
+        usual = through((np.zeros(1), plain.prior_sd), measured, 0.05)[0][0]
+        assert (found < 0.8 * usual) == shrinks
+        assert found == pytest.approx(measured, rel=0.06) or shrinks
+
+
+def test_only_priors_that_are_not_normal_have_sites() -> None:
+    assert not is_shaped(block())
+    assert is_shaped(block(POSITIVE))
+    assert is_shaped(block(sparse=True))

@@ -1,0 +1,93 @@
+"""k(s) from points of an outline, whose place along the body is free."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from onebend.learning.condensed import white_share
+from onebend.learning.fit_data import fit_data
+from onebend.learning.frames import read_alone, whitening_across
+from onebend.learning.parameters import Spline
+from onebend.learning.posterior import fit
+from onebend.records import Array, Observations, read_before_fit
+from tests.learning.bench import IDEAL, SOFT, forces, observed
+
+S = np.linspace(0.08, 0.98, 22)
+SD = 2e-5  # m
+
+
+def traced(slipped: float = 0.0, seed: int = 0) -> Observations:
+    """The outline of the soft beam under a push; every point is `slipped` m farther along the body than written, and
+    `SD` off across it."""
+    force = forces(60)
+    shape = SOFT.equilibrium(force, 1.0)
+    s = np.clip(S + slipped / SOFT.length, 0.0, 1.0)
+    angle = shape.angle(s)
+    normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    noise = SD * np.random.default_rng(seed).normal(size=angle.shape)
+    plain = observed(SOFT, force)
+    m, rest = len(S), np.stack([SOFT.length * s, np.zeros(len(s))], axis=1)
+    covariance = np.diag([SD**2, SD**2, (0.01) ** 2])
+    return replace(
+        plain,
+        tag_id=100_000 + np.arange(m),
+        marker_s=S,
+        xy=shape.xy(s) + noise[..., None] * normal,
+        angle=angle,
+        covariance=np.tile(covariance, (len(force), m, 1, 1)),
+        rest_xy=rest,
+        rest_angle=np.zeros(m),
+        rest_covariance=np.tile(covariance, (m, 1, 1)) / 30.0,
+        traced=np.ones(m, dtype=bool),
+    )
+
+
+def off(one: Observations) -> Array:
+    """Of log k(s) along the body."""
+    s = np.linspace(0.05, 0.9, 40)
+    return np.log(fit([one], settings=IDEAL).band(s).k / SOFT.stiffness(s))
+
+
+def test_k_is_found_from_an_outline_alone() -> None:
+    away = off(traced())
+    assert float(np.sqrt(np.mean(away**2))) < 0.05
+
+
+def test_the_place_along_the_body_is_free() -> None:
+    straight, slipped = off(traced()), off(traced(slipped=3e-4))
+    assert float(np.max(np.abs(slipped - straight))) < 0.02
+
+
+def test_only_the_distance_across_the_outline_counts() -> None:
+    one = traced()
+    data = fit_data(one, 0, np.ones(len(one.time), dtype=bool), Spline(9))
+    rows = np.linalg.matrix_rank(data.whiten[:-1])
+    assert np.all(rows == 1)
+    along = np.stack([np.cos(one.angle), np.sin(one.angle)], axis=-1)
+    np.testing.assert_allclose(np.einsum("fmij,fmj->fmi", data.whiten[:-1, :, :, :2], along), 0.0, atol=1e-6)
+    assert len(data.tags) == 0
+    assert not np.isfinite(data.measured[..., 2]).any()
+
+
+def test_a_point_that_was_not_seen_counts_for_nothing() -> None:
+    across = np.tile([0.0, 1.0], (2, 3, 1))
+    measured = np.zeros((2, 3, 3))
+    measured[0, 1] = np.nan
+    whiten = whitening_across(measured, np.tile(1e-8 * np.eye(3), (2, 3, 1, 1)), across)
+    assert np.all(whiten[0, 1] == 0.0)
+    np.testing.assert_allclose(whiten[1, 1, 1, :2], [0.0, 1e4])
+
+
+def test_white_noise_across_is_told_as_white() -> None:
+    one = traced()
+    poses = np.concatenate([one.xy, one.angle[..., None]], axis=-1)
+    assert 0.6 < float(np.median(white_share(one, poses))) <= 1.0
+
+
+def test_without_tags_few_points_stand_for_the_outline() -> None:
+    few = read_alone(traced())
+    assert len(few.tag_id) == 6
+    assert read_alone(few) is few
+    assert read_before_fit(few).tolist() == list(range(6))

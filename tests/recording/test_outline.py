@@ -1,0 +1,171 @@
+"""The outline of a painted body: where its edges are known, and what is no body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from onebend.errors import ObservationError
+from onebend.recording import outline
+from onebend.recording.camera import project, to_plane
+from onebend.recording.outline import MEASURED, Planes, Sight, Stations
+from onebend.records import Array, BoolArray, OutlineTrack, View
+from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, view
+
+BODY, GROUND, WALL = (200.0, 118.0, 136.0), (110.0, 131.0, 125.0), (140.0, 122.0, 133.0)
+VIEW = view(dist=(-0.05, 0.02, 0.0, 0.0, 0.0))
+SAMPLES = 2  # of a pixel's side
+
+
+def bends(count: int = 8, most: float = 0.25) -> Array:
+    """(T,) rad of the tip."""
+    return most * np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, count)) ** 2
+
+
+def line(bend: float, s: Array) -> tuple[Array, Array]:
+    """The body's middle (n, 2) m and its angle (n,): the curvature falls to the tip."""
+    fine = np.linspace(0.0, 1.0, 801)
+    angle = bend * (2.0 * fine - fine**2)
+    steps = np.stack([np.cos(angle), np.sin(angle)], axis=1) * LENGTH / 800
+    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)])
+    return np.stack([np.interp(s, fine, one) for one in xy.T], axis=1), np.interp(s, fine, angle)
+
+
+def half_width(s: Array) -> Array:
+    """m, of a body that tapers."""
+    return np.asarray(0.007 - 0.0015 * s)
+
+
+def painted(bend: float, *, wall: float = 0.0, ends: float = 1.0, noise: float = 1.5, seed: int = 0) -> Planes:
+    """A picture of the body up to s = `ends`, with a wall of this width [m] on its left, blurred by a pixel."""
+    offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    rows = np.add.outer(np.arange(HEIGHT), offsets).ravel()
+    columns = np.add.outer(np.arange(WIDTH), offsets).ravel()
+    xy = to_plane(VIEW, np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2))
+    s = np.linspace(0.0, ends, 600)
+    middle, angle = line(bend, s)
+    distance, best = cKDTree(middle).query(xy, distance_upper_bound=0.015)
+    best = np.minimum(best, len(s) - 1)
+    normal = np.stack([-np.sin(angle[best]), np.cos(angle[best])], axis=1)
+    across, along = np.sum((xy - middle[best]) * normal, axis=1), s[best]
+    beside = np.isfinite(distance) & (np.abs(distance - np.abs(across)) < 1e-4)  # not beyond an end
+    colour = np.tile(GROUND, (len(xy), 1))
+    colour[beside & (across > 0.0) & (across < half_width(along) + wall)] = WALL if wall else BODY
+    colour[beside & (np.abs(across) < half_width(along))] = BODY
+    mean = colour.reshape(HEIGHT, SAMPLES, WIDTH, SAMPLES, 3).mean(axis=(1, 3))
+    for axis in (0, 1):
+        mean = 0.25 * np.roll(mean, 1, axis) + 0.5 * mean + 0.25 * np.roll(mean, -1, axis)
+    seen = np.rint(mean + noise * np.random.default_rng(seed).normal(size=mean.shape)).astype(np.uint8)
+    return Planes(seen[..., 0].copy(), np.moveaxis(seen[..., 1:], 2, 0).copy())
+
+
+def stations_and_hidden() -> tuple[Stations, BoolArray, float]:
+    """As `outline_track` has them, and px/m."""
+    ends = project(VIEW, np.array([[0.0, 0.0], [LENGTH, 0.0]]))
+    scale = float(np.linalg.norm(ends[1] - ends[0])) / LENGTH
+    stations = Stations(LENGTH, 2 * outline.POINTS + 40)
+    return stations, np.asarray(stations.s < 0.06), scale
+
+
+def traced(pictures: Sequence[Planes]) -> OutlineTrack:
+    """The body's points in these pictures."""
+    stations, hidden, scale = stations_and_hidden()
+    sights = [Sight(one, VIEW, np.zeros(2)) for one in pictures]
+    found, half = outline.follow(sights, stations, hidden, "painted")
+    middle = outline.centreline(found, stations, half, MEASURED / scale)
+    outline.refuse_lost(middle, found, ~hidden, "painted")
+    return outline.points_of(middle, found, stations, sights, scale)
+
+
+def errors(track: OutlineTrack, bend: Array, seen: View = VIEW) -> Array:
+    """(T, n) px across the body, from where it was painted to where it was found."""
+    out = []
+    for t, b in enumerate(bend.tolist()):
+        true = project(seen, line(b, np.linspace(0.0, 1.0, 4001))[0])
+        nearest = np.argmin(np.linalg.norm(track.px[t][:, None] - true, axis=-1), axis=1)
+        along = track.ahead[t] - track.px[t]
+        normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+        out.append(np.sum((track.px[t] - true[nearest]) * normal, axis=1))
+    return np.where(np.isfinite(track.sd), np.array(out), np.nan)
+
+
+BENDS = bends()
+BENT = 0.9  # rad, of the tip of a body that is bent in its first picture
+TRACK = traced([painted(b, seed=i) for i, b in enumerate(BENDS.tolist())])
+
+
+def test_the_middle_lies_where_it_was_painted() -> None:
+    off = errors(TRACK, BENDS)
+    assert np.isfinite(off).mean() > 0.95
+    assert abs(float(np.nanmean(off))) < 0.1
+    assert float(np.sqrt(np.nanmean(off**2))) < 0.15
+
+
+def test_a_body_that_is_bent_in_its_first_picture_is_found_from_the_clamp_on() -> None:
+    bend = np.full(3, BENT)
+    off = errors(traced([painted(BENT, seed=i) for i in range(3)]), bend)
+    assert np.isfinite(off).mean() > 0.9
+    assert float(np.sqrt(np.nanmean(off**2))) < 0.15
+
+
+def test_the_sd_is_that_of_the_error() -> None:
+    claimed, true = [], []
+    for bend in (0.1, 0.25, 0.4):
+        track = traced([painted(bend, seed=50 + i) for i in range(4)])
+        claimed.append(float(np.nanmedian(track.sd)))
+        true.append(float(np.sqrt(np.nanmean(errors(track, np.full(4, bend)) ** 2))))
+    assert 0.8 < np.mean(claimed) / np.mean(true) < 1.25
+
+
+def test_the_width_is_that_of_the_body() -> None:
+    np.testing.assert_allclose(TRACK.width, 2.0 * half_width(TRACK.s), atol=0.15e-3)
+
+
+def test_a_wall_is_no_part_of_the_top_face() -> None:
+    track = traced([painted(b, wall=0.003, seed=i) for i, b in enumerate(BENDS[:4].tolist())])
+    assert abs(float(np.nanmean(errors(track, BENDS[:4])))) < 0.2
+
+
+def test_an_edge_between_two_levels_is_found_to_a_twentieth_of_a_pixel() -> None:
+    look = outline.Look(np.ones(3), np.ones(3))
+    for place in (-1.3, -0.4, 0.0, 0.3, 2.2):
+        share = 0.5 + 0.5 * np.tanh((outline._OUT - place) / 0.9)
+        colour = np.stack([200.0 - 80.0 * share, 120.0 + 0.0 * share, 130.0 + 0.0 * share], axis=1)[None, None]
+        first = np.full((1, 1), int(np.argmin(np.abs(outline._OUT - place))) - 2)
+        assert float(outline.edge_place(colour.astype(np.float32), first, look)[0, 0]) == pytest.approx(place, abs=0.05)
+
+
+def test_without_a_body_nothing_is_traced() -> None:
+    plain = painted(0.0, ends=0.02)
+    with pytest.raises(ObservationError, match="no body is seen beside the clamp"):
+        traced([plain])
+
+
+def test_a_body_that_ends_before_its_tip_is_refused() -> None:
+    with pytest.raises(ObservationError, match=r"outline is lost|before its tip|no body|leaves the body"):
+        traced([painted(b, ends=0.7, seed=i) for i, b in enumerate(BENDS[:3].tolist())])
+
+
+def test_pictures_without_the_body_are_left_out_and_told() -> None:
+    pictures = [painted(0.01 * i, seed=i) for i in range(4)]
+    pictures[2] = painted(0.0, ends=0.02)
+    stations, hidden, _ = stations_and_hidden()
+    found, _ = outline.follow([Sight(one, VIEW, np.zeros(2)) for one in pictures], stations, hidden, "painted")
+    lost = ~np.isfinite(found.away).any(axis=(1, 2))
+    assert lost.tolist() == [False, False, True, False]
+    (remark,) = outline.lost_remarks(found)
+    assert "1 of 4 frames" in remark.text
+
+
+def test_a_curve_off_the_body_is_refused() -> None:
+    stations, hidden, scale = stations_and_hidden()
+    sights = [Sight(painted(0.3), VIEW, np.zeros(2))] * 3
+    found, half = outline.follow(sights, stations, hidden, "painted")
+    rng = np.random.default_rng(1)
+    strayed = outline.Searched(found.state, found.away + 3e-3 * rng.normal(size=found.away.shape))
+    middle = outline.centreline(strayed, stations, half, MEASURED / scale)
+    with pytest.raises(ObservationError, match=r"leaves the body|lost"):
+        outline.refuse_lost(middle, strayed, ~hidden, "painted")
