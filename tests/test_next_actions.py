@@ -12,7 +12,7 @@ from onebend.report.sentences import SENTENCES
 SOURCE = Path(onebend.__file__).parent
 ACTION = re.compile(
     r"\?|\b(add|calibrate|check|correct|exchange|film|fix|give|glue|hold|learn|let|log|look|make|measure|push|put|record|start|state|take|"
-    r"weigh|write)\b",
+    r"use|weigh|write)\b",
     re.IGNORECASE,
 )
 

@@ -75,7 +75,7 @@ def test_help_is_of_the_options_as_they_are(name: str, monkeypatch: pytest.Monke
     assert with_options.stdout == CliRunner().invoke(app, [name, "--help"]).stdout
 
 
-@pytest.mark.parametrize("name", ["batch", "learn", "record"])
+@pytest.mark.parametrize("name", sorted({"batch", "learn", "record"} & {*COMMANDS}))
 def test_help_of_a_command_loads_none(name: str) -> None:
     modules = loaded(name, "--help")
     assert of_onebend(modules) == of_onebend(loaded("--help"))
@@ -116,10 +116,13 @@ def test_every_command_is_in_the_table() -> None:
                 assert f"{module}:{name}" in places
 
 
-def test_help_lists_the_commands_in_their_order() -> None:
+def test_help_lists_the_commands_by_group() -> None:
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).stdout
     at = [text.index(f"│ {name} ") for name in COMMANDS]
     assert at == sorted(at)
+    heads = {text.index(f"─ {group} ─"): group for group in {one.group for one in COMMANDS.values()}}
+    groups = [heads[max(head for head in heads if head < one)] for one in at]
+    assert groups == [one.group for one in COMMANDS.values()]
 
 
 def test_a_misspelt_command_is_answered_with_the_nearest() -> None:

@@ -6,8 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Literal, get_args
 
 WINGS = ("live", "many", "lab", "drive", "studio")  # folders that may be left out, each with commands of its own
+
+Group = Literal["Measure", "Learn", "Use", "Many", "Lab"]  # of commands, as `--help` lists them
+GROUPS: tuple[Group, ...] = get_args(Group)
 
 
 def wings() -> list[str]:
@@ -23,6 +27,7 @@ class Place:
     help: str
     example: str  # the words after `onebend NAME`; it works on what `make demo` made, and on what `first` makes
     first: str = ""  # the command that makes what the example needs beside that
+    group: Group = "Use"
 
     def load(self) -> Callable[..., None]:
         """The function."""

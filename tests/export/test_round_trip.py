@@ -142,7 +142,7 @@ def test_pyelastica_relaxes() -> None:
     simulator.constrain(rod).using(elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
     load = np.array([0.0, 0.02, 0.0])
     simulator.add_forcing_to(rod).using(elastica.EndpointForces, 0.0 * load, load, ramp_up_time=1e-3)
-    simulator.add_forcing_to(rod).using(module.Relaxation, rod=rod, time_step=step)
+    simulator.add_forcing_to(rod).using(module.RodRelaxation, rod=rod, time_step=step)
     simulator.dampen(rod).using(elastica.AnalyticalLinearDamper, uniform_damping_constant=10.0, time_step=step)
     simulator.finalize()
     for seconds, until, near in ((1.0, 1.0, 0.03), (3.0, 4.0, 0.02)):
@@ -153,7 +153,7 @@ def test_pyelastica_relaxes() -> None:
 @pytest.mark.slow
 def test_newton_relaxes() -> None:
     there = InNewton(RELAXING, 6, iterations=30)
-    relaxation = there.module.Relaxation(there.model, there.solver, there.joints)
+    relaxation = there.module.JointRelaxation(there.model, there.solver, there.joints)
     there.move((0.0, 0.02), 1.0, 2.5, lambda: relaxation.step(there.state, there.seconds))
     exact = replace(RELAXING.beam, stiffness=Uniform(RELAXING.relaxed * 0.02)).equilibrium((0.0, 0.02), gravity=GRAVITY)
     assert there.place(1.0)[1][1] == pytest.approx(float(exact.xy(1.0)[1]), rel=0.05)

@@ -161,7 +161,7 @@ def test_a_place_that_is_left_open_is_said_and_one_that_others_outweigh_is_warne
     one = fitted(0.75, 1.0)
     for gain, level in ((-1.0, "note"), (2.0, "note"), (5.0, "warning")):
         found = replace(one, place=replace(opened(one, gain), accused=False))
-        remark = next(r for r in worded(fit_notices(found)) if "the band holds all of that" in r.text)
+        remark = next(r for r in worded(fit_notices(found)) if "the band covers all of these" in r.text)
         assert remark.level == level
         assert found.doubts == replace(one, place=None).doubts
 

@@ -62,7 +62,7 @@ def test_every_module_of_the_core_loads(core: Path) -> None:
         "[importlib.import_module(name) for name in names if name != 'onebend.__main__']\n"
         "print(len(names))"
     )
-    assert int(run(core, "-c", code)) > 80
+    assert int(run(core, "-c", code).split()[-1]) > 80  # Warp, for Newton, says itself on its first import
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from typer.models import OptionInfo
 import onebend
 from onebend.crash import guarded
 from onebend.progress import one_blas_thread
-from onebend.wings import Place, wings
+from onebend.wings import GROUPS, Place, wings
 
 NAME = "onebend"
 BY = f"{NAME} {onebend.__version__}"
@@ -41,32 +41,31 @@ COMMANDS = {
         "onebend.cli.learning:learn",
         "Learn k(s) with a band from one or several recordings of a beam; results go to OUT (default: REC-results).",
         "examples/linear-beam/train -o out/linear-beam --force",
+        group="Learn",
     ),
     "validate": Place(
         "onebend.cli.learning:validate",
         "Simulate the learned beam under the forces of other recordings and compare the markers (Tables IV to VI).",
         "out/linear-beam examples/linear-beam/fast",
+        group="Learn",
     ),
     "plan": Place(
         "onebend.cli.learning:plan",
         "Rank the next pushes by how much each would narrow the band of k(s).",
         "out/linear-beam --count 3",
+        group="Learn",
     ),
     "damp": Place(
         "onebend.cli.motion:damp",
         "Estimate a learned beam's damping from a free swing, and check k over mass.",
         "out/linear-beam out/released",
         "onebend film linear --push free --sensor wrist -o out/released",
+        group="Learn",
     ),
     "sense": Place(
         "onebend.cli.motion:sense",
         "Estimate the force on a learned beam from its shape, frame by frame, with a 95 % region.",
         "out/linear-beam examples/linear-beam/fast",
-    ),
-    "frequencies": Place(
-        "onebend.cli.motion:frequencies",
-        "Find the natural frequencies in a free swing, for recording.toml.",
-        "examples/ruler/swing.csv",
     ),
     "reach": Place(
         "onebend.cli.control:reach",
@@ -83,29 +82,41 @@ COMMANDS = {
         "Compute the forces or gripper poses that follow goals in time, as CSV and ROS 2 messages.",
         "out/linear-beam --goals examples/bend/goals.csv -o out/path",
     ),
-    "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam"),
+    "new": Place("onebend.cli.recordings:new", "Write a recording.toml to fill in.", "my-beam", group="Measure"),
     "topics": Place(
         "onebend.cli.recordings:topics",
         "List the topics of a ROS bag, and say which to write in recording.toml.",
         "out/path/bag",
         "onebend path out/linear-beam --goals examples/bend/goals.csv -o out/path",
+        group="Measure",
     ),
     "check": Place(
         "onebend.cli.recordings:check",
         "Check a recording in seconds: read its files, search some frames for tags, draw the result.",
         "examples/linear-beam/train",
+        group="Measure",
     ),
     "cache": Place(
         "onebend.cli.recordings:show_cache",
         "List the films whose tags are cached, so that each is searched only once; --clear empties the cache.",
         "",
+        group="Measure",
     ),
     "calibrate": Place(
         "onebend.cli.recordings:calibrate",
         "Calibrate the camera from a film of a board, and write its table for recording.toml.",
         "board.mp4 --board chessboard 9x6 --square-mm 20",
+        group="Measure",
     ),
-    "show": Place("onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam"),
+    "frequencies": Place(
+        "onebend.cli.motion:frequencies",
+        "Find the natural frequencies in a free swing, for recording.toml.",
+        "examples/ruler/swing.csv",
+        group="Measure",
+    ),
+    "show": Place(
+        "onebend.cli.models:show", "Draw the learned k(s) in the terminal.", "out/linear-beam", group="Learn"
+    ),
     "export": Place(
         "onebend.cli.exporting:export_command",
         "Write the learned beam for a simulator, as a robot description, a table, or a Python file without onebend.",
@@ -134,9 +145,10 @@ def remembered(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def all_commands() -> dict[str, Place]:
-    """Of the core and the installed wings."""
+    """Of the core and the installed wings, by group."""
     brought = [import_module(f"onebend.{wing}").COMMANDS for wing in wings()]
-    return {name: place for table in (COMMANDS, *brought) for name, place in table.items()}
+    items = [item for table in (COMMANDS, *brought) for item in table.items()]
+    return dict(sorted(items, key=lambda item: GROUPS.index(item[1].group)))
 
 
 # The options of a command as data: name, kind, default and help of each.
@@ -201,7 +213,7 @@ class Command(TyperCommand):
     """A name and a line of help; function and options are loaded on call."""
 
     def __init__(self, name: str, place: Place) -> None:
-        super().__init__(name, help=place.help)
+        super().__init__(name, help=place.help, rich_help_panel=place.group)
         self.place = place
 
     def loaded(self) -> Any:

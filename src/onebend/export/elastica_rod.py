@@ -3,7 +3,7 @@
     rod = make_rod(n_elements=50)
     simulator.append(rod)
     simulator.constrain(rod).using(elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
-    simulator.add_forcing_to(rod).using(Relaxation, rod=rod, time_step=dt)  # where RELAXATION is not empty
+    simulator.add_forcing_to(rod).using(RodRelaxation, rod=rod, time_step=dt)  # where RELAXATION is not empty
 
 The rod begins straight, at the clamp and along its direction, and bends in the x-y plane; where the beam is curved at
 rest it moves there. Where EA is not known, it is round and much stiffer against stretch and shear than against bending.
@@ -58,7 +58,7 @@ def make_rod(n_elements: int = 50, radius: float | None = None) -> CosseratRod:
     return rod
 
 
-class Relaxation(NoForces):  # type: ignore[misc]
+class RodRelaxation(NoForces):  # type: ignore[misc]
     """What relaxes of the curvature moves the curvature at rest: `M = EI (kappa - sum a v)`, `tau v' = kappa - v`."""
 
     def __init__(self, rod: CosseratRod, time_step: float) -> None:

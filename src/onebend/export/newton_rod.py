@@ -5,7 +5,7 @@
     builder.color()
     model = builder.finalize()
     solver = newton.solvers.SolverVBD(model, iterations=100)
-    relaxation = Relaxation(model, solver, joints)  # where RELAXATION is not empty: relaxation.step(state, dt)
+    relaxation = JointRelaxation(model, solver, joints)  # where RELAXATION is not empty: relaxation.step(state, dt)
 
 Body i is link i + 1 of the chain; link 0 is the world. A body's z axis lies along its link. SolverVBD is soft where it
 has too few iterations: a light stiff beam needs many, and steps of `TIME_STEP_S`. Look whether twice as many iterations
@@ -95,7 +95,7 @@ def _turned(angle: float) -> wp.quat:
     return wp.quat_from_axis_angle(wp.vec3(-1.0, 0.0, 0.0), float(angle))
 
 
-class Relaxation:
+class JointRelaxation:
     """What relaxes of a turn moves the turn at rest: `M = K (theta - sum a v)`, `tau v' = theta - v`."""
 
     def __init__(self, model: newton.Model, solver: Any, joints: list[int]) -> None:

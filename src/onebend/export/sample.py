@@ -154,7 +154,7 @@ def rod_sample(
     return RodSample(beam, section, damping_time=damping_time, sites=sites, uncertain=uncertain)
 
 
-class Learned(Protocol):
+class ModelParts(Protocol):
     """The parts of a `results.model.StoredModel` that an export takes."""
 
     @property
@@ -170,7 +170,7 @@ class Learned(Protocol):
 
 
 def sample_of_model(
-    stored: Learned,
+    stored: ModelParts,
     *,
     mass: float | None = None,
     damping_time: float | None = None,

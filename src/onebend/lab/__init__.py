@@ -13,35 +13,42 @@ COMMANDS = {
         "onebend.lab.rehearsal_commands:loop",
         "Simulate a closed loop: a camera corrects the force for a goal, on beams that differ from the model.",
         "out/linear-beam --goal 0.1338 0.0638 --delay-ms 60",
+        group="Lab",
     ),
     "design": Place(
         "onebend.lab.commands:design",
         "Predict a designed beam's stiffness, mass, forces, buckling load and vibration.",
         "linear",
+        group="Lab",
     ),
     "mould": Place(
         "onebend.lab.commands:mould",
         "Make the mould of a design, the clamp and the tag carriers, as files to print.",
         "linear -o out/mould",
+        group="Lab",
     ),
     "tags": Place(
         "onebend.lab.commands:tags",
         "Draw a sheet of tags at exact size, with rulers to check the print.",
         "examples/linear-beam/train -o out/tags.pdf",
+        group="Lab",
     ),
     "film": Place(
         "onebend.lab.commands:film",
         "Render a recording of a known beam under a push, with the true values beside it.",
         "linear --push free --sensor wrist -o out/released",
+        group="Lab",
     ),
     "reproduce": Place(
         "onebend.lab.rehearsal_commands:reproduce",
         "Repeat the paper's experiments: films of three beams, tables, figures and tasks in one report.",
         "-o out/paper --quick --without-video",
+        group="Lab",
     ),
     "rehearse": Place(
         "onebend.lab.rehearsal_commands:rehearse",
         "Predict how well a push would determine k(s), before filming it, and rank improvements.",
         "linear --runs 0",
+        group="Lab",
     ),
 }

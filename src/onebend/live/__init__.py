@@ -13,5 +13,6 @@ COMMANDS = {
         "onebend.live.commands:record",
         "Record a push with a camera and a force sensor: guided from rest to rest, with k(s) while it goes on.",
         "out/my-push --play examples/linear-beam/train",
+        group="Measure",
     ),
 }

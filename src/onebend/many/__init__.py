@@ -10,11 +10,13 @@ COMMANDS = {
         "Learn k(s) of each of many recordings, on all cores or a cluster; an interrupted run continues.",
         "out/stems -o out/stems-learned",
         "onebend film linear --markers -o out/stems/dry/stem-1",
+        group="Many",
     ),
     "population": Place(
         "onebend.many.commands:population",
         "Compare groups of objects in a batch: mean k(s), spread, outliers, tolerances.",
         "out/pushes-learned --by group -o out/population",
         "onebend batch examples/linear-beam -o out/pushes-learned",
+        group="Many",
     ),
 }

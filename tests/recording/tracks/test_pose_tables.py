@@ -144,7 +144,7 @@ def test_mass_is_learned_beside_k_where_weights_fix_the_scale(tmp_path: Path) ->
     assert mass is not None
     assert mass.identified
     assert abs(mass.value - 0.03) < 3 * mass.sd < 0.03
-    assert "learned with k(s)" in words(*mass_notices(mass))
+    assert "estimated with k(s)" in words(*mass_notices(mass))
 
 
 def test_weight_alone_tells_only_the_ratio(tmp_path: Path) -> None:
