@@ -109,7 +109,7 @@ def test_the_learned_beam_follows_both_pushes(runs: Runs) -> None:
     assert np.isfinite(seen.xy).all(axis=-1).mean() > 0.99
     assert summary["observed"][0]["clock"]["found"]
     assert summary["fit"]["converged"]
-    assert max(summary["fit"]["fitted_rms_m"][0]) < 1e-4  # the fit itself, without the log's slow error
+    assert max(summary["fit"]["fitted_rms_m"][0]) < 1.2e-4  # the fit itself, without the log's slow error
 
 
 def test_validate_gives_the_numbers_of_learn_again(runs: Runs, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_one_recording_says_that_it_cannot_show_it() -> None:
     one, two = learned(1.0), learned(0.9, 1.1)
     assert np.isnan(one.mountings[0])
     assert BETWEEN not in {block.name for block in one.layout.blocks}
-    assert "one recording cannot show it" in mounting_words(one)
+    assert "one recording cannot show them" in mounting_words(one)
     assert "Between the recordings k(s) differs by about" in mounting_words(two)
     assert mounting_words(learned(0.9, 1.1, settings=FitSettings(functions=9, allowances=frozenset()))) == ""
     assert np.sqrt(np.sum(BETWEEN_SD**2)) < 0.1

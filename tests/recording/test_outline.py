@@ -165,7 +165,7 @@ def test_a_curve_off_the_body_is_refused() -> None:
     sights = [Sight(painted(0.3), VIEW, np.zeros(2))] * 3
     found, half = outline.follow(sights, stations, hidden, "painted")
     rng = np.random.default_rng(1)
-    strayed = outline.Searched(found.state, found.away + 3e-3 * rng.normal(size=found.away.shape))
+    strayed = outline.OutlineSearch(found.state, found.away + 3e-3 * rng.normal(size=found.away.shape))
     middle = outline.centreline(strayed, stations, half, MEASURED / scale)
     with pytest.raises(ObservationError, match=r"leaves the body|lost"):
         outline.refuse_lost(middle, strayed, ~hidden, "painted")

@@ -107,6 +107,7 @@ def full() -> Observations:
         means=FrameMeans(np.arange(frames) + 1, rng.normal(size=made.xy.shape)),
         by_camera=rng.normal(size=(frames, len(made.marker_s), 3, 7)),
         sd_known=False,
+        traced=np.arange(len(made.marker_s)) > 1,
         readings=Readings("x", 2, 1 / 7),
         static=True,
         poses=BenchPoses(

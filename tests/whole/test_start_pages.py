@@ -58,6 +58,11 @@ def film(here: Path, folder: str) -> None:
     shutil.copytree(FAST, here / "my-second-push", dirs_exist_ok=True)
 
 
+def bare(here: Path, folder: str) -> None:
+    """The page's bodies have no film in the repository: the bundled one has the outline and the tags."""
+    film(here, folder)
+
+
 def bag(here: Path) -> None:
     """The bundled recording as a robot would have recorded it."""
     rows = np.loadtxt(TRAIN / "force.csv", delimiter=",", skiprows=1)
@@ -107,6 +112,7 @@ FILLED: dict[str, Callable[[Path, str], None]] = {
     "weights": weighed,
     "mocap": tracked,
     "classroom": weighed,
+    "without-tags": bare,
 }
 
 

@@ -16,7 +16,7 @@ from .section import (
     one_modulus as one_modulus,
 )
 from .sensitivity import Perturbation as Perturbation
-from .setup import SetUp as SetUp
+from .setup import Bent as Bent, SetUp as SetUp
 from .statics import Equilibrium as Equilibrium, NodalForces as NodalForces
 from .stiffness import (
     Gaussians as Gaussians,

@@ -213,8 +213,11 @@ class SetUp:
 
         begin = np.zeros(2 + _FITTED)
         begin[:2] = self._part(self.mean, "length", 1)[0], self._part(self.mean, "clamp", 1)[0]
-        scale = np.array([_LENGTH_STEP, _CLAMP_STEP, *[_LOG_K_STEP] * _FITTED])
-        return of(least_squares(away, begin, x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=20).x)
+        scale, one = np.array([_LENGTH_STEP, _CLAMP_STEP, *[_LOG_K_STEP] * _FITTED]), np.ones(2 + _FITTED)
+        found = least_squares(  # from one, as differences take a share of the numbers
+            lambda y: away(begin + scale * (y - 1.0)), one, diff_step=0.01, xtol=1e-6, ftol=1e-8, max_nfev=20
+        )
+        return of(begin + scale * (found.x - 1.0))
 
     def logged(self, force: Array, bend: Array) -> Array:
         """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `bend` (T,): tags moved, over `moved`."""

@@ -25,6 +25,7 @@ from onebend.records import Array, BoolArray, IntArray
 
 # Of the others, inertia needs frames to come, gravity's direction the weight, and three need the camera's place.
 CAUSAL_ALLOWANCES: frozenset[AllowanceName] = OF_ONE - {
+    "outline",
     "inertia",
     "gravity direction",
     "heights",

@@ -8,6 +8,7 @@ from .entries import (
     GravityEntry as GravityEntry,
     MarkersEntry as MarkersEntry,
     MassEntry as MassEntry,
+    OutlineEntry as OutlineEntry,
     PhotosEntry as PhotosEntry,
     PosesEntry as PosesEntry,
     PushEntry as PushEntry,

@@ -304,7 +304,7 @@ STIFF = 10.0  # times stiffer than a bent beam: the curve whose far end nothing 
 
 
 @dataclass(frozen=True)
-class Body:
+class OutlinedBody:
     """The body in one picture."""
 
     state: Array  # (1 + K,) of its curve
@@ -366,7 +366,7 @@ def appearance(sight: Sight, curve: Curve, half: Array, part: BoolArray, step: f
     return Look(np.maximum(spread, least), np.maximum(pixel, 1.0))
 
 
-def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> Body:
+def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> OutlinedBody:
     """The body in its first picture; `hidden` (M,) stations lie under tags, `width` m is what is known of the body's
     near the clamp (NaN: nothing).
 
@@ -399,7 +399,7 @@ def grown(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width:
         sd = MEASURED / float(np.median(sight.outward(curve)[1]))
         state = stations.fitted(state, nan_mean(away - SIDES[:, None] * half), sd, STIFF if front < 1.0 else 1.0)
         if front >= 1.0:
-            return Body(state, half, look)
+            return OutlinedBody(state, half, look)
         front = min(front + GROWS, 1.0)
 
 
@@ -414,7 +414,7 @@ USUAL = 60  # pictures, of which the usual share is taken
 
 
 @dataclass(frozen=True)
-class Searched:
+class OutlineSearch:
     """What was found in T pictures."""
 
     state: Array  # (T, 1 + K) of the curves that were predicted
@@ -423,13 +423,13 @@ class Searched:
 
 def follow(
     sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str, width: float = math.nan
-) -> tuple[Searched, Array]:
+) -> tuple[OutlineSearch, Array]:
     """The flanks in consecutive pictures, and half the width (M,) m in the first of them. A picture in which the body
     is lost has none; the next is searched near where the body was last, and near where it was first."""
     states: list[Array] = []
     found: list[Array] = []
     seen: list[float] = []
-    body: Body | None = None
+    body: OutlinedBody | None = None
     before: tuple[Array, Array] | None = None
     for sight in sights:
         if body is None:
@@ -449,25 +449,25 @@ def follow(
         states.append(state)
         found.append(away if there else np.full_like(away, np.nan))
     assert body is not None
-    return Searched(np.stack(states), np.stack(found)), body.half
+    return OutlineSearch(np.stack(states), np.stack(found)), body.half
 
 
 def each_alone(
     sights: Iterable[Sight], stations: Stations, hidden: BoolArray, name: str, width: float = math.nan
-) -> tuple[Searched, Array]:
+) -> tuple[OutlineSearch, Array]:
     """As `follow`, of pictures that have nothing to do with each other."""
     tried = [_alone(one, stations, hidden, name, width) for one in sights]
     half = np.median([body.half for body, _ in tried], axis=0)
-    return Searched(np.stack([body.state for body, _ in tried]), np.stack([away for _, away in tried])), half
+    return OutlineSearch(np.stack([body.state for body, _ in tried]), np.stack([away for _, away in tried])), half
 
 
-def _alone(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> tuple[Body, Array]:
+def _alone(sight: Sight, stations: Stations, hidden: BoolArray, name: str, width: float) -> tuple[OutlinedBody, Array]:
     body = grown(sight, stations, hidden, name, width)
     return body, np.where(hidden, np.nan, find_flanks(sight, stations.curve(body.state), body.half, body.look))
 
 
 def _near(
-    sight: Sight, stations: Stations, hidden: BoolArray, body: Body, state: Array
+    sight: Sight, stations: Stations, hidden: BoolArray, body: OutlinedBody, state: Array
 ) -> tuple[float, Array, Array, Array]:
     """Near the curve of `state`: the share of the stations that show both flanks as wide apart as the body is, the
     curve (1 + K,) that the flanks were looked for along, they (2, M) m from it, and the curve between them."""
@@ -522,7 +522,7 @@ class Middle:
     width: Array  # (M,) m
 
 
-def centreline(found: Searched, stations: Stations, half: Array, sd: float) -> Middle:
+def centreline(found: OutlineSearch, stations: Stations, half: Array, sd: float) -> Middle:
     """The middle between the flanks; `sd` m is that of the fits of smooth curves."""
     width, spread = body_width(found.away, half)
     each = found.away - 0.5 * SIDES[:, None] * width
@@ -583,7 +583,7 @@ def outline_track(
     return replace(out, remarks=lost_remarks(found))
 
 
-def refuse_lost(middle: Middle, found: Searched, shown: BoolArray, name: str) -> None:
+def refuse_lost(middle: Middle, found: OutlineSearch, shown: BoolArray, name: str) -> None:
     """Raises `ObservationError` where what was followed is no body of one width from clamp to tip; `shown` (M,)
     stations do not lie under tags."""
     seen = np.isfinite(middle.away[:, shown])
@@ -615,7 +615,7 @@ def refuse_lost(middle: Middle, found: Searched, shown: BoolArray, name: str) ->
         )
 
 
-def lost_remarks(found: Searched) -> tuple[Remark, ...]:
+def lost_remarks(found: OutlineSearch) -> tuple[Remark, ...]:
     """A note where some frames do not show the body."""
     lost = int(np.sum(~np.isfinite(found.away).any(axis=(1, 2))))
     text = f"The body's outline was lost in {lost} of {len(found.away)} frames; they are left out of it."
@@ -626,7 +626,7 @@ _NO_PLANES = Planes(np.zeros((2, 2), dtype=np.uint8), np.zeros((2, 2, 2), dtype=
 
 
 def points_of(
-    middle: Middle, found: Searched, stations: Stations, sights: Sequence[Sight], scale: float
+    middle: Middle, found: OutlineSearch, stations: Stations, sights: Sequence[Sight], scale: float
 ) -> OutlineTrack:
     """Points of the centreline, each the mean of the stations about it; `scale` px/m."""
     s = (np.arange(POINTS) + 0.5) / POINTS

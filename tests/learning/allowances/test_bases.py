@@ -132,7 +132,7 @@ def chosen(made: Array, wanted: frozenset[AllowanceName] = EVERY_ALLOWANCE, **ch
 
 
 def test_every_name_is_an_allowance_of_a_film_of_a_push() -> None:
-    assert chosen(forces(20)) == OF_ONE - WEIGHING
+    assert chosen(forces(20)) == OF_ONE - WEIGHING - {"outline"}
 
 
 def test_only_what_is_wanted_is_allowed_for() -> None:
@@ -141,10 +141,10 @@ def test_only_what_is_wanted_is_allowed_for() -> None:
 
 
 def test_without_a_push_nothing_slides_and_static_poses_have_none() -> None:
-    assert OF_ONE - chosen(np.zeros((20, 2))) == {*WEIGHING, "slide", "posture"}
+    assert OF_ONE - chosen(np.zeros((20, 2))) == {*WEIGHING, "outline", "slide", "posture"}
     assert chosen(forces(20), static=True) == set()
 
 
 def test_tracks_have_no_allowances_of_a_camera() -> None:
     tracked = replace(MADE.source, view=None)
-    assert OF_ONE - chosen(forces(20), source=tracked) == {*WEIGHING, "heights", "rolling shutter"}
+    assert OF_ONE - chosen(forces(20), source=tracked) == {*WEIGHING, "heights", "outline", "rolling shutter"}
