@@ -18,10 +18,10 @@ from scipy.special import log_ndtr, logsumexp
 from onebend.learning.parameters import Block
 from onebend.records import Array
 
+_LEAST = 1e-6  # of the prior's precision: of data that say next to nothing
 Sites = Mapping[tuple[str, int], tuple[Array, Array]]  # of blocks: means (n,) and sds (n,) of the normal priors
 
 _SIZES = np.exp(np.linspace(np.log(0.005), np.log(2.0), 17))  # of a sparse parameter, over its sd
-_WIDEST = 1e3  # of a site's sd, over the prior's: there the data say all
 
 
 def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[Array, Array, Array]:
@@ -62,9 +62,9 @@ def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[A
 
 def updated(block: Block, site: tuple[Array, Array], mean: Array, sd: Array, size: float = 1.0) -> tuple[Array, Array]:
     """The site of a block, given its last one and the marginal means and sds (n,) of the posterior under that. No site
-    widens a marginal; where the true prior does, the site is next to flat, and the mean alone is met."""
-    least = 1.0 / (_WIDEST * block.prior_sd) ** 2
-    precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, least)
+    is wider than the widest normal density in the prior; where it had to be, the mean alone is met."""
+    least = 1.0 / (size * (_SIZES[-1] if block.sparse else 1.0) * block.prior_sd) ** 2
+    precision = np.maximum(1.0 / sd**2 - 1.0 / site[1] ** 2, _LEAST * least)
     without = (mean / sd**2 - site[0] / site[1] ** 2) / precision
     wanted, spread = _matched(block, size, without, 1.0 / precision)
     left = np.maximum(1.0 / spread**2 - precision, least)
