@@ -91,6 +91,17 @@ def as_posterior(s: Array, gain: Array, written: float) -> dict[str, Any]:
     return dict(zip(("places", "weight", "mistaken"), place_posterior(s, gain, written), strict=True))
 
 
+def test_a_band_widens_steadily_with_the_probability_of_a_mistake() -> None:
+    one = fitted(0.75, 1.0)
+    sd = stiffness_of(one.problem, one.optimum, 0.0).log_at(SHAPE_PLACES)[1]
+    search, widths = opened(one, 0.0), []
+    for mistaken in (0.0499, 0.0501, 0.06, 0.2, 0.9):
+        wider = with_places(one.problem, one.optimum, replace(search, mistaken=mistaken), sd)
+        widths.append(float(np.mean(stiffness_of(one.problem, wider, 0.0).half_width(SHAPE_PLACES, 0.95))))
+    assert widths[1] == pytest.approx(widths[0], rel=0.2)
+    assert np.all(np.diff(widths) >= 0.0)
+
+
 def test_the_band_holds_k_with_the_push_at_every_likely_place() -> None:
     one = fitted(0.75, 1.0)
     search = opened(one, 0.0)
@@ -101,11 +112,13 @@ def test_the_band_holds_k_with_the_push_at_every_likely_place() -> None:
     after = stiffness_of(one.problem, wider, 0.0)
     s = SHAPE_PLACES
     for level in SHAPE_LEVELS.tolist():
-        likely = search.shifts[search.likely(level)][:, :16] @ one.layout.spline.basis(s).T
-        assert np.allclose(
-            after.half_width(s, level), before.half_width(s, level) + np.max(np.abs(likely), axis=0), rtol=1e-6
-        )
-    expected = before.log_at(s)[1] ** 2 + search.weight @ (search.shifts[:, :16] @ one.layout.spline.basis(s).T) ** 2
+        inside = search.likely(1.0 - (1.0 - level) / search.mistaken)
+        likely = search.shifts[inside][:, :16] @ one.layout.spline.basis(s).T
+        farther = np.max(np.abs(likely), axis=0, initial=0.0)
+        assert np.any(farther > 0.0) == (1.0 - level < search.mistaken)
+        assert np.allclose(after.half_width(s, level), before.half_width(s, level) + farther, rtol=1e-6)
+    of_log_k = search.shifts[:, :16] @ one.layout.spline.basis(s).T
+    expected = before.log_at(s)[1] ** 2 + (search.mistaken - LEFT_OUT) * (search.weight @ of_log_k**2)
     assert np.allclose(after.log_at(s)[1] ** 2, expected)
     assert np.allclose(after.mean, before.mean)
 

@@ -194,10 +194,11 @@ class PlaceSearch:
         return float(np.min(likely)), float(np.max(likely))
 
     def likely(self, share: float) -> BoolArray:
-        """(f,) the most likely places, if the written one is wrong, that together have this probability."""
+        """(f,) the most likely places, if the written one is wrong, that together have about this probability."""
         order = np.argsort(-self.weight)
         out = np.zeros(len(order), dtype=bool)
-        out[order[: int(np.searchsorted(np.cumsum(self.weight[order]), share)) + 1]] = True
+        sorted_weight = self.weight[order]
+        out[order[: int(np.searchsorted(np.cumsum(sorted_weight) - 0.5 * sorted_weight, share))]] = True
         return out
 
     @property
@@ -284,15 +285,24 @@ def _under_noise_of_best(here: AtPlace, found: list[AtPlace]) -> tuple[AtPlace, 
 
 
 def with_places(problem: FitProblem, optimum: Optimum, search: PlaceSearch | None, sd: Array) -> Optimum:
-    """The optimum with what is not known of the place of the push; `sd` (S,) of log k at SHAPE_PLACES without it."""
+    """The optimum with what is not known of the place of the push; `sd` (S,) of log k at SHAPE_PLACES without it.
+
+    Beyond a band of probability p lies `1 - p`: of the places that the push has with probability `mistaken` the least
+    likely `(1 - p) / mistaken` may lie there. The covariance counts what is beyond LEFT_OUT: the band widens steadily.
+    """
     if search is None or not search.open:
         return optimum
+    mistaken, beyond = search.mistaken, search.mistaken - LEFT_OUT
     (pair,), covariance, shifts = optimum.covariance.pairs, optimum.covariance, search.shifts
-    wider = pair + (shifts.T * search.weight) @ shifts
+    wider = pair + beyond * (shifts.T * search.weight) @ shifts
     index, onto = log_k_map(problem)
     of_log_k = shifts[:, index] @ (problem.layout.spline.finer.basis(SHAPE_PLACES) @ onto).T  # (f, S)
-    farthest = np.stack([np.max(np.abs(of_log_k[search.likely(level)]), axis=0) for level in SHAPE_LEVELS])
-    normal, wider_sd = ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None], np.sqrt(sd**2 + search.weight @ of_log_k**2)
+    inside = [search.likely(share) for share in 1.0 - (1.0 - SHAPE_LEVELS) / mistaken]
+    farthest = np.stack([np.max(np.abs(of_log_k[places]), axis=0, initial=0.0) for places in inside])
+    normal, wider_sd = (
+        ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None],
+        np.sqrt(sd**2 + beyond * (search.weight @ of_log_k**2)),
+    )
     shape = (optimum.shape * sd + farthest / normal) / wider_sd
     return replace(
         optimum, covariance=JointCovariance(covariance.shared, (wider,), covariance.parts), shape=np.asarray(shape)
