@@ -91,7 +91,7 @@ def test_the_priors_part_is_a_part_of_the_covariance(done: BatchOutcome) -> None
         assert one.covariance is not None
         assert one.prior_part is not None
         share = one.prior_part.diagonal() / one.covariance.diagonal()
-        assert np.all((share > 0.0) & (share <= 1.0))
+        assert np.all((share > 0.0) & (share <= 1.0)), share.round(3)
         values = np.linalg.eigvalsh(one.covariance - one.prior_part)
         assert values.min() > -0.1 * np.linalg.eigvalsh(one.covariance).max()
 

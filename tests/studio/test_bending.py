@@ -166,9 +166,9 @@ def test_a_hand_holds_the_end_and_says_how_far_it_gets(working: TestClient) -> N
         answer = heard(socket, "beam")["answer"]
         assert len(heard(socket, "edge")["edge"]) == 36
         x, y, angle = answer["pose"]
-        socket.send_json({"do": "drag", "model": "beam", "n": 2, "goal": [x, y, angle + 0.05]})
+        socket.send_json({"do": "drag", "model": "beam", "n": 2, "goal": [x, y, angle + 0.02]})
         turned = heard(socket, "answer")["answer"]
-        assert turned["pose"][2] == pytest.approx(angle + 0.05, abs=1e-6)
+        assert turned["pose"][2] == pytest.approx(angle + 0.02, abs=1e-6)
         assert turned["moment_N_m"] != 0.0
         assert "--moment" in turned["command"]
         socket.send_json({"do": "set", "model": "beam", "settings": {"mode": "point"}})
