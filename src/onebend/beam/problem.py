@@ -107,6 +107,17 @@ def riding_beyond(nodes: Array, masses: tuple[PointMass, ...]) -> Array:
     return out
 
 
+def share_farther(problem: Problem, push_s: Array) -> Array:
+    """(F, Q) 1/m: a force d metres beyond `push_s` along the tangent adds d times this to its share beyond each node.
+
+    It lengthens the lever `L sum w u` by d u at the last node before it, which also holds beyond the tip.
+    """
+    nodes, weights = np.broadcast_arrays(problem.grid.nodes, problem.weights)
+    last = np.broadcast_to(nodes < push_s[:, None], (len(push_s), nodes.shape[-1])).sum(axis=1) - 1
+    nodes_of = np.arange(nodes.shape[-1]) == last[:, None]
+    return np.asarray(nodes_of / (problem.length * weights))
+
+
 def first_resolution(beam: Rod, loads: Loads) -> tuple[Resolution, float]:
     """The coarsest grid that resolves q0 and (1 - s) / k, the curvature under a small tip force, and its relative error
     of the angles.

@@ -24,7 +24,7 @@ from onebend.beam.continuation import follow, refine
 from onebend.beam.grid import Modes
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Resolution, make_problem
+from onebend.beam.problem import Resolution, make_problem, share_farther
 from onebend.beam.statics import Equilibrium
 from onebend.beam.stiffness import LogSpline, RectangularSection, UncertainStiffness
 from onebend.errors import MechanicsError
@@ -102,11 +102,6 @@ class SetUp:
                 covariance[where, where] = np.diag(self.prior_sd[where] ** 2)
         return replace(self, mean=mean, slope=slope, covariance=covariance)
 
-    @property
-    def origin(self) -> Array:
-        """(2,) m, the clamp's mean place in the frame of the recording."""
-        return self._part(self.mean, "origin", 2)
-
     def draw(self, known: UncertainStiffness, count: int, *, seed: int) -> tuple[Array, Array]:
         """(count, p) coefficients of log k and (count, n) numbers of the set-up, as probable as the data say."""
         rng = np.random.default_rng(seed)
@@ -147,15 +142,10 @@ class SetUp:
         q0 = plain.q0 + (part("curvature", 3) - self._part(self.mean, "curvature", 3)) @ Modes(3).curvature(nodes).T
         logged = np.exp(-part("gain")) * _turned(force, part("direction")[:, 0])
         base = replace(plain, k=k, length=length, q0=q0, stretch=share * stretch, shear=share * shear)
-        last = np.arange(len(nodes)) == int(np.sum(nodes < push_s)) - 1
-        beyond, farther = (nodes < push_s).astype(float), last / (length * weights)
+        beyond, farther = (nodes < push_s).astype(float), share_farther(base, np.full(count, push_s))
         rest = follow(replace(base, alpha0=beam.clamp_angle + part("clamp")))
-        looked_at, turn, bend, solved = (
-            np.array([push_s, self.tags[0]]),
-            np.zeros((count, 2)),
-            np.zeros((count, 1)),
-            None,
-        )
+        looked_at, solved = np.array([push_s, self.tags[0]]), None
+        turn, bend = np.zeros((count, 2)), np.zeros((count, 1))
         for _ in range(_PASSES):
             place = part("place") + part("slide") * turn[:, :1]
             alpha0 = part("clamp") + part("clamp gives") * turn[:, 1:]
@@ -164,8 +154,7 @@ class SetUp:
             now = replace(base, alpha0=beam.clamp_angle + alpha0, dead_force=dead)
             solved = follow(now) if solved is None else refine(now, solved.q)
             turn = solved.angle(looked_at) - rest.angle(looked_at)
-            away = solved.xy(np.array(self.tags)) - rest.xy(np.array(self.tags))
-            bend = np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1))[:, None] / self.moved
+            bend = self.bend(solved, rest)[:, None]
         assert solved is not None
         return Bent(self, solved, bend[:, 0], x)
 
@@ -219,8 +208,13 @@ class SetUp:
         )
         return of(begin + scale * (found.x - 1.0))
 
+    def bend(self, solved: Equilibrium, rest: Equilibrium) -> Array:
+        """(T,) displacement of the tags, root mean square, over `moved`."""
+        away = solved.xy(np.array(self.tags)) - rest.xy(np.array(self.tags))
+        return np.asarray(np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1)) / self.moved)
+
     def logged(self, force: Array, bend: Array) -> Array:
-        """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `bend` (T,): tags moved, over `moved`."""
+        """(T, 2) N that the sensor shows for forces (T, 2) on the beam; `bend` (T,) as there."""
         error = self._part(self.mean, "force error", 4)
         on_sensor = force - bend[:, None] * error[:2] - bend[:, None] ** 2 * error[2:]
         turn = np.full(len(force), -self._part(self.mean, "direction", 1)[0])
@@ -274,7 +268,7 @@ class Bent:
 
     setup: SetUp
     solved: Equilibrium
-    bend: Array  # (T,) the tags' displacement over `SetUp.moved`
+    bend: Array  # (T,) see `SetUp.bend`
     numbers: Array  # (T, n) of the set-up
 
     @property

@@ -714,10 +714,12 @@ def reach_in_setup(
     wanted, now = checked_goal(goal, settings), setup.renewed(new)
     push_s = setup.push_s if push_s is None else push_s
     ideal = now.ideal(beam, uncertain, push_s=push_s, gravity=settings.gravity)
-    point, aim, force = np.array([point_s]), wanted.copy(), np.zeros(2)
+    point, aim = np.array([point_s]), wanted.copy()
     found = reach(ideal, aim, push_s=push_s, point_s=point_s, settings=settings)
-    for _ in range(_CORRECTIONS if found.converged and not found.moment else 0):
-        force, there = _as_logged(now, beam, uncertain, found, push_s)
+    if not found.converged:
+        return ReachInSetUp(replace(found, goal=wanted), found.force, None)
+    force, there = _as_logged(now, beam, uncertain, found, push_s)
+    for _ in range(0 if found.moment else _CORRECTIONS):
         missed = wanted[:2] - there.solved.xy(point)[0, 0]
         if not np.all(there.stands) or np.max(np.abs(missed)) < _MET * beam.length:
             break
@@ -726,9 +728,7 @@ def reach_in_setup(
         if not again.converged:
             break
         found = again
-    if not found.converged:
-        return ReachInSetUp(replace(found, goal=wanted), found.force, None)
-    force, there = _as_logged(now, beam, uncertain, found, push_s)
+        force, there = _as_logged(now, beam, uncertain, found, push_s)
     at = now.draw(uncertain, draws, seed=seed)
     felt = force + now.force_sd * np.random.default_rng([seed, 1]).standard_normal((draws, 2))
     drawn = now.bent(beam, uncertain, felt, at, push_s=push_s, gravity=settings.gravity)
@@ -747,9 +747,6 @@ def _as_logged(
     setup: SetUp, beam: Beam, uncertain: UncertainStiffness, found: Reach, push_s: float
 ) -> tuple[Array, Bent]:
     """(2,) N as the sensor shows the force that was found, and the beam under it."""
-    tags = np.array(setup.tags)
     rest = refine(found.pushed.loaded(np.zeros(3)), found.pushed.whole(found.pushed.start.q)[None])
-    away = found.solved.xy(tags)[0] - rest.xy(tags)[0]
-    bend = float(np.sqrt(np.mean(np.sum(away**2, axis=-1)))) / setup.moved
-    force = setup.logged(found.force[None], np.array([bend]))
+    force = setup.logged(found.force[None], setup.bend(found.solved, rest))
     return force[0], setup.bent(beam, uncertain, force, push_s=push_s, gravity=found.settings.gravity)

@@ -9,7 +9,7 @@ import numpy as np
 from onebend.beam.grid import Grid, Modes, angles, jacobians, places, positions
 from onebend.beam.loads import Loads, push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Problem, make_problem, riding_beyond
+from onebend.beam.problem import Problem, make_problem, riding_beyond, share_farther
 from onebend.beam.sensitivity import Perturbation, of_mass
 from onebend.beam.stiffness import LogSpline, Profile, UncertainStiffness, Uniform
 from onebend.errors import LearningError
@@ -328,17 +328,6 @@ def fit_data(
         rest_on_nodes=REST_MODES.curvature(nodes),
         allowances=(*allowed, *(one for one in (mass, leaning) if one is not None)),
     )
-
-
-def share_farther(problem: Problem, push_s: Array) -> Array:
-    """(F, Q) 1/m: a force d metres beyond `push_s` along the tangent adds d times this to its share beyond each node.
-
-    It lengthens the lever `L sum w u` by d u at the last node before it, which also holds beyond the tip.
-    """
-    nodes, weights = np.broadcast_arrays(problem.grid.nodes, problem.weights)
-    last = np.broadcast_to(nodes < push_s[:, None], (len(push_s), nodes.shape[-1])).sum(axis=1) - 1
-    nodes_of = np.arange(nodes.shape[-1]) == last[:, None]
-    return np.asarray(nodes_of / (float(problem.length) * weights))
 
 
 def _rate(o: Observations) -> Array:

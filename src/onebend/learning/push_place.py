@@ -299,10 +299,8 @@ def with_places(problem: FitProblem, optimum: Optimum, search: PlaceSearch | Non
     of_log_k = shifts[:, index] @ (problem.layout.spline.finer.basis(SHAPE_PLACES) @ onto).T  # (f, S)
     inside = [search.likely(share) for share in 1.0 - (1.0 - SHAPE_LEVELS) / mistaken]
     farthest = np.stack([np.max(np.abs(of_log_k[places]), axis=0, initial=0.0) for places in inside])
-    normal, wider_sd = (
-        ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None],
-        np.sqrt(sd**2 + beyond * (search.weight @ of_log_k**2)),
-    )
+    normal = ndtri(0.5 + 0.5 * SHAPE_LEVELS)[:, None]
+    wider_sd = np.sqrt(sd**2 + beyond * (search.weight @ of_log_k**2))
     shape = (optimum.shape * sd + farthest / normal) / wider_sd
     return replace(
         optimum, covariance=JointCovariance(covariance.shared, (wider,), covariance.parts), shape=np.asarray(shape)

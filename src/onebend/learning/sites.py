@@ -18,9 +18,9 @@ from scipy.special import log_ndtr, logsumexp
 from onebend.learning.parameters import Block
 from onebend.records import Array
 
-_LEAST = 1e-6  # of the prior's precision: of data that say next to nothing
 Sites = Mapping[tuple[str, int], tuple[Array, Array]]  # of blocks: means (n,) and sds (n,) of the normal priors
 
+_LEAST = 1e-6  # of the prior's precision: of data that say next to nothing
 _SIZES = np.exp(np.linspace(np.log(0.005), np.log(2.0), 17))  # of a sparse parameter, over its sd
 
 
@@ -28,9 +28,8 @@ def moments(lower: float, upper: float, mean: Array, variance: Array) -> tuple[A
     """Log mass, mean and variance of normal densities of this mean and variance between the bounds."""
     sd = np.sqrt(variance)
     a, b = (lower - mean) / sd, (upper - mean) / sd
-    sign = np.where(
-        np.nan_to_num(a, neginf=-1e300) + np.nan_to_num(b, posinf=1e300) > 0.0, -1.0, 1.0
-    )  # in the tail where log_ndtr is exact
+    middle = np.nan_to_num(a, neginf=-1e300) + np.nan_to_num(b, posinf=1e300)
+    sign = np.where(middle > 0.0, -1.0, 1.0)  # in the tail where log_ndtr is exact
     a, b = np.where(sign < 0.0, -b, a), np.where(sign < 0.0, -a, b)
     log_mass = log_ndtr(b) + np.log1p(-np.exp(np.minimum(log_ndtr(a) - log_ndtr(b), -1e-300)))
     at_a, at_b = (np.exp(-0.5 * np.minimum(e**2, 1e300) - 0.5 * np.log(2.0 * np.pi) - log_mass) for e in (a, b))

@@ -15,13 +15,13 @@ from onebend.beam.continuation import follow
 from onebend.beam.grid import Modes, apply, places, positions
 from onebend.beam.loads import push, weight
 from onebend.beam.model import Beam
-from onebend.beam.problem import Problem, has_mass, make_problem
+from onebend.beam.problem import Problem, has_mass, make_problem, share_farther
 from onebend.beam.sensitivity import Perturbation, of_clamp_angle, of_rest_curvature, of_stiffness, respond
 from onebend.beam.statics import Equilibrium, correct, is_stable
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.allowances import camera, heights
-from onebend.learning.fit_data import REST_MODES, share_farther
+from onebend.learning.fit_data import REST_MODES
 from onebend.learning.frames import at_frames, known_loads
 from onebend.learning.instruments import Instruments
 from onebend.learning.paper import solve_states
