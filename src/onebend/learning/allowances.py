@@ -26,6 +26,7 @@ Entry = Literal["log k", "force", "place", "load", "clamp", "poses", "section", 
 
 
 ANYTHING, POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
+RARE = 0.005  # `Allowance.least` of an effect that most benches lack
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,9 @@ class Allowance:
     basis: Array  # see `Entry`
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
-    within: tuple[float, float] = ANYTHING  # bounds of each parameter
-    sparse: bool = False  # an effect that most benches lack, see `sites`
+    within: tuple[Array | float, float] = ANYTHING  # bounds of each parameter
+    least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
+    about: float = 0.0  # the ideal bench's value, where it is not zero
 
     @property
     def count(self) -> int:
@@ -97,7 +99,7 @@ def giving(run: PushCourse, count: int, beside: int = 0) -> Allowance:
     """The moment at the clamp follows the turn of the tag `beside` it; `count` frames, those at rest last."""
     basis = with_rest(run.turn[:, beside, None], count)
     return Allowance(
-        "clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis, within=POSITIVE, sparse=True
+        "clamp gives", "clamp", "1", ("clamp gives",), np.array([GIVE_SD]), basis, within=POSITIVE, least=RARE
     )
 
 
@@ -107,7 +109,7 @@ SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a 
 def sliding(marker_s: Array, run: PushCourse, push_s: Array) -> Allowance:
     """`s_a(t) = s_0 + b (a(s_0, t) - a(s_0, 0))` with b in m per rad; `push_s` (F,)."""
     basis = with_rest(turn_at_push(marker_s, run.turn, push_s)[:, None], len(push_s))
-    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis, sparse=True)
+    return Allowance("slide", "place", "m/rad", ("contact slides",), np.array([SLIDE_SD]), basis, least=RARE)
 
 
 def turn_at_push(marker_s: Array, turn: Array, push_s: Array) -> Array:
@@ -274,15 +276,15 @@ def between_recordings(nodes: Array) -> Allowance:
     return Allowance(BETWEEN, "log k", "1", labels, BETWEEN_SD, _SHAPES.curvature(nodes), sized=True)
 
 
-# Tags are patches that stiffen the beam. Their width is known only by how likely each is: a patch is a sum of layers of
-# rising width, one log factor each. At a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the
-# probability that the patch reaches d.
+# Tags are patches that stiffen the beam by one factor. Their width is known only by how likely each is: the log of the
+# factor enters by its expected profile, and two more functions are how the profile of another width differs from it. At
+# a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the probability that the patch reaches d.
 
-PATCH_SD = 0.4  # of the log of the factor on k under a tag, before the evidence has chosen: paper to stiff plastic
+PATCH_SD = 0.6  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
-PAPER = 1.5  # of the same: wider layers are beyond the paper of a tag
-NEXT_TO_NONE = 1e-3
+# (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
+_BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -290,11 +292,12 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: 1 under the tags, 0 between them, for each width; `tag_size` m, NaN if unknown."""
+    """`s.shape + (3,)`: the expected profile of a patch, 1 under the tags, and two deviations from it; `tag_size` m, NaN
+    if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
-    return np.asarray(0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half)))
+    return np.asarray((0.5 - 0.5 * np.tanh((away - half) / (2.0 * _SOFT * half))) @ _BY_WIDTH)
 
 
 def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> Array:
@@ -308,13 +311,14 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
     return np.asarray(np.diff(to_edges, axis=-2, prepend=0.0) / grid.weights[..., None])
 
 
-def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None, *, traced: bool = False) -> Allowance:
-    """The layers' factors on k, the same under all tags, for they are alike; no `grid`, no basis. Where the body's
-    outline is `traced` beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
+def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) -> Allowance:
+    """The log of the factor on k, the same under all tags, for they are alike, and of its profile; no `grid`, no
+    basis."""
     basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
-    labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
-    sd = PATCH_SD * np.sqrt(SHARES) * np.where(traced & (WIDTHS > PAPER), NEXT_TO_NONE, 1.0)
-    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sparse=True)
+    labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
+    within = (np.array([0.0, -np.inf, -np.inf]), np.inf)
+    sd = np.full(len(WIDTHS), PATCH_SD)
+    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=within, least=RARE)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -413,7 +417,7 @@ def posture_bias(run: PushCourse, force: Array) -> Allowance:
     largest = float(np.max(np.linalg.norm(force, axis=1)))
     basis = on_each_axis(with_rest(powers(run.bend), len(force)))
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
-    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis, sparse=True)
+    return Allowance("posture", "force", "N", labels, np.full(2 * DEGREE, POSTURE_SD * largest), basis, least=RARE)
 
 
 def powers(bend: Array) -> Array:
@@ -447,7 +451,7 @@ def relaxation(run: PushCourse) -> Allowance:
         run.time,
         shared=True,
         within=POSITIVE,
-        sparse=True,
+        least=RARE,
     )
 
 
@@ -547,15 +551,23 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 # so its effect on the tags is linear.
 
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
+NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
 def section(*, known: bool) -> Allowance:
-    """The relative change of the square of the thickness, from the stated one or the usual one."""
-    sd = np.array([KNOWN_SD if known else UNKNOWN_SD])
-    label = "change of section thickness squared"
-    return Allowance("section", "section", "1", (label,), sd, np.zeros(0), shared=True, within=(-1.0, np.inf))
+    """The relative change of the square of the thickness, from the stated one or the usual one; where nothing is stated
+    a thin rod is as likely as a thick one."""
+    sd, least, about = (KNOWN_SD, 1.0, 0.0) if known else (UNKNOWN_SD, RARE, NO_THICKNESS)
+    label, within = "change of section thickness squared", (NO_THICKNESS, np.inf)
+    return Allowance(
+        *("section", "section", "1", (label,), np.array([sd]), np.zeros(0)),
+        shared=True,
+        within=within,
+        least=least,
+        about=about,
+    )
 
 
 def section_at(change: float, stated: float, beam_length: float) -> tuple[RectangularSection, float]:
@@ -619,7 +631,7 @@ def allowances_of(
     ]
     if tags:
         under = observations.marker_s[on_body], observations.length, observations.stated.tag_size
-        every.append(patches(*under, grid, traced=not on_body.all()))
+        every.append(patches(*under, grid))
         every += [_at(on_body, one) for one in discrepancy(run, tags, observations.length, len(force))]
     if across is not None and not on_body.all():
         every.append(outline_error(observations.marker_s, run, across))
