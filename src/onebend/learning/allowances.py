@@ -41,9 +41,10 @@ class Allowance:
     basis: Array  # see `Entry`
     shared: bool = False  # by all recordings of the beam; else each recording has its own
     sized: bool = False  # the evidence chooses one factor on all of `prior_sd`
-    within: tuple[Array | float, float] = ANYTHING  # bounds of each parameter
+    within: tuple[float, float] = ANYTHING  # bounds of each parameter
     least: float = 1.0  # over `prior_sd`, below 1: its size is unknown from this on, see `sites`
     about: float = 0.0  # the ideal bench's value, where it is not zero
+    led: bool = False  # the others go with the first parameter: they are as large as it is likely to be
 
     @property
     def count(self) -> int:
@@ -292,8 +293,8 @@ _FINE = 4001  # places
 
 
 def patch_functions(marker_s: Array, length: float, tag_size: float, s: Array) -> Array:
-    """`s.shape + (3,)`: the expected profile of a patch, 1 under the tags, and two deviations from it; `tag_size` m, NaN
-    if unknown."""
+    """`s.shape + (3,)`: the expected profile of a patch, 1 under the tags, and two deviations from it; `tag_size` m,
+    NaN if unknown."""
     known = bool(np.isfinite(tag_size))
     half = 0.5 * (WIDTHS * tag_size / length if known else _USUAL_WIDTHS * USUAL_SIZE)
     away = np.min(np.abs(np.asarray(s)[..., None] - marker_s), axis=-1)[..., None]
@@ -316,9 +317,8 @@ def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) 
     basis."""
     basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
-    within = (np.array([0.0, -np.inf, -np.inf]), np.inf)
     sd = np.full(len(WIDTHS), PATCH_SD)
-    return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=within, least=RARE)
+    return Allowance(*("patches", "log k", "1", labels, sd, basis), shared=True, within=POSITIVE, least=RARE, led=True)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's

@@ -621,7 +621,9 @@ def rewritten_problem(
 ) -> FitProblem:
     """The problem with the same frames of the same recordings, or `most` of them, described otherwise."""
     rows = [np.flatnonzero(one.frames) for one in problem.recordings]
-    frames = [evenly_spread(r, most or len(r), len(one.frames)) for r, one in zip(rows, problem.recordings, strict=True)]
+    frames = [
+        evenly_spread(r, most or len(r), len(one.frames)) for r, one in zip(rows, problem.recordings, strict=True)
+    ]
     data, layout = _prepared(recordings, frames, problem.layout.spline, settings)
     return replace(problem, recordings=data, layout=layout)
 

@@ -315,7 +315,6 @@ def shared_mass(recordings: Sequence[Observations], guess: float = np.nan) -> tu
 END_SD = (0.2, 2.0)  # of the length, rad: of a held end before the data, around where its points put it
 _REST = ("mean", "slope", "bow")  # of the curvature at rest
 _BEYOND_SD = 0.005  # of the length: its error, by which a push at the tip may seem to act beyond it
-_CAREFUL = 0.1  # of the sd of the push's place: how closely some people measure it, see `Allowance.least`
 _EVEN = 0.01  # of k: what is left of its variation, from coefficient to coefficient, where its shape is stated
 _EXACT = 1e-6  # of the mass, where it is said to be exact
 _STATED = 1e-4  # of the mass: sd of its uneven parts where its spread is stated
@@ -357,9 +356,10 @@ class Block:
     prior_sd: Array
     labels: tuple[str, ...]
     start: int
-    within: tuple[Array | float, float] = ANYTHING
+    within: tuple[float, float] = ANYTHING
     least: float = 1.0  # see `Allowance`
     about: float = 0.0
+    led: bool = False
 
     @property
     def where(self) -> slice:
@@ -488,14 +488,17 @@ def make_layout(
             ("end turn", r, "rad", END_SD[1], _ends(one, "angle")),
             ("force", r, "N", 1.0, tuple(f"{name}: force error {a}{i}" for i in range(knots[r]) for a in "xy")),
         ]
-    shapes = {(a.name, -1): (a.within, a.least, a.about) for a in shared.values()}
+    shapes = {(a.name, -1): (a.within, a.least, a.about, a.led) for a in shared.values()}
     for r, one in enumerate(recordings):
         shapes["place", r] = (
             (-np.inf, _BEYOND_SD * one.length + float(np.nanmin(1.0 - one.push_s)) * one.length),
-            _CAREFUL,
-            0.0,
+            *(1.0, 0.0, False),
         )
-        shapes |= {(a.name, r): (a.within, a.least, a.about) for a in (allowances[r] if allowances else ()) if not a.shared}
+        shapes |= {
+            (a.name, r): (a.within, a.least, a.about, a.led)
+            for a in (allowances[r] if allowances else ())
+            if not a.shared
+        }
     blocks, start = [], 0
     for name, r, unit, sd, labels in wanted:
         sds = np.full(len(labels), sd)
