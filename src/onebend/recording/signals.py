@@ -312,7 +312,7 @@ def copies_in_motion(time: Array, points: Array, still: float, least: float) -> 
     gone n + 1 steps. They must go by more than `least`, by more than their noise, and by half of these steps at the
     speed before or after (three of a long stretch): points that only begin to move go one step."""
     out = np.zeros(len(points), dtype=bool)
-    shown = np.flatnonzero(np.isfinite(points).all(axis=-1).any(axis=1))
+    shown = np.flatnonzero(np.isfinite(points).min(axis=-1).max(axis=1))
     if len(shown) < 4:
         return out
     time, there = time[shown], bridged(time[shown], points[shown].reshape(len(shown), -1))

@@ -106,4 +106,4 @@ def test_a_tag_of_hundreds_of_pixels_is_found_where_it_is(finder: Finder) -> Non
     assert side_of(found.corners) > 300.0
     assert np.abs((found.corners + 0.5) / times - 0.5 + np.array([left, top]) - true).max() < 0.3  # of its 28 px before
     (near,) = finder.look_around(large, found.corners, 100.0)
-    assert np.abs(near.corners - found.corners).max() < 0.1 * times
+    assert np.abs(near.corners - found.corners).max() < 0.3 * times
