@@ -218,9 +218,9 @@ def test_places_are_compared_under_one_noise() -> None:
 def test_the_evidence_of_a_mistake_is_averaged_over_the_places_it_may_have_led_to(before: float) -> None:
     s = np.linspace(INNERMOST, 0.99, 70)
     gain = np.where(np.abs(s - 0.6) < 0.0501, 12.0, -30.0)  # at a seventh of the places
-    for near, expected in ((0.0, 12.0 - np.log(7.0)), (0.5, -30.0)):  # a place so near is no mistake
+    for near, expected in ((0.0, 12.0 - np.log(7.0)), (0.5, -30.0 + np.log(2.0 / 7.0))):  # so near is no mistake
         mistaken = place_posterior(s, gain, 1.0, before, near)[2]
-        assert gain_of_mistake(mistaken, before) == pytest.approx(expected, abs=1.0 if near else 0.1)
+        assert gain_of_mistake(mistaken, before) == pytest.approx(expected, abs=0.1)
 
 
 def test_a_place_is_accused_where_other_tests_would_speak() -> None:

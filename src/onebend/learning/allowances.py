@@ -286,6 +286,7 @@ SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
 # (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
 _BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
+_THIN = 0.03  # of `PATCH_SD`: a smaller factor hardly counts
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -318,7 +319,7 @@ def patches(marker_s: Array, length: float, tag_size: float, grid: Grid | None) 
     basis = np.zeros((0, len(WIDTHS))) if grid is None else patch_means(marker_s, length, tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("mean", "width", "rim"))
     sd = np.full(len(WIDTHS), PATCH_SD)
-    return Allowance(*("patches", "log k", "1", labels, sd, basis), shared=True, within=POSITIVE, least=RARE, led=True)
+    return Allowance(*("patches", "log k", "1", labels, sd, basis), shared=True, within=POSITIVE, least=_THIN, led=True)
 
 
 # Camera: its model puts every tag in one plane. A tag at height z over the plane appears too far from the camera's
@@ -553,13 +554,14 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
 NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
+_THINNEST = 0.1  # of `UNKNOWN_SD`: a thinner rod is as good as one without thickness
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
 def section(*, known: bool) -> Allowance:
     """The relative change of the square of the thickness, from the stated one or the usual one; where nothing is stated
     a thin rod is as likely as a thick one."""
-    sd, least, about = (KNOWN_SD, 1.0, 0.0) if known else (UNKNOWN_SD, RARE, NO_THICKNESS)
+    sd, least, about = (KNOWN_SD, 1.0, 0.0) if known else (UNKNOWN_SD, _THINNEST, NO_THICKNESS)
     label, within = "change of section thickness squared", (NO_THICKNESS, np.inf)
     return Allowance(
         *("section", "section", "1", (label,), np.array([sd]), np.zeros(0)),
