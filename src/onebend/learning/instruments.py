@@ -13,6 +13,7 @@ from onebend.learning.allowances import (
     BETWEEN,
     BETWEEN_SD,
     POSTURE_SD,
+    TIMES,
     USUAL_THICKNESS,
     course,
     on_each_axis,
@@ -349,6 +350,8 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         prior_sd=np.concatenate(prior_sd),
         force_sd=float(np.hypot(left, posterior.optimum.hyperparameters.noise[number].force)),
         discrepancy=_discrepancy(posterior.recordings, posterior.optimum.hyperparameters)[0],
+        times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
+        reached=posterior.optimum.predictions[number].reached,
     )
 
 
