@@ -171,8 +171,8 @@ def printed() -> Mapping[str, PrintedBeam]:
             selection_table=beam["selection_table"],
             validation_table=beam["validation_table"],
             chosen=tuple(beam["chosen"]),
-            trials=tuple(PrintedTrial(n, m, np.array(rms) / 1e3, bic) for n, m, *rms, bic in beam["trials_mm"]),
-            validation={strategy: np.array(rms) / 1e3 for strategy, rms in beam["validation_mm"].items()},
+            trials=tuple(PrintedTrial(n, m, np.array(rms), bic) for n, m, *rms, bic in beam["trials_m"]),
+            validation={strategy: np.array(rms) for strategy, rms in beam["validation_m"].items()},
         )
         for name, beam in data.items()
     }
