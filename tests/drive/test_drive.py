@@ -146,7 +146,7 @@ def test_goals_in_time_are_passed_when_their_time_is_over(tmp_path: Path) -> Non
     assert [first.seconds, second.seconds] == pytest.approx([1.5, 1.5], abs=0.05)
     assert last.seconds > 1.5  # it waits until it is there
     assert np.linalg.norm(last.seen - wanted[-1][1]) < last.said
-    assert cell.largest < 0.33
+    assert cell.largest < QUICK.limits.force
 
 
 @pytest.mark.slow
