@@ -403,7 +403,7 @@ def uncertainty_budget(setup: Setup, predicted: PredictedBand) -> tuple[BudgetEn
 def known_exactly(bench: Instruments) -> dict[str, Instruments]:
     """By the name of the nuisance that is known."""
     force, e = bench.force, _KNOWN_SHARE
-    better = {
+    better: dict[str, dict[str, Any]] = {
         "force's gain": {"gain_sd": 0.0},
         "force's noise": {"force": replace(force, frame=e * force.frame)},
         "force's bias and slow error": {"force": replace(force.times(e), frame=force.frame)},
@@ -418,8 +418,7 @@ def known_exactly(bench: Instruments) -> dict[str, Instruments]:
     }
     known = (("force's gain", bench.gain_sd), ("clock", bench.clock_sd), ("shape at rest", bench.curvature_sd))
     absent = {name for name, sd in known if sd == 0.0}
-    changed: dict[str, dict[str, Any]] = {name: one for name, one in better.items() if name not in absent}
-    return {name: replace(bench, **one) for name, one in changed.items()}
+    return {name: replace(bench, **one) for name, one in better.items() if name not in absent}
 
 
 def derivatives(setup: Setup, bench: Instruments) -> tuple[TagDerivatives, ...]:
