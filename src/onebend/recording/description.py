@@ -167,7 +167,8 @@ def read_tags(
     if points is not None and "on_beam" in table:
         mistakes.add(("points",), "The file has [[points]] and [[tags.on_beam]]. Write all of them as [[points]].")
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
-        rows, place = table.get(group, []), ("tags", group)
+        rows = table.get(group, [])
+        place: Place = ("tags", group)
         if group == "on_beam" and points is not None:
             rows, place = points, ("points",)
         may_lack = bare if group == "on_beam" else not pictures

@@ -159,7 +159,7 @@ def _given(recordings: Sequence[Observations]) -> str:
         size = max(float(np.nanmax(np.linalg.norm(one.force, axis=1), initial=0.0)) for one in recordings)
         facts.append(say("given: loads" if first.static else "given: force", force=significant(size)))
     if not first.static and facts:
-        facts.append(say("given: place", place=span(*(float(end(first.push_s)) for end in (np.nanmin, np.nanmax)))))
+        facts.append(say("given: place", place=span(float(np.nanmin(first.push_s)), float(np.nanmax(first.push_s)))))
     facts.append(say("given: length", length=first.length))
     if any(np.any(one.gravity) for one in recordings):
         facts.append(say("given: weight", mass=first.stated.mass) if np.isfinite(first.stated.mass) else "gravity")

@@ -141,7 +141,7 @@ def test_answers_are_checked_and_written_where_the_template_is_empty(monkeypatch
         asked.append(str(place[-1]))
         return commands.ask(place, says) if place[-1] in wanted else ""
 
-    monkeypatch.setattr(commands.common, "say", lambda *_: None)
+    monkeypatch.setattr("onebend.cli.common.say", lambda *_: None)
     order = [name for name in ("length_m", "size_m") if name in text]
     found = data(commands.answered(text, ask))
     assert asked[:2] == order
