@@ -120,9 +120,13 @@ def _csv(path: Path, once: Sequence[str] = ()) -> tuple[dict[str, Cells], IntArr
     for line, row in csv_rows(path, RecordingError):
         lines.append(line)
         rows.append(row)
-    header = [name.strip() for name in rows[0]] if rows else []
+    if not rows:
+        raise RecordingError(f"{path} is empty. Write it anew, or correct its name.")
+    header = [name.strip() for name in rows[0]]
     if len(header) == 1 and set(header[0]) & set(";\t"):
-        raise RecordingError(f"{path}, line 1: columns must be separated by commas, and decimals written with a point.")
+        raise RecordingError(
+            f"{path}, line 1: columns must be separated by commas, and decimals written with a point; no semicolons."
+        )
     twice = [name for name in once if header.count(name) > 1]
     if twice:
         raise RecordingError(f"{path}, line 1: the column {quoted(twice[0])} is there twice. Remove or rename one.")
