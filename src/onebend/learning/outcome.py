@@ -46,6 +46,11 @@ class Comparison:
     remarks: tuple[Notice | Remark, ...] = ()
     static: bool = False  # bench poses: `time` counts them
 
+    @property
+    def failed(self) -> bool:
+        """Whether another push misses a marker by far more than is likely: the band of k(s) is not to be trusted."""
+        return bool(np.any(np.isfinite(self.likely_rms))) and bool(another_beam(self))
+
 
 @dataclass(frozen=True)
 class Explained:
