@@ -49,7 +49,8 @@ class Comparison:
     @property
     def failed(self) -> bool:
         """Whether another push misses a marker by far more than is likely: the band of k(s) is not to be trusted."""
-        return bool(np.any(np.isfinite(self.likely_rms))) and bool(another_beam(self))
+        least = np.maximum(SLIGHT * _motion(self), MANY * np.nan_to_num(self.sensor_rms))
+        return bool(np.any((self.rms > LIKELY * self.likely_rms) & (self.rms > least)))
 
 
 @dataclass(frozen=True)
