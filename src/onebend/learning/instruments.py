@@ -14,9 +14,9 @@ from onebend.learning.allowances import (
     BETWEEN_SD,
     POSTURE_SD,
     USUAL_THICKNESS,
-    course,
     on_each_axis,
     powers,
+    scene_of,
 )
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
@@ -302,7 +302,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
     """The set-up of the last recording, jointly with log k; None of poses, or where no force log shows a push."""
     number = len(posterior.recordings) - 1
     data, at = posterior.recordings[number], posterior.layout
-    o, run = data.observations, course(data.observations, data.frames)
+    o, run = data.observations, scene_of(data.observations, data.frames)
     if o.static or not len(data.error.knots):
         return None
     sizes: dict[str, int] = {}
@@ -339,7 +339,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
     return SetUp(
         push_s=float(data.push_s[largest]),
         force=(float(data.force[largest, 0]), float(data.force[largest, 1])),
-        moved=run.largest,
+        moved=run.largest[1],
         tags=tuple(float(s) for s in o.marker_s),
         thickness=stated if np.isfinite(stated) else USUAL_THICKNESS * o.length,
         sizes=sizes,
