@@ -78,7 +78,7 @@ class Film:
 
 
 @dataclass(frozen=True)
-class Scene:
+class PushCourse:
     """F frames of one push in order of time, then the beam at rest, where all is zero."""
 
     length: float  # m
@@ -110,7 +110,7 @@ class Scene:
         return np.array([float(np.interp(s, places, turn)) for s, turn in zip(self.push_s, turns, strict=True)])
 
 
-def scene_of(observations: Observations, frames: BoolArray, film: Film | None = None) -> Scene:
+def course_of(observations: Observations, frames: BoolArray, film: Film | None = None) -> PushCourse:
     """Of the chosen `frames` (T,) of a recording; with a `film`, the frames at rest that it has behind them."""
     o, on_body = observations, tags_among(observations)
     time, xy, angle, force = o.time[frames], o.xy[frames], o.angle[frames], o.force[frames]
@@ -127,7 +127,7 @@ def scene_of(observations: Observations, frames: BoolArray, film: Film | None = 
     back = np.asarray(np.arange(len(time)) > int(np.argmax(bend)), dtype=float)
     turn = np.nan_to_num(angle - np.where(np.isfinite(o.rest_angle), o.rest_angle, 0.0))
     count = len(time) if film is None else len(film.measured)
-    return Scene(
+    return PushCourse(
         length=o.length,
         marker_s=o.marker_s,
         on_body=on_body,
@@ -157,34 +157,34 @@ CLAMP_TAG = 1.0 / 3.0  # s about which a point of an outline is taken for the ta
 GIVE_SD = 0.01  # rad per rad that the first tag turns
 
 
-def giving(scene: Scene) -> Allowance:
+def giving(course: PushCourse) -> Allowance:
     """The moment at the clamp follows the turn of the tag beside it."""
-    beside = 0 if scene.on_body.all() else int(np.argmin(np.abs(scene.marker_s - CLAMP_TAG)))
-    sd, basis = np.array([GIVE_SD]), scene.turn[:, beside, None]
+    beside = 0 if course.on_body.all() else int(np.argmin(np.abs(course.marker_s - CLAMP_TAG)))
+    sd, basis = np.array([GIVE_SD]), course.turn[:, beside, None]
     return Allowance("clamp gives", "clamp", "1", ("clamp gives",), sd, basis, within=POSITIVE, sparse=True)
 
 
 SLIDE_SD = 2.5e-3  # m per rad that the beam turns at the push: the radius of a finger or a rod
 
 
-def sliding(scene: Scene) -> Allowance | None:
+def sliding(course: PushCourse) -> Allowance | None:
     """`s_a(t) = s_0 + b (a(s_0, t) - a(s_0, 0))` with b in m per rad."""
-    if not scene.pushed:
+    if not course.pushed:
         return None
-    sd, basis = np.array([SLIDE_SD]), scene.turn_at_push[:, None]
+    sd, basis = np.array([SLIDE_SD]), course.turn_at_push[:, None]
     return Allowance("slide", "place", "m/rad", ("contact slides",), sd, basis, sparse=True)
 
 
 FRICTION_SD = 0.3  # of the force across the beam: a coefficient of friction
 
 
-def rubbing(scene: Scene) -> Allowance | None:
+def rubbing(course: PushCourse) -> Allowance | None:
     """A force along the beam, in proportion to the logged one across it (Coulomb's friction), of one sign in a push."""
-    if not scene.pushed:
+    if not course.pushed:
         return None
-    turn = scene.turn_at_push
+    turn = course.turn_at_push
     along = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    across = scene.force[:, 1] * along[:, 0] - scene.force[:, 0] * along[:, 1]
+    across = course.force[:, 1] * along[:, 0] - course.force[:, 0] * along[:, 1]
     sd, basis = np.array([FRICTION_SD]), (across[:, None] * along)[..., None]
     return Allowance("rub", "force", "1", ("friction of the tool",), sd, basis, sparse=True)
 
@@ -203,26 +203,26 @@ _LINEAR = [0, 2]  # those of frames as they come, for time's sake: on both ways
 _WORTH = float(np.sqrt((1.0 + 1.0 + 0.25 + 0.25 + 1.0) / (1.0 + 0.25)))
 
 
-def discrepancy(scene: Scene) -> Allowance | None:
+def discrepancy(course: PushCourse) -> Allowance | None:
     """Of the tags' places."""
-    return _discrepancy(scene, "discrepancy", "m", {"x": 0, "y": 1}, PLACE_SD)
+    return _discrepancy(course, "discrepancy", "m", {"x": 0, "y": 1}, PLACE_SD)
 
 
-def angle_discrepancy(scene: Scene) -> Allowance | None:
+def angle_discrepancy(course: PushCourse) -> Allowance | None:
     """Of the tags' angles."""
-    return _discrepancy(scene, "angle discrepancy", "rad", {"angle": 2}, PLACE_SD / (LEVER * scene.length))
+    return _discrepancy(course, "angle discrepancy", "rad", {"angle": 2}, PLACE_SD / (LEVER * course.length))
 
 
-def _discrepancy(scene: Scene, name: str, unit: str, axes: Mapping[str, int], sd: float) -> Allowance | None:
+def _discrepancy(course: PushCourse, name: str, unit: str, axes: Mapping[str, int], sd: float) -> Allowance | None:
     """The smooth functions for each of these coordinates of each tag."""
-    if not scene.tags:
+    if not course.tags:
         return None
-    functions, powers = smooth_functions(scene), _FIVE
-    if scene.film is None:
+    functions, powers = smooth_functions(course), _FIVE
+    if course.film is None:
         functions, powers, sd = functions[:, _LINEAR], _FIVE[_LINEAR], _WORTH * sd
-    n, on_body = functions.shape[1], np.flatnonzero(scene.on_body)
-    labels = tuple(f"discrepancy {t} {a}{i}" for a in axes for t in scene.tags for i in range(n))
-    basis = np.zeros((len(functions), len(scene.on_body), 3, len(axes), len(on_body), n))
+    n, on_body = functions.shape[1], np.flatnonzero(course.on_body)
+    labels = tuple(f"discrepancy {t} {a}{i}" for a in axes for t in course.tags for i in range(n))
+    basis = np.zeros((len(functions), len(course.on_body), 3, len(axes), len(on_body), n))
     for i, axis in enumerate(axes.values()):
         for number, tag in enumerate(on_body):
             basis[:, tag, axis, i, number] = functions
@@ -230,24 +230,24 @@ def _discrepancy(scene: Scene, name: str, unit: str, axes: Mapping[str, int], sd
     return Allowance(name, "poses", unit, labels, sds, basis.reshape(*basis.shape[:3], -1), sized=True, powers=powers)
 
 
-def smooth_functions(scene: Scene) -> Array:
+def smooth_functions(course: PushCourse) -> Array:
     """(F, 5)."""
-    bend, side = scene.bend, scene.back - 0.5
-    return np.stack([bend, bend**2, bend * side, bend**2 * side, scene.elapsed], axis=1)
+    bend, side = course.bend, course.back - 0.5
+    return np.stack([bend, bend**2, bend * side, bend**2 * side, course.elapsed], axis=1)
 
 
 OUTLINE_SD = 5e-5  # m, of each function's coefficient, before the evidence has chosen
 _TERMS = 6  # Legendre polynomials along the body
 
 
-def outline_error(scene: Scene) -> Allowance | None:
+def outline_error(course: PushCourse) -> Allowance | None:
     """The error of an outline, smooth along the body: one that stays, and two that grow with the bending (light and
     shade turn with the body, walls come into sight)."""
-    if scene.film is None or scene.on_body.all():
+    if course.film is None or course.on_body.all():
         return None
-    across = scene.film.across
-    in_time = np.column_stack([np.ones(len(across)), scene.bend, scene.bend**2])  # (F, 3)
-    along = np.polynomial.legendre.legvander(2.0 * scene.marker_s - 1.0, _TERMS - 1)  # (m, n)
+    across = course.film.across
+    in_time = np.column_stack([np.ones(len(across)), course.bend, course.bend**2])  # (F, 3)
+    along = np.polynomial.legendre.legvander(2.0 * course.marker_s - 1.0, _TERMS - 1)  # (m, n)
     basis = np.zeros((*across.shape[:2], 3, 3 * _TERMS))
     basis[:, :, :2] = np.einsum("fmc,ft,mn->fmctn", across, in_time, along).reshape(*across.shape, -1)
     labels = tuple(f"outline error {t}{n}" for t in ("stays", "grows", "grows more") for n in range(_TERMS))
@@ -258,22 +258,22 @@ _WINDOW, _DEGREE = 7, 3  # frames and degree of the polynomial whose curvature i
 MASS_SD = 25.0  # kg/m^3, of the length cubed: a solid rubber beam, 0.08 by 0.2 of its length thick and wide, has 18
 
 
-def unknown_mass(scene: Scene) -> Allowance | None:
+def unknown_mass(course: PushCourse) -> Allowance | None:
     """The unknown mass [kg] of a moving beam, evenly spread; None where it is stated or no acceleration is known."""
-    film = scene.film
+    film = course.film
     if film is None or np.isfinite(film.observations.stated.mass):
         return None
-    count, even = len(scene.force), Uniform(1.0 / scene.length)
+    count, even = len(course.force), Uniform(1.0 / course.length)
     force = inertial_force(film.observations, film.frames, film.problem, even, count)
     if not np.any(force):
         return None
-    sd = np.array([MASS_SD * scene.length**3])
+    sd = np.array([MASS_SD * course.length**3])
     return Allowance("inertia", "load", "kg", ("mass in motion",), sd, force[..., None], shared=True, within=POSITIVE)
 
 
-def gravity_direction(scene: Scene) -> Allowance | None:
+def gravity_direction(course: PushCourse) -> Allowance | None:
     """Gravity turned by one angle [rad]; None if exact, or without weight."""
-    film = scene.film
+    film = course.film
     if film is None or not film.observations.stated.gravity_sd > 0.0 or not np.any(film.gravity):
         return None
     nodes, stated, gravity = film.problem.grid.nodes, film.observations.stated, film.gravity
@@ -356,7 +356,7 @@ def second_derivative(time: Array, values: Array) -> Array | None:
 LENGTH_SD = 0.005  # of the length
 
 
-def length(scene: Scene) -> Allowance:  # noqa: ARG001 - as its sisters
+def length(course: PushCourse) -> Allowance:  # noqa: ARG001 - as its sisters
     """The log of the length, over what is written."""
     return Allowance("length", "length", "1", ("log of length",), np.array([LENGTH_SD]), shared=True)
 
@@ -409,15 +409,15 @@ def patch_means(marker_s: Array, length: float, tag_size: float, grid: Grid) -> 
     return np.asarray(np.diff(to_edges, axis=-2, prepend=0.0) / grid.weights[..., None])
 
 
-def patches(scene: Scene) -> Allowance | None:
+def patches(course: PushCourse) -> Allowance | None:
     """The layers' factors on k, the same under all tags, for they are alike; without a film no basis. Where the body's
     outline is traced beside a tag, k there is seen, and no stiff layer reaches beyond the tag's paper."""
-    if not scene.tags:
+    if not course.tags:
         return None
-    basis, traced = np.zeros((0, len(WIDTHS))), not scene.on_body.all()
-    if scene.film is not None:
-        grid = scene.film.problem.grid
-        basis = patch_means(scene.marker_s[scene.on_body], scene.length, scene.tag_size, grid)
+    basis, traced = np.zeros((0, len(WIDTHS))), not course.on_body.all()
+    if course.film is not None:
+        grid = course.film.problem.grid
+        basis = patch_means(course.marker_s[course.on_body], course.length, course.tag_size, grid)
     labels = tuple(f"log k under the tags, {name}" for name in ("as wide as seen", "and its rim", "and around it"))
     sd = PATCH_SD * np.sqrt(SHARES) * np.where(traced & (WIDTHS > PAPER), NEXT_TO_NONE, 1.0)
     return Allowance("patches", "log k", "1", labels, sd, basis, shared=True, within=POSITIVE, sparse=True)
@@ -518,12 +518,12 @@ POSTURE_SD = 0.01  # of the largest force, for each term and axis; the linear te
 DEGREE = 2  # of the polynomial in the tool's displacement
 
 
-def posture_bias(scene: Scene) -> Allowance | None:
+def posture_bias(course: PushCourse) -> Allowance | None:
     """A polynomial of second degree in the displacement, zero at rest, for each axis of the force [N]."""
-    if not scene.pushed:
+    if not course.pushed:
         return None
     labels = tuple(f"posture bias {axis}{i}" for axis in "xy" for i in range(1, DEGREE + 1))
-    sd, basis = np.full(2 * DEGREE, POSTURE_SD * scene.largest[0]), on_each_axis(powers(scene.bend))
+    sd, basis = np.full(2 * DEGREE, POSTURE_SD * course.largest[0]), on_each_axis(powers(course.bend))
     of_bend = np.tile(np.arange(1.0, DEGREE + 1.0), 2)
     return Allowance("posture", "force", "N", labels, sd, basis, sparse=True, powers=of_bend, of_force=True)
 
@@ -547,10 +547,12 @@ SHARE_SD = 0.05  # of each a_j: shares of the stiffness that relax
 LARGEST = 0.9  # of c: beyond, nothing would be left of the stiffness
 
 
-def relaxation(scene: Scene) -> Allowance:
+def relaxation(course: PushCourse) -> Allowance:
     """The shares that relax with each of the times."""
     labels, sd = tuple(f"share that relaxes within {t:g} s" for t in TIMES), np.full(len(TIMES), SHARE_SD)
-    return Allowance("relaxation", "relaxation", "1", labels, sd, scene.time, shared=True, within=POSITIVE, sparse=True)
+    return Allowance(
+        "relaxation", "relaxation", "1", labels, sd, course.time, shared=True, within=POSITIVE, sparse=True
+    )
 
 
 def lags(time: Array) -> Array:
@@ -653,9 +655,9 @@ UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usua
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 
-def section(scene: Scene) -> Allowance:
+def section(course: PushCourse) -> Allowance:
     """The relative change of the square of the thickness, from the stated one or the usual one."""
-    label, sd = "change of section thickness squared", np.array([KNOWN_SD if scene.thick else UNKNOWN_SD])
+    label, sd = "change of section thickness squared", np.array([KNOWN_SD if course.thick else UNKNOWN_SD])
     return Allowance("section", "section", "1", (label,), sd, shared=True, within=(-1.0, np.inf))
 
 
@@ -670,15 +672,17 @@ def section_at(change: float, stated: float, beam_length: float) -> tuple[Rectan
     return RectangularSection(usual, share=share), 0.5 / share
 
 
-def _picture(of: Callable[[Observations, BoolArray, int], Allowance | None]) -> Callable[[Scene], Allowance | None]:
-    """An allowance of the picture, of the film of a scene."""
-    return lambda scene: (
-        None if scene.film is None else of(scene.film.observations, scene.film.frames, len(scene.force))
+def _picture(
+    of: Callable[[Observations, BoolArray, int], Allowance | None],
+) -> Callable[[PushCourse], Allowance | None]:
+    """An allowance of the picture, of the film of a course."""
+    return lambda course: (
+        None if course.film is None else of(course.film.observations, course.film.frames, len(course.force))
     )
 
 
-def _heights(scene: Scene) -> Allowance | None:
-    film = scene.film
+def _heights(course: PushCourse) -> Allowance | None:
+    film = course.film
     return None if film is None or film.observations.source.view is None else heights(film.observations, film.measured)
 
 
@@ -687,7 +691,7 @@ class Effect:
     """What a real beam or bench may do: an entry of the list that the fit, the live learner and the reports read."""
 
     cause: str  # its name in the reports; several may share one
-    allowance: Callable[[Scene], Allowance | None]  # None where the scene cannot show it
+    allowance: Callable[[PushCourse], Allowance | None]  # None where the course cannot show it
     live: bool = True  # it needs no later frame and no place of the camera
 
 
@@ -716,8 +720,8 @@ EVERY_ALLOWANCE = OF_ONE | {BETWEEN}
 LIVE_ALLOWANCES = frozenset(name for name, effect in EFFECTS.items() if effect.live)
 
 
-def allowances_of(scene: Scene, wanted: frozenset[str]) -> tuple[Allowance, ...]:
-    """The wanted allowances that the scene can show.
+def allowances_of(course: PushCourse, wanted: frozenset[str]) -> tuple[Allowance, ...]:
+    """The wanted allowances that the course can show.
 
     Raises:
         LearningError: a name that is in no list.
@@ -725,5 +729,5 @@ def allowances_of(scene: Scene, wanted: frozenset[str]) -> tuple[Allowance, ...]
     unknown = sorted(wanted - EVERY_ALLOWANCE)
     if unknown:
         raise LearningError(f"there is no allowance {unknown[0]!r}, only: {', '.join(sorted(EVERY_ALLOWANCE))}")
-    every = (effect.allowance(scene) for name, effect in EFFECTS.items() if name in wanted)
+    every = (effect.allowance(course) for name, effect in EFFECTS.items() if name in wanted)
     return tuple(one for one in every if one is not None)

@@ -18,8 +18,8 @@ from onebend.learning.allowances import (
     Entry,
     Film,
     allowances_of,
+    course_of,
     inertial_force,
-    scene_of,
     weight_beyond,
 )
 from onebend.learning.force_error import ForceError, force_error
@@ -315,7 +315,7 @@ def fit_data(
         on_nodes=spline.basis(nodes),
         offset=known.offset_at(nodes),
         rest_on_nodes=REST_MODES.curvature(nodes),
-        allowances=() if none else allowances_of(scene_of(o, frames, film), allowances),
+        allowances=() if none else allowances_of(course_of(o, frames, film), allowances),
     )
 
 

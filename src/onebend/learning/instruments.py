@@ -14,9 +14,8 @@ from onebend.learning.allowances import (
     BETWEEN_SD,
     POSTURE_SD,
     USUAL_THICKNESS,
-    on_each_axis,
+    course_of,
     powers,
-    scene_of,
 )
 from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
@@ -302,7 +301,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
     """The set-up of the last recording, jointly with log k; None of poses, or where no force log shows a push."""
     number = len(posterior.recordings) - 1
     data, at = posterior.recordings[number], posterior.layout
-    o, run = data.observations, scene_of(data.observations, data.frames)
+    o, run = data.observations, course_of(data.observations, data.frames)
     if o.static or not len(data.error.knots):
         return None
     sizes: dict[str, int] = {}
@@ -366,18 +365,14 @@ def _force_error_rows(posterior: Posterior, number: int, terms: Array) -> tuple[
     Returns where the parameters stand, the polynomial's coefficients as functions of them, and what is left [N].
     """
     data, at = posterior.recordings[number], posterior.layout
-    posture, slow = at.index.get(("posture", number)), at.index["force", number]
-    blocks = [block for block in (posture, slow) if block is not None and block.start >= 0]
+    slow = -np.einsum("tk,cd->tckd", data.error.weights, np.eye(2)).reshape(len(terms), 2, -1)
+    added = {"force": slow} | {a.name: a.basis[: len(terms)] for a in data.entering("force")}
+    blocks = [block for name in added if (block := at.index[name, number]).start >= 0]
     where = slice(min(b.where.start for b in blocks), max(b.where.stop for b in blocks))
-    fitted = np.linalg.pinv(terms)  # (2, T)
-    weights, added = np.zeros((4, where.stop - where.start)), np.zeros((len(terms), 2, where.stop - where.start))
+    by_parameters = np.zeros((len(terms), 2, where.stop - where.start))
     for block in blocks:
-        inside = slice(block.start - where.start, block.start - where.start + len(block.prior_sd))
-        if block is posture:
-            added[:, :, inside] = on_each_axis(terms)
-        else:
-            added[:, :, inside] = -np.einsum("tk,cd->tckd", data.error.weights, np.eye(2)).reshape(*added.shape[:2], -1)
-    weights = np.einsum("it,tcp->icp", fitted, added).reshape(4, -1)
-    force = added @ posterior.mean[where]
+        by_parameters[..., block.start - where.start :][..., : block.count] = added[block.name]
+    weights = np.einsum("it,tcp->icp", np.linalg.pinv(terms), by_parameters).reshape(4, -1)
+    force = by_parameters @ posterior.mean[where]
     left = force - np.einsum("ti,ic->tc", terms, (weights @ posterior.mean[where]).reshape(2, 2))
     return where, weights, float(np.sqrt(np.mean(left**2)))

@@ -441,8 +441,8 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Kind:
-    """What every bench has that the ideal one lacks: an entry of the list that the fit, the live learner, the planner
+class StatedError:
+    """An error of every bench, to within a tolerance: an entry of the list that the fit, the live learner, the planner
     and the reports read, as they read `allowances.EFFECTS`."""
 
     name: str
@@ -538,23 +538,25 @@ def _or(prior: float | None, stated: float) -> float:
 _REST = ("q0 mean", "q0 slope", "q0 bow")
 _MASS = ("mass", "mass slope", "mass bow", "mass third")
 _TAGS, _CLAMP = "places of the tags", "clamp and origin"
-KINDS = (
-    Kind(
+STATED_ERRORS = (
+    StatedError(
         *("curvature", "rest shape", "rad", _REST, "curvature"),
         stated=lambda every, priors: max(curvature_sd(one, priors) for one in every),
         usual=CURVATURE_SD,
         shared=True,
     ),
-    Kind("mass", "mass", "1", _MASS, "mass", _mass_sds, shared=True),
-    Kind("along", _TAGS, "m", ("{tag} along",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
-    Kind("across", _TAGS, "m", ("{tag} across",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
-    Kind("turn", _TAGS, "rad", ("{tag} turn",), "mounting", "turn_sd", TURN_SD, shared=True),
-    Kind("clamp", _CLAMP, "rad", ("clamp angle",), "clamp", lambda own, priors: clamp_sd(own[0], priors), CLAMP_SD),
-    Kind("origin", _CLAMP, "m", ("origin x", "origin y"), "origin", "placement_sd", _PLACEMENT_SD),
-    Kind("scale", "camera", "1", ("camera scale",), "scale", lambda own, priors: scale_sd(own[0], priors)),
-    Kind("clock", "clock", "s", ("clock offset",), "clock", lambda own, priors: _clock_sd(own[0], priors)),
-    Kind("place", "place of the push", "m", ("push place",), "place", "place_sd", PLACE_SD, of_push=True),
-    Kind(
+    StatedError("mass", "mass", "1", _MASS, "mass", _mass_sds, shared=True),
+    StatedError("along", _TAGS, "m", ("{tag} along",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
+    StatedError("across", _TAGS, "m", ("{tag} across",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
+    StatedError("turn", _TAGS, "rad", ("{tag} turn",), "mounting", "turn_sd", TURN_SD, shared=True),
+    StatedError(
+        "clamp", _CLAMP, "rad", ("clamp angle",), "clamp", lambda own, priors: clamp_sd(own[0], priors), CLAMP_SD
+    ),
+    StatedError("origin", _CLAMP, "m", ("origin x", "origin y"), "origin", "placement_sd", _PLACEMENT_SD),
+    StatedError("scale", "camera", "1", ("camera scale",), "scale", lambda own, priors: scale_sd(own[0], priors)),
+    StatedError("clock", "clock", "s", ("clock offset",), "clock", lambda own, priors: _clock_sd(own[0], priors)),
+    StatedError("place", "place of the push", "m", ("push place",), "place", "place_sd", PLACE_SD, of_push=True),
+    StatedError(
         "direction",
         "direction of the force",
         "rad",
@@ -569,7 +571,9 @@ KINDS = (
 
 def groups() -> dict[str, tuple[str, ...]]:
     """Names of all allowances of real benches, by the common name of their cause."""
-    every = [(effect.cause, name) for name, effect in EFFECTS.items()] + [(kind.cause, kind.name) for kind in KINDS]
+    every = [(effect.cause, name) for name, effect in EFFECTS.items()] + [
+        (one.cause, one.name) for one in STATED_ERRORS
+    ]
     every += [("rest shape", "rest change"), ("mountings", BETWEEN), ("error of the force log", "force")]
     return {cause: tuple(name for of, name in every if of == cause) for cause, _ in every}
 
@@ -584,10 +588,10 @@ def make_layout(
     """The layout for several recordings, with the `knots` of the force error and the `allowances` of each."""
     tags = [f"tag {i}" for i in recordings[0].tag_id[tags_among(recordings[0])]]
     shared = {a.name: a for own in allowances for a in own if a.shared}
-    wanted = [(-1, kind.allowance(recordings, priors, tags)) for kind in KINDS if kind.shared]
+    wanted = [(-1, error.allowance(recordings, priors, tags)) for error in STATED_ERRORS if error.shared]
     wanted += [(-1, a) for a in shared.values()]
     for r, one in enumerate(recordings):
-        own = [kind.allowance([one], priors, tags) for kind in KINDS if not kind.shared]
+        own = [error.allowance([one], priors, tags) for error in STATED_ERRORS if not error.shared]
         own += [a for a in (allowances[r] if allowances else ()) if not a.shared]
         own += [
             _inside("rest change", "rad", rest_change_sd(recordings, r), _REST),

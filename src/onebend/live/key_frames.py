@@ -15,7 +15,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from onebend.learning.allowances import TIMES, Allowance, Scene, allowances_of
+from onebend.learning.allowances import TIMES, Allowance, PushCourse, allowances_of
 from onebend.learning.force_error import ANEW, RELEASED
 from onebend.recording.force import BEFORE, CLEAR, EARLY, TURN, LoadChange
 from onebend.records import Array, BoolArray, IntArray
@@ -24,10 +24,10 @@ from onebend.records import Array, BoolArray, IntArray
 # Displacements are over the beam's length; the priors follow the largest one so far (`course_scale`).
 
 
-def scene_of_frame(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> Scene:
+def course_of_frame(marker_s: Array, beam_length: float, tag_size: float, *, thick: bool) -> PushCourse:
     """One frame under a force of one newton, unbent; `tag_size` m, NaN where not known."""
     rest, m = np.zeros(1), len(marker_s)
-    return Scene(
+    return PushCourse(
         length=beam_length,
         marker_s=marker_s,
         on_body=np.ones(m, dtype=bool),
@@ -81,11 +81,11 @@ def course_scale(one: Allowance, largest: float, bend: float) -> Array:
 class CourseSoFar:
     """The course of a push, from frames as they come."""
 
-    def __init__(self, scene: Scene, terms: FrameTerms) -> None:
-        """`scene` of one frame, and the allowances whose bases are wanted."""
-        self._scene, self._terms = scene, terms
-        self._rest = np.full(len(scene.marker_s), np.nan)  # rad, of each tag
-        self._turn = np.zeros(len(scene.marker_s))
+    def __init__(self, course: PushCourse, terms: FrameTerms) -> None:
+        """`course` of one frame, and the allowances whose bases are wanted."""
+        self._course, self._terms = course, terms
+        self._rest = np.full(len(course.marker_s), np.nan)  # rad, of each tag
+        self._turn = np.zeros(len(course.marker_s))
 
     def terms(self, angle: Array, visible: BoolArray, force: Array, push_s: float, *, bend: float, back: bool) -> Array:
         """(count,) of the next frame, under a force (2,) N at `push_s`.
@@ -97,15 +97,15 @@ class CourseSoFar:
         turn = angle - self._rest
         turn -= 2.0 * np.pi * np.round((turn - self._turn) / (2.0 * np.pi))
         self._turn = np.where(visible, turn, self._turn)
-        scene = replace(
-            self._scene,
+        course = replace(
+            self._course,
             force=force[None],
             push_s=np.array([push_s]),
             bend=np.array([bend]),
             back=np.array([float(back)]),
             turn=self._turn[None],
         )
-        found = allowances_of(scene, self._terms.names)
+        found = allowances_of(course, self._terms.names)
         return np.concatenate([np.zeros(0), *(a.basis.ravel() for a in found)])
 
     def rest(self, angle: Array, visible: BoolArray) -> Array:

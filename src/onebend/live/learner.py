@@ -239,7 +239,7 @@ class Smoother:
         self._stiffness_prior = prior.stiffness_prior(begin)
         drawn = settings.adapt and prior.fixed is None
         self._chains = StiffnessChains(spline, level, settings.roughness, settings.steps) if drawn else None
-        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.scene, session.terms)
+        self._stages, self._course = LoadStages(session.length, tags), CourseSoFar(session.course, session.terms)
         self._before = 0.0  # the load's own time from changes of the load that are settled
         self._guess, self._spent = hyperparameters.marker, 0.0
         self._looks, self._turns = 0, 0

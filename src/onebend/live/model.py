@@ -23,7 +23,7 @@ from onebend.learning.allowances import (
     TIMES,
     Allowance,
     Entry,
-    Scene,
+    PushCourse,
     allowances_of,
     lag_weights,
     patch_functions,
@@ -32,9 +32,9 @@ from onebend.learning.allowances import (
     shift_of_lags,
 )
 from onebend.learning.fit_data import MASS_MODES, REST_MODES
-from onebend.learning.parameters import KINDS, Layout, Priors, Spline, layout_of, log_axes
+from onebend.learning.parameters import STATED_ERRORS, Layout, Priors, Spline, layout_of, log_axes
 from onebend.learning.prediction import BentBeam, ResponseColumns, TagRide
-from onebend.live.key_frames import FrameTerms, KeyFrames, course_scale, scene_of_frame
+from onebend.live.key_frames import FrameTerms, KeyFrames, course_of_frame, course_scale
 from onebend.records import Array, BoolArray
 
 ORDER, WIDEST = 12, 0.5
@@ -50,7 +50,7 @@ class LiveSession:
     marker_s: Array  # (m,)
     mass: float  # kg
     layout: Layout
-    scene: Scene  # of one frame
+    course: PushCourse  # of one frame
     allowances: tuple[Allowance, ...] = ()  # with their bases in one frame, where they have some
     thickness: float = math.nan  # m, of the section in the plane of bending; NaN: not known
 
@@ -93,7 +93,7 @@ class LiveSession:
         fine = self.layout.spline.finer
         if "patches" not in self.carried:
             return np.zeros((fine.count, 0))
-        return fine.nearest(lambda s: patch_functions(self.marker_s, self.length, self.scene.tag_size, s))
+        return fine.nearest(lambda s: patch_functions(self.marker_s, self.length, self.course.tag_size, s))
 
 
 @dataclass(frozen=True)
@@ -177,18 +177,18 @@ def session_of(
     A prior that is None takes the usual tolerance; without `scale` the camera is calibrated, and without `clock` camera
     and force log share one clock. Allowances that are not wanted are frozen.
     """
-    scene = scene_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
+    course = course_of_frame(marker_s, length, tag_size, thick=bool(np.isfinite(thickness)))
     wanted: list[Allowance] = []
-    for kind in KINDS:
-        stated = getattr(priors, kind.prior)
-        sd = kind.usual if stated is None else stated
-        if kind.name == "mass":
+    for one in STATED_ERRORS:
+        stated = getattr(priors, one.prior)
+        sd = one.usual if stated is None else stated
+        if one.name == "mass":
             sd = np.append(sd if mass > 0.0 else 0.0, np.full(3, priors.mass_spread))
-        wanted.append(kind.with_sd(sd, scene.tags))
-    every = allowances_of(scene, LIVE_ALLOWANCES)
+        wanted.append(one.with_sd(sd, course.tags))
+    every = allowances_of(course, LIVE_ALLOWANCES)
     wanted += [replace(a, prior_sd=a.prior_sd * (a.name in allowances)) for a in every]
     layout = layout_of(spline, [(-1, a) for a in wanted])
-    return LiveSession(length, marker_s, mass, layout, scene, every, thickness)
+    return LiveSession(length, marker_s, mass, layout, course, every, thickness)
 
 
 @lru_cache(maxsize=_GRIDS)
@@ -223,7 +223,7 @@ def push_grid_at(session: LiveSession, push_s: float) -> PushGrid:
     parts = MASS_MODES.curvature(nodes)
     beyond = nodes < push_s
     last = np.arange(len(nodes)) == int(np.sum(beyond)) - 1
-    under_tags = patch_means(session.marker_s, session.length, session.scene.tag_size, grid)
+    under_tags = patch_means(session.marker_s, session.length, session.course.tag_size, grid)
     return PushGrid(
         push_s=push_s,
         grid=grid,

@@ -10,7 +10,7 @@ from onebend.beam.stiffness import Profile, UncertainStiffness
 from onebend.errors import LearningError
 from onebend.learning.force_error import ForceError, force_error, ramp
 from onebend.learning.frames import push_places, usable_frames
-from onebend.learning.parameters import KINDS, Priors, Spline, make_layout
+from onebend.learning.parameters import STATED_ERRORS, Priors, Spline, make_layout
 from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.learner import OnlineLearner
 from onebend.progress import one_blas_thread
@@ -86,7 +86,7 @@ def _known(stated: float, wanted: float | None) -> float | None:
 
 def _priors(o: Observations, settings: OnlineSettings) -> Priors:
     at = make_layout(Spline(settings.functions), [o], [0], settings.priors)
-    blocks = {kind.prior: at.index[kind.name, -1 if kind.shared else 0] for kind in KINDS if kind.name != "mass"}
+    blocks = {one.prior: at.index[one.name, -1 if one.shared else 0] for one in STATED_ERRORS if one.name != "mass"}
     return replace(settings.priors, **{prior: float(block.prior_sd[0]) for prior, block in blocks.items()})
 
 
