@@ -21,14 +21,14 @@ from onebend.learning.fit_data import FitData
 from onebend.learning.force_error import expected_noise, filtered
 from onebend.learning.frames import moved_by, typical
 from onebend.learning.linear import Hyperparameters, log_k_map
-from onebend.learning.parameters import Layout
+from onebend.learning.parameters import STATED_ERRORS, Layout
 from onebend.progress import one_blas_thread
 from onebend.records import DIRECTION_SD, GAIN_SD, PLACE_SD, Array, Observations, covariance_with_camera
 
 if TYPE_CHECKING:  # for the type alone: who reads a model loads no fit
     from onebend.learning.posterior import Posterior
 
-SHARED = ("curvature", "mass", "along", "across", "turn")  # what all pushes on one beam have in common, beside k(s)
+SHARED = tuple(error.name for error in STATED_ERRORS if error.shared)  # what all pushes have in common, beside k(s)
 
 
 @dataclass(frozen=True)
@@ -174,15 +174,8 @@ def instruments_of(posterior: Posterior) -> Instruments:
         seconds=float(np.median([np.ptp(f.observations.time[f.frames]) for f in films])),
         rest_before=float(rests[0]),
         rest_after=float(rests[1]),
-        placement_sd=_prior_sd(at, films, "along", shared=True),
-        turn_sd=_prior_sd(at, films, "turn", shared=True),
-        curvature_sd=_prior_sd(at, films, "curvature", shared=True),
-        mass_sd=_prior_sd(at, films, "mass", shared=True, part=0),
+        **{error.field: _prior_sd(at, films, error.name, shared=error.shared) for error in STATED_ERRORS},
         mass_spread_sd=_prior_sd(at, films, "mass", shared=True, part=-1),
-        clamp_sd=_prior_sd(at, films, "clamp"),
-        origin_sd=_prior_sd(at, films, "origin"),
-        scale_sd=_prior_sd(at, films, "scale"),
-        clock_sd=_prior_sd(at, films, "clock"),
         force=_force_doubt(films, scales),
         gain_sd=posterior.gain_sd,
         gravity=(float(gravity[0]), float(gravity[1])),
@@ -191,8 +184,6 @@ def instruments_of(posterior: Posterior) -> Instruments:
         shared=names,
         shared_slope=slope,
         shared_covariance=left,
-        place_sd=_prior_sd(at, films, "place"),
-        direction_sd=_prior_sd(at, films, "direction"),
         shared_mean=np.concatenate([np.zeros(0), *(at.get(posterior.mean, name) for name in names)]),
         discrepancy=_discrepancy(films, scales),
     )
@@ -255,7 +246,7 @@ def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDo
     )
 
 
-def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool = False, part: int = 0) -> float:
+def _prior_sd(at: Layout, films: tuple[FitData, ...], name: str, *, shared: bool, part: int = 0) -> float:
     blocks = [at.index[name, number] for number in ([-1] if shared else [f.number for f in films])]
     return float(np.median([b.prior_sd[part] if b.start >= 0 else 0.0 for b in blocks]))
 

@@ -456,6 +456,16 @@ class StatedError:
     shared: bool = False
     of_push: bool = False  # nothing without a push
 
+    @property
+    def of_tags(self) -> bool:
+        """Each tag has its own."""
+        return "{tag}" in self.labels[0]
+
+    @property
+    def field(self) -> str:
+        """Of `Instruments`, its sd."""
+        return f"{self.prior}_sd" if self.name != "turn" else "turn_sd"
+
     def allowance(self, recordings: Sequence[Observations], priors: Priors, tags: Sequence[str]) -> Allowance:
         """As these recordings state it, of these tags."""
         one, within = recordings[0], ANYTHING
@@ -471,7 +481,7 @@ class StatedError:
 
     def with_sd(self, sd: float | Array, tags: Sequence[str]) -> Allowance:
         """With this prior."""
-        places = tags if "{tag}" in self.labels[0] else ("",)
+        places = tags if self.of_tags else ("",)
         labels = tuple(label.format(tag=tag) for tag in places for label in self.labels)
         sds = np.full(len(labels), sd, dtype=float)
         return Allowance(self.name, "bench", self.unit, labels, sds, shared=self.shared)
@@ -537,43 +547,37 @@ def _or(prior: float | None, stated: float) -> float:
 
 _REST = ("q0 mean", "q0 slope", "q0 bow")
 _MASS = ("mass", "mass slope", "mass bow", "mass third")
+_DIRECTION, _AXES = "direction of the force", ("force axes",)
+
+
+def _curvature_sds(recordings: Sequence[Observations], priors: Priors) -> float:
+    return max(curvature_sd(one, priors) for one in recordings)
+
+
+def _of_one(sd: Callable[[Observations, Priors], float]) -> Callable[[Sequence[Observations], Priors], float]:
+    return lambda recordings, priors: sd(recordings[0], priors)
+
+
 _TAGS, _CLAMP = "places of the tags", "clamp and origin"
 STATED_ERRORS = (
-    StatedError(
-        *("curvature", "rest shape", "rad", _REST, "curvature"),
-        stated=lambda every, priors: max(curvature_sd(one, priors) for one in every),
-        usual=CURVATURE_SD,
-        shared=True,
-    ),
+    StatedError("curvature", "rest shape", "rad", _REST, "curvature", _curvature_sds, CURVATURE_SD, shared=True),
     StatedError("mass", "mass", "1", _MASS, "mass", _mass_sds, shared=True),
     StatedError("along", _TAGS, "m", ("{tag} along",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
     StatedError("across", _TAGS, "m", ("{tag} across",), "placement", "placement_sd", _PLACEMENT_SD, shared=True),
     StatedError("turn", _TAGS, "rad", ("{tag} turn",), "mounting", "turn_sd", TURN_SD, shared=True),
-    StatedError(
-        "clamp", _CLAMP, "rad", ("clamp angle",), "clamp", lambda own, priors: clamp_sd(own[0], priors), CLAMP_SD
-    ),
+    StatedError("clamp", _CLAMP, "rad", ("clamp angle",), "clamp", _of_one(clamp_sd), CLAMP_SD),
     StatedError("origin", _CLAMP, "m", ("origin x", "origin y"), "origin", "placement_sd", _PLACEMENT_SD),
-    StatedError("scale", "camera", "1", ("camera scale",), "scale", lambda own, priors: scale_sd(own[0], priors)),
-    StatedError("clock", "clock", "s", ("clock offset",), "clock", lambda own, priors: _clock_sd(own[0], priors)),
+    StatedError("scale", "camera", "1", ("camera scale",), "scale", _of_one(scale_sd)),
+    StatedError("clock", "clock", "s", ("clock offset",), "clock", _of_one(_clock_sd)),
     StatedError("place", "place of the push", "m", ("push place",), "place", "place_sd", PLACE_SD, of_push=True),
-    StatedError(
-        "direction",
-        "direction of the force",
-        "rad",
-        ("force axes",),
-        "direction",
-        "direction_sd",
-        DIRECTION_SD,
-        of_push=True,
-    ),
+    StatedError("direction", _DIRECTION, "rad", _AXES, "direction", "direction_sd", DIRECTION_SD, of_push=True),
 )
 
 
 def groups() -> dict[str, tuple[str, ...]]:
     """Names of all allowances of real benches, by the common name of their cause."""
-    every = [(effect.cause, name) for name, effect in EFFECTS.items()] + [
-        (one.cause, one.name) for one in STATED_ERRORS
-    ]
+    every = [(effect.cause, name) for name, effect in EFFECTS.items()]
+    every += [(error.cause, error.name) for error in STATED_ERRORS]
     every += [("rest shape", "rest change"), ("mountings", BETWEEN), ("error of the force log", "force")]
     return {cause: tuple(name for of, name in every if of == cause) for cause, _ in every}
 
