@@ -455,15 +455,13 @@ def heights(observations: Observations, measured: Array) -> Allowance:
     return Allowance("heights", "poses", "m", tuple(labels), np.full(len(labels), HEIGHT_SD), basis, shared=True)
 
 
-def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance | None:
-    """The unknowns of the camera and of the tags' plane, in sds; `count` frames, those at rest last. None where they
-    are not known.
+def camera(observations: Observations, frames: BoolArray, count: int) -> Allowance:
+    """The unknowns of the camera and of the tags' plane, in sds; `count` frames, those at rest last.
 
     The frame is fixed to the base tag and to the tags at rest: their turn is subtracted.
     """
     o = observations
-    if o.by_camera is None:
-        return None
+    assert o.by_camera is not None
     bare = ~o.loaded & np.all(np.isfinite(o.xy), axis=(1, 2))
     rest = np.where(np.isfinite(o.rest_xy), o.rest_xy, 0.0)
     at_rest = o.by_camera[bare].mean(axis=0) if bare.any() else np.zeros(o.by_camera.shape[1:])
@@ -482,13 +480,11 @@ def _less_turn(moved: Array, xy: Array, turn: Array) -> Array:
     return np.asarray(moved - turned[..., None] * turn)
 
 
-def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance | None:
+def rolling_shutter(observations: Observations, frames: BoolArray, count: int) -> Allowance:
     """The read-out time [s] of a picture, first row to last: rows, and the corners of a tag, are seen at different
     instants, so moving tags are shifted and turned (half the curl). The principal point is assumed in the middle;
-    `count` frames, those at rest last. None where the picture's rows are not known."""
+    `count` frames, those at rest last."""
     o = observations
-    if o.source.view is None or not o.source.view.matrix[1, 2] > 0.0:
-        return None
     pose = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     speed = np.nan_to_num(np.gradient(pose, o.time, axis=0)) if len(o.time) > 1 else np.zeros_like(pose)
     xy, late = np.nan_to_num(o.xy), _row(_view(o))
@@ -672,18 +668,24 @@ def section_at(change: float, stated: float, beam_length: float) -> tuple[Rectan
     return RectangularSection(usual, share=share), 0.5 / share
 
 
-def _picture(
-    of: Callable[[Observations, BoolArray, int], Allowance | None],
-) -> Callable[[PushCourse], Allowance | None]:
-    """An allowance of the picture, of the film of a course."""
-    return lambda course: (
-        None if course.film is None else of(course.film.observations, course.film.frames, len(course.force))
-    )
+def _of_film(of: Callable[[Film], Allowance], known: Callable[[Observations], bool]) -> Callable[..., Allowance | None]:
+    """An allowance of the film of a course, where what it needs of the camera is known."""
+
+    def allowance(course: PushCourse) -> Allowance | None:
+        film = course.film
+        return of(film) if film is not None and known(film.observations) else None
+
+    return allowance
 
 
-def _heights(course: PushCourse) -> Allowance | None:
-    film = course.film
-    return None if film is None or film.observations.source.view is None else heights(film.observations, film.measured)
+_heights = _of_film(lambda film: heights(film.observations, film.measured), lambda o: o.source.view is not None)
+_rows = _of_film(  # the picture's rows are known
+    lambda film: rolling_shutter(film.observations, film.frames, len(film.measured)),
+    lambda o: o.source.view is not None and bool(o.source.view.matrix[1, 2] > 0.0),
+)
+_camera = _of_film(
+    lambda film: camera(film.observations, film.frames, len(film.measured)), lambda o: o.by_camera is not None
+)
 
 
 @dataclass(frozen=True)
@@ -709,8 +711,8 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "rub": Effect("friction of the tool", rubbing),
         "posture": Effect("posture-dependent bias", posture_bias),
         "heights": Effect("camera", _heights, live=False),
-        "rolling shutter": Effect("camera", _picture(rolling_shutter), live=False),
-        "camera": Effect("camera", _picture(camera), live=False),
+        "rolling shutter": Effect("camera", _rows, live=False),
+        "camera": Effect("camera", _camera, live=False),
         "inertia": Effect("inertia", unknown_mass, live=False),
         "gravity direction": Effect("direction of gravity", gravity_direction, live=False),
     }

@@ -65,8 +65,7 @@ def test_a_tag_that_is_not_seen_keeps_its_turn() -> None:
     so_far = CourseSoFar(pair, FrameTerms(allowances_of(pair, frozenset({"slide", "clamp gives"}))))
 
     def turns(angle: list[float], visible: list[bool]) -> list[float]:
-        terms = so_far.terms(np.array(angle), np.array(visible), np.ones(2), 1.0, bend=0.1, back=False)
-        return terms.tolist()
+        return list(so_far.terms(np.array(angle), np.array(visible), np.ones(2), 1.0, bend=0.1, back=False))
 
     so_far.rest(np.zeros(2), both)
     assert turns([0.1, 0.4], [True, True]) == pytest.approx([0.1, 0.4])

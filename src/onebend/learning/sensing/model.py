@@ -116,10 +116,9 @@ def picture_of(observations: Observations) -> tuple[Array, Array]:
     o, count = observations, len(observations.time) + 1
     seen = np.concatenate([o.xy, o.angle[..., None]], axis=-1)
     rest = np.concatenate([o.rest_xy, o.rest_angle[:, None]], axis=-1)
-    seen = np.concatenate([seen, rest[None]])
-    every = camera(o, np.ones(count - 1, dtype=bool), count), None if o.source.view is None else heights(o, seen)
-    found = [one for one in every if one is not None]
-    none = np.zeros((*seen.shape, 0))
+    found = [] if o.by_camera is None else [camera(o, np.ones(count - 1, dtype=bool), count)]
+    found += [] if o.source.view is None else [heights(o, np.concatenate([seen, rest[None]]))]
+    none = np.zeros((count, *seen.shape[1:], 0))
     return np.concatenate([none, *(a.basis for a in found)], axis=-1), np.concatenate(
         [np.zeros(0), *(a.prior_sd for a in found)]
     )
