@@ -300,6 +300,7 @@ MISS = 0.05  # of a tag's own motion: a fit with larger residuals does not expla
 HOPELESS = 0.2  # of the motion of all tags together: the fit has no meaning
 DOUBTS = {  # by what a remark on the recording is about
     "tool place": "the film shows the tool elsewhere",
+    "force unit": "the noise of the force log contradicts its sensor or its unit",
     "drift": "the force's zero drifted by more than half of the push",
 }
 CONTRADICTED = "the force contradicts the bending"  # what all others say
@@ -358,6 +359,13 @@ def _miss(data: FitData, rms: Array) -> Miss | None:
     return Miss(o.source.name, int(o.tag_id[worst]), float(rms[worst]), float(motion[worst]), share)
 
 
+_LOST_FORCE = (
+    "Check that this log is of this push, then start_s and the frame rate of the film. If they are right, push harder, "
+    "or take a force sensor that is exact to a tenth of the push; zero it just before, and let go before the log ends, "
+    "so that its drift shows"
+)
+
+
 def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
     """Check that the fitted error of some force log varies less than the corrected force.
 
@@ -377,10 +385,11 @@ def refuse_lost_force(problem: FitProblem, estimate: MapEstimate) -> None:
         name = data.observations.source.name
         lost.append(f"{name}: the error of the force log changes by {of_error:.2g} N, the force by {of_force:.2g} N")
     if lost:
+        every = (remark for one in problem.recordings for remark in one.observations.source.remarks)
+        warned = [remark.text for remark in every if remark.level == "warning"]
         raise LearningError(
             f"{'; '.join(lost)} (RMS, as tags and log say together): the log does not tell the force, and so not k(s). "
-            "Push harder, or take a force sensor that is exact to a tenth of the push; zero it just before, and let go "
-            "before the log ends, so that its drift shows"
+            + " ".join(warned or [_LOST_FORCE])
         )
 
 
