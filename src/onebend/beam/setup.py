@@ -80,6 +80,8 @@ class SetUp:
     force_sd: float = 0.0  # N, of each axis: error of a push that no part explains
     discrepancy: float = 0.0  # of a displacement: error of a point that no part explains
     angle_discrepancy: float = 0.0  # rad per metre of displacement, likewise of an angle
+    times: tuple[float, ...] = ()  # s, of each share that relaxes
+    reached: tuple[float, ...] = ()  # part of the curvature that a share of one of each time reaches in the push
 
     def __post_init__(self) -> None:
         n = sum(self.sizes.values())
@@ -301,6 +303,8 @@ class SetUp:
                 force_sd=float(data["force_sd"]),
                 discrepancy=float(data["discrepancy"]),
                 angle_discrepancy=float(data.get("angle_discrepancy", 0.0)),
+                times=tuple(map(float, data.get("times", ()))),
+                reached=tuple(map(float, data.get("reached", ()))),
             )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise MechanicsError(f"describes no set-up ({error})") from error
