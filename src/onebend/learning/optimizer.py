@@ -10,7 +10,7 @@ import numpy as np
 
 from onebend.beam.stiffness import Profile
 from onebend.errors import LearningError
-from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, AllowanceName, Sizes, between_recordings
+from onebend.learning.allowances import BETWEEN, EVERY_ALLOWANCE, Sizes, between_recordings
 from onebend.learning.condensed import worth
 from onebend.learning.fit_data import FitData, fit_data
 from onebend.learning.frames import chosen_frames, distances, marker_rms
@@ -589,7 +589,7 @@ class FitSettings:
     optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
     first_rounds: int = 4  # at most, with the first frames
     last_rounds: int = 6  # at most, with all frames
-    allowances: frozenset[AllowanceName] = EVERY_ALLOWANCE  # what a real beam and bench may also do
+    allowances: frozenset[str] = EVERY_ALLOWANCE  # what a real beam and bench may also do
 
 
 def shared_among(settings: FitSettings, recordings: int) -> FitSettings:
