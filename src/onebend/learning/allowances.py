@@ -12,6 +12,7 @@ import numpy as np
 from onebend.beam.grid import Grid, Modes, apply
 from onebend.beam.problem import Problem
 from onebend.beam.stiffness import Profile, RectangularSection, Uniform
+from onebend.recording.camera import camera_place
 from onebend.records import Array, BoolArray, Observations, PointMass, View, tags_among
 
 # Where an allowance enters the model, and what its `basis` is there. F frames, Q nodes, m tags, n parameters:
@@ -325,12 +326,6 @@ HEIGHT_SD = 2e-3  # m, of each tag over the plane of all
 READOUT_SD = 0.015  # s, from the picture's first row to its last
 _STEP = 1e-4  # m, to either side of a place, for the slope of a row
 _SMALL = np.finfo(float).tiny
-
-
-def camera_place(view: View) -> tuple[Array, float]:
-    """(2,) m foot of the camera in the plane of the tags, and its distance from the plane [m]."""
-    place = -view.rotation.T @ view.translation
-    return np.asarray(place[:2]), float(abs(place[2]))
 
 
 def heights(observations: Observations, measured: Array) -> Allowance:
