@@ -26,12 +26,10 @@ from onebend.recording.force import (
     Contact,
     ForceSettings,
     find_contact,
-    first_guess,
-    fit_noise,
     force_at,
-    linear_model,
     to_beam,
 )
+from onebend.recording.force_noise import TimeSpans, covariance, first_guess, fit_noise, linear_model
 from onebend.recording.pairing import cleaned, match_clocks, read_log
 from onebend.recording.tags import detect_tags
 from onebend.recording.tracks import with_angles
@@ -123,7 +121,7 @@ def bound(rec: Recording, log: ForceLog, truth: Truth, offset: float, rate: floa
     )
     constant = np.zeros((len(at), 2, 2)) + 10 * np.eye(2)
     model = fit_noise(at, linear_model(constant, noise), first_guess(noise, 1 / rate))
-    root = np.linalg.cholesky(model.covariance(at))
+    root = np.linalg.cholesky(covariance(model, TimeSpans.at(at)))
     step = 0.5 / rate
     slope = (true_at(truth, at - offset + step) - true_at(truth, at - offset - step)) / (2 * step)
     level = np.linalg.solve(root, np.ones(len(at)))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -27,7 +26,6 @@ MassAlong = Literal["unknown", "even", "width", "thickness", "both", "section", 
 StiffnessAlong = Literal["unknown", "even", "section"]
 SectionShapeName = Literal["rectangle", "circle", "tube", "hexagon", "second moment"]
 
-_TINY = float(np.finfo(float).tiny)
 POINT_ID = 100_000  # the ids of an outline's points begin here: no family has so many tags
 PLACE_SD = 2.5e-3  # m, along the beam, of a push placed by hand
 GAIN_SD = 0.02  # of a force sensor's scale, where nobody states it
@@ -138,36 +136,21 @@ class ForceLog:
 
 @dataclass(frozen=True)
 class ForceNoise:
-    """Sizes of the three parts, for samples of one given spacing (white noise averages down with wider ones)."""
+    """The error of a force log: one sd of each of its independent parts, both axes alike. `recording.force_noise` has
+    the covariance."""
 
-    white: float  # N, sd of one sample
-    coloured: float  # N, sd
-    tau: float  # s, correlation time of the coloured part
-    walk: float  # N / sqrt(s)
-    spacing: float = 0.0  # s, of the samples that `white` is one of
-
-    def covariance(self, time: Array) -> Array:
-        """(N, N) N^2, the walk started at zero at the first time."""
-        minus_apart, since = _between(np.asarray(time, dtype=float).tobytes())
-        out = minus_apart / self.tau
-        np.exp(out, out=out)
-        out *= self.coloured**2
-        out += self.walk**2 * since
-        out.reshape(-1)[:: len(time) + 1] += self.white**2 + 1e-12 * out.max() + _TINY
-        return np.asarray(out)
+    white: float  # N, of one sample: a row, or a frame
+    coloured: float  # N, of an Ornstein-Uhlenbeck process
+    tau: float  # s, its correlation time
+    walk: float  # N / sqrt(s), of a random walk
+    spacing: float = 0.0  # s, of the samples that `white` is one of (it averages down with wider ones)
+    level: float = 0.0  # N, constant
+    load: float = 0.0  # N, of what comes with the load: a constant of this sd, and as much that varies
 
     def passed(self, cutoff: float) -> float:
         """N, sd of the coloured part that an ideal low-pass at `cutoff` [Hz] lets through (its Lorentz spectrum)."""
         share = 1.0 if not np.isfinite(cutoff) else 2 / np.pi * np.arctan(2 * np.pi * cutoff * self.tau)
         return float(self.coloured * np.sqrt(share))
-
-
-@lru_cache(maxsize=2)
-def _between(times: bytes) -> tuple[Array, Array]:
-    """(N, N) s, minus the distance of two times, and (N, N) s from the first time to the earlier of the two; a search
-    for a noise asks for one set of times a hundred times."""
-    time = np.frombuffer(times)
-    return -np.abs(time[:, None] - time[None, :]), np.minimum(time[:, None], time[None, :]) - time.min()
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from onebend.live.history import ForceHistory, FrameHistory
 from onebend.recording.tags import TrackedFrame
 
 
-def frame(time: float, change: float = 1.0) -> TrackedFrame:
+def frame(time: float) -> TrackedFrame:
     corners = np.full((2, 4, 2), time)
-    return TrackedFrame(time, corners, corners, np.full(2, np.nan), (10, 20), change)
+    return TrackedFrame(time, corners, corners, np.full(2, np.nan), (10, 20))
 
 
 def test_frames_stay_in_order_bounded_and_spread_over_the_whole_stream() -> None:
@@ -21,7 +21,7 @@ def test_frames_stay_in_order_bounded_and_spread_over_the_whole_stream() -> None
     for i in range(1000):
         history.add(frame(i / 10))
         assert len(history) <= 100
-    tracks, _ = history.tracks()
+    tracks = history.tracks()
     assert np.all(np.diff(tracks.time) > 0)
     assert tracks.time[0] == 0.0
     assert tracks.time[-1] > 97.0
@@ -34,26 +34,18 @@ def test_frames_that_are_spared_stay() -> None:
     spared = {i / 10 for i in range(7, 1000, 90)}
     history = FrameHistory(100, spared)
     for i in range(1000):
-        history.add(frame(i / 10, 5.0 if i == 801 else 1.0))
+        history.add(frame(i / 10))
         assert len(history) <= 100
-    tracks, _ = history.tracks()
+    tracks = history.tracks()
     assert spared < set(tracks.time.tolist())
     assert np.all(np.diff(tracks.time) > 0)
-    assert max(one.change for one in history._frames) == 5.0  # of a frame that went, or not
 
 
 def test_a_late_frame_comes_into_its_place() -> None:
     history = FrameHistory(100)
     for time in (0.0, 0.1, 0.3, 0.2, 0.4):
         history.add(frame(time))
-    assert history.tracks()[0].time.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4]
-
-
-def test_pictures_that_repeat_are_known_as_in_a_film() -> None:
-    history = FrameHistory(100)
-    for i in range(20):
-        history.add(frame(i / 10, 0.0 if 5 <= i < 9 else 1.0 + 0.01 * i))
-    assert np.flatnonzero(history.tracks()[1]).tolist() == [5, 6, 7, 8]
+    assert history.tracks().time.tolist() == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 
 def test_a_tag_at_rest_is_corrected_in_all_its_frames_by_the_last_of_them() -> None:
@@ -62,7 +54,7 @@ def test_a_tag_at_rest_is_corrected_in_all_its_frames_by_the_last_of_them() -> N
         came = frame(0.0)
         since, shift = (0.0, 0.1 * (i >= 8)) if i < 20 else (2.0, 0.0)
         history.add(replace(came, time=i / 10, corners=came.detected + shift, still_since=np.array([since, np.nan])))
-    x = history.tracks()[0].corners[:, :, 0, 0]
+    x = history.tracks().corners[:, :, 0, 0]
     assert np.allclose(x[:20, 0], 0.1)
     assert np.all(x[20:, 0] == 0.0)
     assert np.all(x[:, 1] == 0.0)

@@ -28,7 +28,7 @@ def test_a_review_that_fails_is_said_and_the_next_one_is_made(capfd: Any) -> Non
     reviewer = ReviewerBeside(ObserveSettings(), OnlineSettings())
     for until in (2.0, 3.0):
         tracks: Any = SimpleNamespace(time=np.array([until]))
-        made = reviewed(reviewer, Seen(nothing, tracks, np.zeros(1, dtype=bool), np.empty((0, 3))))
+        made = reviewed(reviewer, Seen(nothing, tracks, np.empty((0, 3))))
         assert made.until == until
         assert made.why.startswith("this review could not be made (AttributeError")
     reviewer.close()

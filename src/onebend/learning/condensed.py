@@ -21,7 +21,7 @@ import numpy as np
 
 from onebend.learning.allowances import tag_accelerations
 from onebend.learning.frames import learnable_frames, push_places, usable_frames
-from onebend.recording.force import TURN as REVERSAL, displacement, turning_points
+from onebend.recording.force_noise import TURN as REVERSAL, displacement, turning_points
 from onebend.recording.signals import bridged, runs
 from onebend.records import Array, BoolArray, FrameMeans, IntArray, Observations
 

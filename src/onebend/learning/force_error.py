@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_triangular, toeplitz
 from scipy.linalg.lapack import dtpqrt
 
-from onebend.recording.force import displacement, load_changes
+from onebend.recording.force_noise import displacement, load_changes, own_time
 from onebend.recording.signals import low_pass, low_pass_power
 from onebend.records import Array, CleanForce, ForceNoise, IntArray, Observations
 
@@ -29,7 +29,6 @@ _GRAIN = 0.03  # of the coloured part's variance: free from knot to knot, so tha
 _PANEL = 8  # columns that LAPACK takes together where it adds rows to a QR factor
 _FINE = 4  # steps between knots, where the load's error is filtered
 LOAD = 0.03  # of the largest force: expected sd of what comes with the load
-ANEW, RELEASED = 2.0, 0.2  # by how much its own time runs on where the load begins or reverses, and where it ends
 _LEAST = 1e-7  # of the largest force: least noise, for rounding
 _UNKNOWN_NOISE = 0.02  # of the largest force, where the log's noise was never found
 
@@ -76,10 +75,8 @@ class ForceError:
     weights: Array  # (T, K): the error at each used frame is `weights @ values`
     rest_weights: Array  # (R, K): at instants of rest
     rest_values: Array  # (R, 2) N, the log there
-    noise: ForceNoise  # as expected before the fit
+    noise: ForceNoise  # as expected before the fit; its level is what the tare may have missed
     filtered: Filtered
-    level: float  # N, sd of what the tare may have missed: all of it where the log shows no rest
-    load: float  # N, expected sd of what comes with the load
     stages: Array  # (K, K) of one sd of that, behind the filter
     mean: Array  # (K, 2) N, expected: what a zero that runs straight between rests took off
 
@@ -109,9 +106,9 @@ class ForceError:
         """(K, K) N, lower triangular factor of `covariance`, by QR of the factors of its parts."""
         short = self.filtered.covariance(coloured * self.noise.coloured, memory * self.noise.tau, self.white)
         upper = np.linalg.cholesky(toeplitz(short) + _GRAIN * short[0] * np.eye(len(short))).T
-        level = np.full((1, len(short)), np.hypot(self.level, load * self.load))
+        level = np.full((1, len(short)), np.hypot(self.noise.level, load * self.noise.load))
         upper = _below(upper, walk * self.noise.walk * self._walk_factor)
-        upper = _below(upper, load * self.load * self._stages_factor)
+        upper = _below(upper, load * self.noise.load * self._stages_factor)
         return _below(upper, level).T
 
     @cached_property
@@ -153,7 +150,7 @@ def force_error(observations: Observations, time: Array) -> ForceError:
     if largest == 0.0 or observations.static:  # only the weight acts, or loads that were weighed
         empty, square, pairs = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 2))
         none, no_filter = ForceNoise(0.0, 0.0, 1.0, 0.0), filtered(empty, np.inf)
-        return ForceError(empty, np.zeros((len(time), 0)), square, pairs, none, no_filter, 0.0, 0.0, square, pairs)
+        return ForceError(empty, np.zeros((len(time), 0)), square, pairs, none, no_filter, square, pairs)
     noise, cutoff, spacing = expected_noise(observations, largest), np.inf, 0.3
     if clean is not None and np.isfinite(clean.cutoff) and clean.cutoff > 0.0:
         cutoff, spacing = clean.cutoff, _SPACING / clean.cutoff
@@ -169,10 +166,12 @@ def force_error(observations: Observations, time: Array) -> ForceError:
         weights=spline_weights(knots, time),
         rest_weights=spline_weights(knots, rest_time),
         rest_values=rest_force,
-        noise=noise,
+        noise=replace(
+            noise,
+            level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
+            load=LOAD * largest if np.isnan(observations.stated.load_error_sd) else observations.stated.load_error_sd,
+        ),
         filtered=filtered(knots - knots[0], cutoff),
-        level=min(largest, 3.0 * float(np.max(sd))) if np.all(np.isfinite(sd)) else largest,
-        load=LOAD * largest if np.isnan(observations.stated.load_error_sd) else observations.stated.load_error_sd,
         stages=_stages(observations, knots, cutoff),
         mean=ramp(clean, knots),
     )
@@ -200,21 +199,13 @@ def _stages(observations: Observations, knots: Array, cutoff: float) -> Array:
     """(K, K) covariance of the coefficients of an error of one sd that comes with the load, behind the low-pass."""
     step = float(knots[1] - knots[0])
     fine = np.arange(knots[0] - 4.0 * step, knots[-1] + 4.0 * step, step / _FINE)
-    own = _own_time(observations, fine)
+    o = observations
+    own = own_time(load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded), fine)
     inside = (fine >= knots[1]) & (fine <= knots[-2])
     q, r = np.linalg.qr(spline_weights(knots, fine[inside]))
     passed = low_pass(fine, np.eye(len(fine)), cutoff, longest_gap=np.inf)[inside]
     to_knots = solve_triangular(r, q.T @ passed)  # (K, N) least squares, of what the filter lets through
     return np.asarray(to_knots @ np.exp(-np.abs(own[:, None] - own)) @ to_knots.T)
-
-
-def _own_time(observations: Observations, time: Array) -> Array:
-    """(N,) of the error that comes with the load at `time` (N,) [s]: its covariance is `exp(-|change of this|)`."""
-    o = observations
-    out = np.zeros(len(time))
-    for change in load_changes(o.time, displacement(o.time, o.xy, o.rest_xy), o.loaded):
-        out += (RELEASED if change.release else ANEW) * change.fraction(time)
-    return out
 
 
 def ramp(clean: CleanForce | None, knots: Array) -> Array:

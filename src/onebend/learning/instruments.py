@@ -246,13 +246,13 @@ def _force_doubt(films: tuple[FitData, ...], scales: Hyperparameters) -> ForceDo
     logs = [f.observations.source.clean_force for f, _ in pushed]
     cutoffs = [log.cutoff for log in logs if log is not None and np.isfinite(log.cutoff)]
     return ForceDoubt(
-        level=float(np.median([f.error.level for f, _ in pushed])),
+        level=float(np.median([f.error.noise.level for f, _ in pushed])),
         coloured=scales.coloured * float(np.median([n.coloured for n in noises])),
         tau=scales.memory * float(np.median([n.tau for n in noises])),
         cutoff=float(np.median(cutoffs)) if cutoffs else None,
         walk=scales.walk * float(np.median([n.walk for n in noises])),
         frame=float(np.median([n.force for _, n in pushed])),
-        load=scales.load * float(np.median([f.error.load for f, _ in pushed])),
+        load=scales.load * float(np.median([f.error.noise.load for f, _ in pushed])),
     )
 
 

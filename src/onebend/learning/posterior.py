@@ -355,7 +355,7 @@ class Posterior:
         """N, sd of the force error that comes with the load, and its share of the largest force, for the recording with
         the largest share; (0, 0) without a force."""
         pushed = [r for r in self.recordings if len(r.error.knots)]
-        sizes = [self.optimum.hyperparameters.load * r.error.load for r in pushed]
+        sizes = [self.optimum.hyperparameters.load * r.error.noise.load for r in pushed]
         forces = [float(np.max(np.linalg.norm(r.force, axis=1))) for r in pushed]
         pairs = [(size, size / force) for size, force in zip(sizes, forces, strict=True)]
         return max(pairs, key=lambda pair: pair[1], default=(0.0, 0.0))

@@ -9,7 +9,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Container
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from onebend.recording.camera import Poses, drop, measure_poses, part, relative_
 from onebend.recording.entries import Recording
 from onebend.recording.force import to_beam
 from onebend.recording.signals import LATEST
-from onebend.recording.tags import BlockTracks, TrackedFrame, repeated
-from onebend.records import Array, BoolArray, Observations, View
+from onebend.recording.tags import BlockTracks, TrackedFrame
+from onebend.records import Array, Observations, View
 
 _MOST_SIGHTINGS = 1000  # of unexpected and of doubled tags
 
@@ -32,7 +32,6 @@ class FrameHistory:
         """An empty store of at most `most` frames. Those with a time in `spared`, of which there are far fewer, stay
         where every other one goes."""
         self._most, self._spared, self._every, self._skipped = most, spared, 1, 0
-        self._change = 0.0  # the largest change of the frames that were passed over since the last one kept
         self._frames: list[TrackedFrame] = []
         self._looks = 0
         self._strangers: deque[int] = deque(maxlen=_MOST_SIGHTINGS)
@@ -54,21 +53,20 @@ class FrameHistory:
         if self._frames and frame.time < self._frames[-1].time:
             self._frames.insert(bisect_left(self._frames, frame.time, key=lambda one: one.time), frame)
         elif self._skipped + 1 >= self._every or frame.time in self._spared:
-            self._frames.append(_changed(frame, self._change))
-            self._skipped, self._change = 0, 0.0
+            self._frames.append(frame)
+            self._skipped = 0
         else:
-            self._skipped, self._change = self._skipped + 1, max(self._change, frame.change)
+            self._skipped += 1
         if len(self._frames) > self._most:
-            self._frames = self._halved()
+            self._frames = [one for i, one in enumerate(self._frames) if i % 2 == 0 or one.time in self._spared]
             self._every *= 2
             kept = {(i, since) for one in self._frames for i, since in enumerate(one.still_since.tolist())}
             self._shifts = {key: shift for key, shift in self._shifts.items() if key in kept}
 
-    def tracks(self) -> tuple[BlockTracks, BoolArray]:
-        """The frames kept (T), and those that differ in nothing from the one before, but for what packing makes of it;
-        as in a film that was recorded. A tag at rest is corrected in all its frames by what the last of them say."""
-        frames, changes = self._frames, [one.change for one in self._frames]
-        tracks = BlockTracks(
+    def tracks(self) -> BlockTracks:
+        """The frames kept. A tag at rest is corrected in all its frames by what the last of them say."""
+        frames = self._frames
+        return BlockTracks(
             time=np.array([one.time for one in frames]),
             corners=self._corrected(),
             searched=np.ones(len(frames), dtype=bool),
@@ -77,16 +75,6 @@ class FrameHistory:
             strangers=tuple(self._strangers),
             doubles=tuple(self._doubles),
         )
-        return tracks, repeated(changes)
-
-    def _halved(self) -> list[TrackedFrame]:
-        out, change = [self._frames[0]], 0.0
-        for i, frame in enumerate(self._frames[1:], start=1):
-            change = max(change, frame.change)
-            if i % 2 == 0 or frame.time in self._spared:
-                out.append(_changed(frame, change))
-                change = 0.0
-        return out
 
     def _corrected(self) -> Array:
         """(T, m, 4, 2) px."""
@@ -96,10 +84,6 @@ class FrameHistory:
             if shift.any():
                 corners[since[:, i] == begun, i] += shift
         return corners
-
-
-def _changed(frame: TrackedFrame, change: float) -> TrackedFrame:
-    return frame if change <= frame.change else replace(frame, change=change)
 
 
 class ForceHistory:

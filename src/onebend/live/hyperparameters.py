@@ -16,9 +16,9 @@ from onebend.learning.force_error import LOAD
 from onebend.learning.hyperparameters import CHOSEN, SPREAD
 from onebend.learning.normal import RHO, SPREAD as PRIOR_SPREAD, STEP_DIRECTIONS, TAU, WIDE_SHARE, InformationForm
 from onebend.learning.parameters import Priors, Spline
-from onebend.live.key_frames import CAUSAL_ALLOWANCES, ForceProcess
+from onebend.live.key_frames import CAUSAL_ALLOWANCES
 from onebend.live.posterior import KeyFramePosterior, LiveHyperparameters
-from onebend.records import Array
+from onebend.records import Array, ForceNoise
 
 # A search for the most probable hyperparameters of the force error, one trial with every fourth frame. Climbs change
 # one of them and keep what is better. Looks come in pairs: near the optimum for the curvature, far out as cubature
@@ -261,16 +261,15 @@ class OnlineSettings:
 
 def force_process(
     settings: OnlineSettings, hyperparameters: LiveHyperparameters, largest: float, far_off: bool
-) -> ForceProcess:
+) -> ForceNoise:
     """The force log's error. `largest`: N, the largest force so far; `far_off`: the residuals are far above the tags'
     noise, so the force may also be further off than its log says."""
     level = float(np.hypot(settings.force_zero, max(_LEVEL * largest, settings.force_noise)))
     load = hyperparameters.load * (LOAD * largest if settings.force_load is None else settings.force_load)
     if far_off:
         load *= _WRONG
-    return ForceProcess(
-        level, hyperparameters.walk, hyperparameters.coloured, hyperparameters.memory, hyperparameters.white, load
-    )
+    h = hyperparameters
+    return ForceNoise(h.white, h.coloured, h.memory, h.walk, level=level, load=load)
 
 
 # Hyperparameters of log k's prior: a few Markov chains run while frames come, and their last draws are kept. Given the

@@ -23,7 +23,7 @@ from onebend.learning.parameters import Layout, Spline
 from onebend.learning.posterior import Nuisance
 from onebend.live import key_frames
 from onebend.live.hyperparameters import HyperparameterSearch, OnlineSettings, StiffnessChains, force_process
-from onebend.live.key_frames import CourseSoFar, ForceProcess, KeyFrames, LoadStages
+from onebend.live.key_frames import CourseSoFar, KeyFrames, LoadStages
 from onebend.live.model import MOST_PANELS, ORDER, Lineariser, LiveSession, session_layout
 from onebend.live.posterior import (
     KeyFramePosterior,
@@ -41,7 +41,7 @@ from onebend.live.posterior import (
     without_force,
 )
 from onebend.progress import one_blas_thread
-from onebend.records import Array, BoolArray
+from onebend.records import Array, BoolArray, ForceNoise
 from onebend.report.sentences import say
 
 
@@ -470,7 +470,7 @@ class Smoother:
         """(n - p,) one sd before the data of all parameters but log k's coefficients."""
         return self._prior.nuisance_sd
 
-    def _process(self, hyperparameters: LiveHyperparameters) -> ForceProcess:
+    def _process(self, hyperparameters: LiveHyperparameters) -> ForceNoise:
         far_off = self.misfit > FAR_OFF * hyperparameters.marker
         return force_process(self._settings, hyperparameters, self._largest, far_off)
 

@@ -489,8 +489,7 @@ class Live:
         return replace(clock, offset=clock.offset - self._begin, stated=clock.stated - self._begin)
 
     def _seen(self) -> Seen:
-        tracks, repeats = self._frames.tracks()
-        return Seen(self.recording, tracks, repeats, self._log.rows.copy())
+        return Seen(self.recording, self._frames.tracks(), self._log.rows.copy())
 
     def _review(self, now: float) -> None:
         """Take what a review has found; begin the next one where it is due."""

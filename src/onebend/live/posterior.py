@@ -17,9 +17,9 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs, dtrtrs
 
 from onebend.learning.normal import InformationForm
 from onebend.learning.parameters import Layout
-from onebend.live import key_frames
-from onebend.live.key_frames import AT_REST, ForceProcess, KeyFrames, TimeSpans, covariance
-from onebend.records import Array
+from onebend.live.key_frames import AT_REST, KeyFrames
+from onebend.recording.force_noise import TimeSpans, covariance, fast_variance, slow_variance, with_one_more
+from onebend.records import Array, ForceNoise
 
 # Marginalised key frames are kept as square-root information (Bierman, Factorization Methods for Discrete Sequential
 # Estimation, 1977): subtracting from an information matrix would lose its positive definiteness to rounding.
@@ -55,7 +55,7 @@ def nothing_marginalised(parameters: int) -> Marginalised:
 
 
 def marginalise_oldest(
-    keys: KeyFrames, marginalised: Marginalised, process: ForceProcess, marker: float, lately: Callable[[Array], Array]
+    keys: KeyFrames, marginalised: Marginalised, process: ForceNoise, marker: float, lately: Callable[[Array], Array]
 ) -> None:
     """Marginalise the oldest key frame, under this force error and noise `marker` of the tags.
 
@@ -64,10 +64,7 @@ def marginalise_oldest(
     begin, end, frames = (float(values[0]) for values in (keys.begin, keys.end, keys.frames))
     here, there = lately(np.array([keys.centre[0], marginalised.time])).tolist()
     own = float(keys.own[0]) - marginalised.own + here - there
-    slow, fast = (
-        key_frames.slow_variance(process, end - marginalised.time, own),
-        key_frames.fast_variance(process, end - begin, frames),
-    )
+    slow, fast = slow_variance(process, end - marginalised.time, own), fast_variance(process, end - begin, frames)
     marginalised.add(likelihood_rows(keys, 0, marker, process.white), end, float(keys.own[0]), slow=slow, fast=fast)
     keys.drop(0)
 
@@ -172,7 +169,7 @@ class KeyFramePosterior:
     x: Array  # (n,)
     e: Array  # (slots, 2) N
     spans: TimeSpans
-    process: ForceProcess
+    process: ForceNoise
     inverse: Array  # (slots, slots) of the force error's covariance
     factor: Array
     across: Array
@@ -225,7 +222,7 @@ class KeyFramePosterior:
 
     def predicted_error(self, time: float, own: float) -> tuple[Array, Array, float]:
         """Force error of a frame to come: mean (2,), weights (slots,) on the known errors, and conditional variance."""
-        with_others, alone = key_frames.with_one_more(self.process, self.spans, time, own)
+        with_others, alone = with_one_more(self.process, self.spans, time, own)
         rows = self.inverse @ with_others
         return rows @ self.e, rows, alone - float(rows @ with_others)
 
@@ -260,7 +257,7 @@ def solve(
     prior: LivePrior,
     stiffness_prior: InformationForm,
     hyperparameters: LiveHyperparameters,
-    process: ForceProcess,
+    process: ForceNoise,
 ) -> KeyFramePosterior:
     """The posterior under given scales; `of_k`: the prior of log k.
 

@@ -75,8 +75,8 @@ def settings_for(observations: Observations, settings: OnlineSettings = OnlineSe
         force_walk=error.noise.walk,
         force_memory=memory,
         memory_doubt=settings.memory_doubt * max(np.log(longer / memory) / np.log(_LONGER), _LEAST_DOUBT),
-        force_zero=error.level,
-        force_load=error.load,
+        force_zero=error.noise.level,
+        force_load=error.noise.load,
     )
 
 

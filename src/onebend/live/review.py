@@ -52,7 +52,6 @@ class Seen:
 
     recording: Recording
     tracks: BlockTracks
-    repeats: BoolArray  # (T,) pictures that are those before
     rows: Array  # (N, 3 or 4) of the force log
     small: SmallPictures | None = None  # in which the tool may show; None: it is not looked for
 
@@ -110,7 +109,7 @@ def _markers_in(seen: Seen) -> Markers:
     if len(tracks.time) < FEWEST_FRAMES:
         raise ObservationError(f"{len(tracks.time)} frames came so far; at least {FEWEST_FRAMES} are needed")
     tag_id = [tag.id for tag in (*rec.tags.on_base, *rec.tags.on_beam)]
-    return markers_of(rec, summary(rec.video, rec.tags, tag_id, [tracks], seen.repeats))
+    return markers_of(rec, summary(rec.video, rec.tags, tag_id, [tracks]))
 
 
 def log_of(rec: Recording, rows: Array) -> ForceLog | None:

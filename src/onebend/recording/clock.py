@@ -21,7 +21,7 @@ from onebend.recording.clock_likelihood import (
     offset_from_moments,
     thinned,
 )
-from onebend.recording.force import (
+from onebend.recording.force_noise import (
     LinearModel,
     NoiseFactor,
     first_guess,

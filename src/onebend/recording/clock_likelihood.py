@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -16,7 +17,15 @@ from scipy.linalg import solve_triangular
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 
-from onebend.recording.force import LoadChange, displacement, first_guess, likeliest_noise, load_changes
+from onebend.recording.force_noise import (
+    LoadChange,
+    TimeSpans,
+    covariance,
+    displacement,
+    first_guess,
+    likeliest_noise,
+    load_changes,
+)
 from onebend.recording.signals import MAD_TO_SD, bridged, from_clamp, outliers, runs, step
 from onebend.records import DIRECTION_SD, PLACE_SD, Array, BoolArray, ForceLog, ForceNoise, IntArray, Markers
 
@@ -475,11 +484,11 @@ def jacobian(function: Callable[[Array], Array], z: Array, base: Array) -> Array
     return np.asarray(((moved - base) / DIFFERENCE).reshape(len(z), -1).T)
 
 
-def covariance(noise: ForceNoise, time: Array, spread: Array, jumps: Array) -> Array:
+def log_covariance(noise: ForceNoise, rows: TimeSpans, spread: Array, jumps: Array) -> Array:
     """(2N, 2N) N^2 of the log about its mean; each row gives its two axes one after the other."""
-    n = len(time)
+    n = len(spread)
     walked = np.cumsum(jumps)
-    per_axis = noise.covariance(time) + np.minimum(walked[:, None], walked)
+    per_axis = covariance(noise, rows) + np.minimum(walked[:, None], walked)
     blocks = np.zeros((n, 2, n, 2))
     blocks[:, 0, :, 0] = blocks[:, 1, :, 1] = per_axis
     index = np.arange(n)
@@ -574,12 +583,12 @@ def fit_jumps(residual: Array, design: Array, others: Array, jumps: Array, typic
 
 
 def fit_residual_noise(
-    residual: Array, design: Array, time: Array, spread: Array, start: ForceNoise, jumps: Array
+    residual: Array, design: Array, rows: TimeSpans, spread: Array, start: ForceNoise, jumps: Array
 ) -> ForceNoise:
     """The likeliest noise of the log's `residual` (2N,) N, of which `design` (2N, p) N is the parameters' part."""
 
     def misfit(noise: ForceNoise, square: float) -> float:
-        root = np.linalg.cholesky(covariance(noise, time, spread, jumps))
+        root = np.linalg.cholesky(log_covariance(noise, rows, spread, jumps))
         white = solve_triangular(root, np.column_stack([design, residual]), lower=True, check_finite=False)
         a, b = white[:, :-1], white[:, -1]
         inner = np.linalg.cholesky(np.eye(design.shape[1]) + a.T @ a)
@@ -612,6 +621,10 @@ class CommonRows:
     force: Array  # (N, 2) N, with the sign of the force on the beam
     film: MomentsAtRows  # the whole film
     model: ForceLogModel
+
+    @cached_property
+    def rows(self) -> TimeSpans:
+        return TimeSpans.at(self.time)
 
     def rows_at(self, offset: float) -> MomentsAtRows:
         return moments_at(self.moments, self.time - offset, self.width)
@@ -742,21 +755,21 @@ def fit_log_error(shared: CommonRows, offset: float, z: Array, large: float) -> 
     noise, jumps, typical = start, (large * model.force) ** 2 * share, (TYPICAL * model.force) ** 2 * share
     for _ in range(TURNS):
         spread = model.force_on_beam(moments, z)[1]
-        root = np.linalg.cholesky(covariance(noise, shared.time, spread, jumps))
+        root = np.linalg.cholesky(log_covariance(noise, shared.rows, spread, jumps))
         _, z = laplace_evidence(
             model, moments, lambda x: film_misfit(model, shared.film, x), shared.force, np.asarray(root), z, FIRST
         )
     spread = model.force_on_beam(moments, z)[1]
     residual, design = residual_and_design(model, moments, shared.film, shared.force, z)
     for _ in range(TURNS if large else 0):
-        noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
-        others = covariance(noise, shared.time, spread, np.zeros_like(jumps))
+        noise = fit_residual_noise(residual, design, shared.rows, spread, start, jumps)
+        others = log_covariance(noise, shared.rows, spread, np.zeros_like(jumps))
         jumps = fit_jumps(residual, design, others, jumps, typical)
     known = (typical > 0.0) & (jumps > 0.0)
     size = jumps[known] / typical[known]
     log_prior = -0.5 * float(np.sum(np.log(size) + 1.0 / size - 1.0))  # of variances of Cauchy distributed jumps
     jump_sd = float(np.sqrt(np.maximum(jumps - typical, 0.0).sum()))
-    noise = fit_residual_noise(residual, design, shared.time, spread, start, jumps)
+    noise = fit_residual_noise(residual, design, shared.rows, spread, start, jumps)
     return LogError(noise, jumps, z, log_prior, jump_sd)
 
 
@@ -768,7 +781,7 @@ def log_posterior(shared: CommonRows, offsets: Array, errors: Sequence[LogError]
         for i, offset in enumerate(offsets):
             moments = shared.rows_at(float(offset))
             spread = shared.model.force_on_beam(moments, error.z)[1]
-            root = np.linalg.cholesky(covariance(error.noise, shared.time, spread, error.jumps))
+            root = np.linalg.cholesky(log_covariance(error.noise, shared.rows, spread, error.jumps))
             value, _ = laplace_evidence(shared.model, moments, misfit_at, shared.force, np.asarray(root), error.z, FAST)
             log_density[i] = np.logaddexp(log_density[i], value + error.log_prior)
     return np.asarray(log_density + prior(offsets))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import median_filter, percentile_filter, uniform_filter1d
 
 from onebend.errors import RecordingError
 from onebend.records import Array, BoolArray, IntArray, Remark
@@ -299,3 +299,33 @@ def held(time: Array, force: Array) -> BoolArray:
         if end - begin > SLOW * run and time[end - 1] - time[begin] > HELD:
             hung[begin:end] = True
     return hung
+
+
+AROUND = 3  # samples on either side that tell how fast points move
+STANDS = 0.3  # of the usual step: packing a film moves the tags of a copy by up to as much
+
+
+def copies_in_motion(time: Array, points: Array, still: float, least: float) -> BoolArray:
+    """(T,) samples in which points (T, m, 2) stand as in the one before (to `still`), though they move on.
+
+    A recorder that drops frames fills their places with copies, and a camera may hang. After n copies the points have
+    gone n + 1 steps. They must go by more than `least`, by more than their noise, and by half of these steps at the
+    speed before or after (three of a long stretch): points that only begin to move go one step."""
+    out = np.zeros(len(points), dtype=bool)
+    shown = np.flatnonzero(np.isfinite(points).min(axis=-1).max(axis=1))
+    if len(shown) < 4:
+        return out
+    time, there = time[shown], bridged(time[shown], points[shown].reshape(len(shown), -1))
+    step = np.linalg.norm(np.diff(there, axis=0), axis=1)
+    usual = percentile_filter(step, 70, 2 * AROUND + 3, mode="nearest")
+    own = np.flatnonzero(np.append(True, step > np.maximum(still, STANDS * usual)))
+    speed = np.linalg.norm(np.diff(there[own], axis=0), axis=1) / np.diff(time[own])
+    bends = np.linalg.norm(np.diff(there[own], n=2, axis=0), axis=1)
+    least = max(least, 2.0 * MAD_TO_SD * float(np.median(bends)) if len(bends) else 0.0)
+    for k in np.flatnonzero(np.diff(own) > 1).tolist():
+        begin, end = int(own[k]), int(own[k + 1])
+        sides = [part for part in (speed[max(k - AROUND, 0) : k], speed[k + 1 : k + 1 + AROUND]) if len(part)]
+        one = max((float(part.mean()) for part in sides), default=0.0) * (time[end] - time[end - 1])
+        if step[end - 1] > max(min(0.5 * (end - begin), 3.0) * one, least):
+            out[shown[begin + 1 : end]] = True
+    return out

@@ -1,7 +1,9 @@
 """AprilTags in a picture, or in the part of it where one is expected.
 
 Blur before the search takes noise off the edges of large tags, and closes the cells of small ones. So small tags are
-searched without blur, and still smaller ones in an enlarged picture (`benchmarks/detectors.py` measures all three)."""
+searched without blur, and still smaller ones in an enlarged picture (`benchmarks/detectors.py` measures all three).
+Large tags are searched in a reduced picture, whose pixels are means: at 350 px a side, noise or square blocks of pixels
+hide them from the detector, and their corners are as exact."""
 
 from __future__ import annotations
 
@@ -262,6 +264,8 @@ def homography_inverse(homography: Array) -> Array:
 
 HALF_PIXEL = 0.5  # the detector puts pixel centres at halves, we at whole numbers
 SMALL, TINY = 3.5, 3.0  # px, a cell's side: below, tags are searched without blur, and in an enlarged picture
+LARGE = 100.0  # px, a tag's side: from twice that on, it is searched in a picture reduced by a whole number
+REDUCED = (2, 4)  # of a whole picture in which tags are missing
 LEAST_PART = 8  # px: smaller parts of a picture are not searched
 CHANCE = 1e-4  # that what is no tag reads as one: small tags of a whole picture are read with as many errors
 RATIO = 2.0  # of the sides of what is found and what was expected: more is another thing
@@ -270,14 +274,15 @@ NEAR = 0.25  # margin around an expected tag, in tag sizes
 
 @dataclass(frozen=True)
 class Search:
-    """How the detector looks at a picture. It is never made smaller: that costs accuracy or small tags."""
+    """How the detector looks at a picture."""
 
     blur: float  # px, sd
     sharpening: float  # of the cells before they are read
-    enlarged: float
+    enlarged: float = 1.0
+    reduced: int = 1  # pixels along either axis of which the mean is taken
 
 
-USUAL, SHARP, ENLARGED = Search(0.8, 0.25, 1.0), Search(0.0, 1.0, 1.0), Search(0.0, 1.0, 1.5)
+USUAL, SHARP, ENLARGED = Search(0.8, 0.25), Search(0.0, 1.0), Search(0.0, 1.0, 1.5)
 
 
 @dataclass(frozen=True)
@@ -304,12 +309,15 @@ class Finder:
         """Every tag in `picture`, the most certain first.
 
         Where an id of `wanted` is missing, small tags are searched as well, unless those found are large. Without blur
-        more looks like a tag: these count only with so few errors that chance has no part."""
+        more looks like a tag: these count only with so few errors that chance has no part. So do large tags then."""
         seen = self.search(picture, USUAL)
-        missing = not {tag.tag_id for tag in seen}.issuperset(wanted)
-        # px, a cell's side: where tags are larger, blur hides none.
-        if missing and min((side_of(tag.corners) for tag in seen), default=0.0) < 3.5 * self._border:
-            more = [tag for tag in self.search(picture, SHARP) if tag.errors <= self.most_errors]
+        for how in (SHARP, *(replace(USUAL, reduced=size) for size in REDUCED)):
+            if {tag.tag_id for tag in seen}.issuperset(wanted):
+                break
+            # px, a cell's side: where tags are larger, blur hides none.
+            if how is SHARP and min((side_of(tag.corners) for tag in seen), default=0.0) >= 3.5 * self._border:
+                continue
+            more = [tag for tag in self.search(picture, how) if tag.errors <= self.most_errors]
             seen += [tag for tag in more if not any(same_place(tag, other) for other in seen)]
         return sorted((self._again(picture, tag) for tag in seen), key=lambda tag: (tag.errors, -tag.margin))
 
@@ -322,6 +330,7 @@ class Finder:
             return []
         side = side_of(expected)
         how = USUAL if side >= SMALL * self._border else SHARP if side >= TINY * self._border else ENLARGED
+        how = replace(how, reduced=max(int(side / LARGE), 1))
         return [
             Sighting(tag.tag_id, tag.corners + np.array([left, top]), tag.errors, tag.margin)
             for tag in self.search(picture[top:bottom, left:right], how)
@@ -334,10 +343,13 @@ class Finder:
         settings = pointer.contents
         settings.quad_sigma, settings.decode_sharpening = how.blur, how.sharpening
         width, height = picture.shape[1], picture.shape[0]
-        if how.enlarged > 1.0:
+        scale = np.full(2, 1.0 / how.reduced)
+        if how.reduced > 1:
+            picture = np.asarray(Image.fromarray(picture).reduce(how.reduced))
+        elif how.enlarged > 1.0:
             size = (round(how.enlarged * width), round(how.enlarged * height))
             picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
-        scale = np.array([picture.shape[1] / width, picture.shape[0] / height])
+            scale = np.array([size[0] / width, size[1] / height])
         sightings = [
             Sighting(tag.tag_id, tag.corners / scale - HALF_PIXEL, tag.hamming, tag.decision_margin)
             for tag in self._detector.detect(np.ascontiguousarray(picture))
@@ -345,8 +357,8 @@ class Finder:
         return sorted(sightings, key=lambda tag: (tag.errors, -tag.margin))
 
     def _again(self, picture: Picture, tag: Sighting) -> Sighting:
-        """A small tag as its own size is best looked at."""
-        if side_of(tag.corners) >= SMALL * self._border:
+        """A small or a large tag as its own size is best looked at."""
+        if SMALL * self._border <= side_of(tag.corners) < 2.0 * LARGE:
             return tag
         again = self.look_around(picture, tag.corners, margin_of(tag.corners, NEAR))
         return next((one for one in again if same_place(one, tag)), tag)

@@ -12,13 +12,12 @@ from queue import SimpleQueue
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from onebend.errors import ObservationError
 from onebend.progress import Progress, Silent, available_cores, track
 from onebend.recording.camera import rotated
 from onebend.recording.entries import FAMILIES, TagsEntry, VideoEntry
-from onebend.recording.signals import bridged, runs
+from onebend.recording.signals import copies_in_motion, runs
 from onebend.recording.tag_finder import (
     MOST_SHIFT,
     NEAR,
@@ -265,71 +264,28 @@ class StillTags:
         window.fitted = window.count
 
 
-# A camera that hung repeats pictures while the beam moves on. A packed film of a beam at rest may repeat them, too. So
-# they are left out only where the tags stand elsewhere as soon as the pictures change again.
+# Copies of pictures are known by their tags, which stand in them and then have gone on. The pixels of a packed film
+# tell less: a copy may differ from its picture by as much as others do, and those of a beam at rest are copies, too.
 
-JUMP, LEAST_PX = 3.0, 1.0  # times the steps before and after, and px, that the tags go when the pictures change again
-COARSE = 4  # px: every so manyth pixel is compared
-
-
-def noting_changes(frames: Iterable[FilmFrame], changes: list[float]) -> Iterator[FilmFrame]:
-    """The frames; how much each differs from the one before (mean of the grey levels) is added to `changes`."""
-    before: NDArray[np.int16] | None = None
-    for frame in frames:
-        coarse = coarse_of(frame.luma)
-        changes.append(change_between(before, coarse))
-        before = coarse
-        yield frame
+STANDS, GOES_ON = 0.1, 0.2  # px, of a tag: in a copy, and at least after it
+SHORT = 0.3  # s: longer stretches of copies are named one by one
 
 
-def coarse_of(picture: Picture) -> NDArray[np.int16]:
-    """What of a picture is compared."""
-    return picture[::COARSE, ::COARSE].astype(np.int16)
-
-
-def change_between(before: NDArray[np.int16] | None, coarse: NDArray[np.int16]) -> float:
-    """Mean difference of the grey levels of two pictures (`coarse_of`); infinite where there is none before."""
-    if before is None or before.shape != coarse.shape:
-        return math.inf
-    return float(np.mean(np.abs(coarse - before)))
-
-
-def repeated(changes: Sequence[float]) -> BoolArray:
-    """(T,) pictures that are the one before, but for what packing the film makes of it."""
-    change = np.array(changes)
-    usual = float(np.median(change[1:])) if len(change) > 1 else 0.0
-    # Of the usual change from picture to picture, which noise makes: less is a repeat.
-    return np.asarray((change == 0.0) | (change < 0.25 * usual))
-
-
-def frozen(corners: Array, repeats: BoolArray) -> BoolArray:
-    """(T,) frames that repeat (T,) the one before, in runs after which the tags (T, m, 4, 2) [px] stand elsewhere."""
-    centre = bridged(np.arange(len(corners), dtype=float), corners.mean(axis=2).reshape(len(corners), -1))
-    centre = centre.reshape(len(corners), -1, 2)
-    step = np.linalg.norm(np.diff(centre, axis=0), axis=-1)  # (T - 1, m)
-    hung = np.zeros(len(corners), dtype=bool)
-    for begin, end in runs(repeats).tolist():
-        # Pictures that repeat; fewer are a hiccup of less than the clock's own error.
-        if end - begin < 3 or end >= len(corners) or begin < 2:
-            continue
-        around = np.concatenate([step[max(begin - 4, 0) : begin - 1], step[end : end + 3]])
-        usual = np.nan_to_num(np.nanmax(around, axis=0, initial=0.0)) if len(around) else np.zeros(step.shape[1])
-        if np.any(step[end - 1] > np.maximum(LEAST_PX, JUMP * usual)):
-            hung[begin:end] = True
-    return hung
-
-
-def frozen_remarks(hung: BoolArray, time: Array) -> tuple[Remark, ...]:
-    """A warning on each stretch of the film that is left out; `time` (T,) s."""
-    return tuple(
-        Remark(
-            "warning",
-            f"The pictures of frames {begin} to {end - 1} only repeat the one before, and then the beam is elsewhere: "
-            f"the film hung for {time[end] - time[begin - 1]:.2g} s. They are left out.",
-            about="film hung",
+def stale_remarks(stale: BoolArray, time: Array) -> tuple[Remark, ...]:
+    """Warnings on the pictures that are left out: each long stretch, and the share of the others; `time` (T,) s."""
+    stretches = [(begin, end, time[end] - time[begin - 1]) for begin, end in runs(stale).tolist()]
+    texts = [
+        f"The pictures of frames {begin} to {end - 1} only repeat the one before, and then the beam is elsewhere: "
+        f"the film hung for {seconds:.2g} s. They are left out."
+        for begin, end, seconds in stretches
+        if seconds > SHORT
+    ]
+    if count := sum(end - begin for begin, end, seconds in stretches if seconds <= SHORT):
+        texts.append(
+            f"{count} of {len(stale)} pictures ({100 * count / len(stale):.2g} %) only repeat the one before while the "
+            "beam moves, as where a camera or recorder drops frames. They are left out."
         )
-        for begin, end in runs(hung).tolist()
-    )
+    return tuple(Remark("warning", text, about="film hung") for text in texts)
 
 
 BLOCK = 16  # frames that are followed together; bounds the memory: two blocks are held at a time
@@ -376,7 +332,6 @@ def detect_tags(
         list(pool.map(one, range(count)))
 
     blocks: list[BlockTracks] = []
-    changes: list[float] = []
 
     def follow_tags(frames: Sequence[FilmFrame]) -> BlockTracks:
         # The first picture of every so manyth block is searched whole, whatever is missing.
@@ -386,11 +341,10 @@ def detect_tags(
         return blocks[-1]
 
     with ThreadPoolExecutor(threads) as pool, ThreadPoolExecutor(1) as in_turn:
-        frames = noting_changes(read_frames(video, keep), changes)
-        tracked = in_order(in_turn, follow_tags, in_blocks(frames, BLOCK), ahead=1)
+        tracked = in_order(in_turn, follow_tags, in_blocks(read_frames(video, keep), BLOCK), ahead=1)
         for _ in track(progress, "Finding the tags", by_frame(tracked), frame_count(video)):
             pass
-    return summary(video, tags, tag_id, blocks, repeated(changes))
+    return summary(video, tags, tag_id, blocks)
 
 
 def step_of(time: Array) -> int:
@@ -430,10 +384,8 @@ def by_frame(blocks: Iterable[BlockTracks]) -> Iterator[BlockTracks | None]:
         yield from [None] * (len(block.time) - 1)
 
 
-def summary(
-    video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks], repeats: BoolArray
-) -> Detections:
-    """The blocks as one record, with remarks; an error where tags are missing or doubled. `repeats` (T,): pictures."""
+def summary(video: VideoEntry, tags: TagsEntry, tag_id: list[int], blocks: Sequence[BlockTracks]) -> Detections:
+    """The blocks as one record, with remarks; an error where tags are missing or doubled."""
     time = np.concatenate([block.time for block in blocks])
     corners = np.concatenate([block.corners for block in blocks])
     strangers = Counter(tag for block in blocks for tag in block.strangers)
@@ -441,8 +393,8 @@ def summary(
     searched = np.concatenate([block.searched for block in blocks])
     share, count = np.isfinite(corners[searched]).all(axis=(2, 3)).mean(axis=0), int(searched.sum())
     height, width = blocks[0].shape
-    hung = frozen(corners, repeats)
-    corners[hung] = np.nan
+    stale = copies_in_motion(time, corners.mean(axis=2), STANDS, GOES_ON)
+    corners[stale] = np.nan
     refuse_doubles(video, doubles)
     looks = sum(block.looks for block in blocks)
     often = Counter({tag: count for tag, count in strangers.items() if count > FREQUENT * looks})
@@ -455,7 +407,7 @@ def summary(
         height=height,
         remarks=(
             *rate_remarks(video, time),
-            *frozen_remarks(hung, time),
+            *stale_remarks(stale, time),
             *unseen_remarks(tag_id, share, len(time)),
             *hidden_remarks(tag_id, share, count),
             *stranger_remarks(strangers, looks),
@@ -573,7 +525,6 @@ class TrackedFrame:
     detected: Array  # (m, 4, 2) px, the same before the patterns of tags at rest corrected them
     still_since: Array  # (m,) s, when each tag came to where it stands; NaN where it was not seen
     shape: tuple[int, int]  # height, width, px
-    change: float = math.inf  # mean difference of the grey levels from the picture before; infinite where unknown
     looked: bool = False  # the whole picture, or a part of it, was searched
     strangers: tuple[int, ...] = ()  # unexpected ids that were seen then
     doubles: tuple[int, ...] = ()  # ids that were read without error at two places
@@ -591,7 +542,6 @@ class Tracker:
         m = len(self.tag_id)
         self._last = np.full((m, m, 4, 2), np.nan)  # by tag: where all of them were when it was seen last
         self._turn, self._unseen = 0, 0
-        self._coarse: NDArray[np.int16] | None = None
         self._shape: tuple[int, int] | None = None
 
     @property
@@ -628,13 +578,11 @@ class Tracker:
             take(tracks[t], sightings or [], self.tag_id)
         self._rows.insert(t, (time, tracks[t]))
         del self._rows[:-LOOK_EVERY]
-        corners, since, change = tracks[t], np.full(len(self.tag_id), np.nan), math.inf
+        corners, since = tracks[t], np.full(len(self.tag_id), np.nan)
         if newest:
             corners, since = self._still.correct(picture, tracks[t], time)
             seen = np.isfinite(tracks[t]).all(axis=(1, 2))
             self._last[seen] = tracks[t]
-            coarse = coarse_of(picture)
-            change, self._coarse = change_between(self._coarse, coarse), coarse
         found = sightings or []
         return TrackedFrame(
             time=time,
@@ -642,7 +590,6 @@ class Tracker:
             detected=tracks[t],
             still_since=since,
             shape=(picture.shape[0], picture.shape[1]),
-            change=change,
             looked=sightings is not None,
             strangers=tuple(tag.tag_id for tag in found if tag.tag_id not in self.tag_id),
             doubles=tuple(tag for tag in sure_doubles(found) if tag in self.tag_id),

@@ -14,7 +14,7 @@ from onebend.errors import ObservationError, RecordingError
 from onebend.recording.camera import MOVED, RUNNING, lengths_apart, order_hint, rotated, running_median, unwrap
 from onebend.recording.entries import FrequencyEntry, GravityEntry, Recording
 from onebend.recording.force import ContactSettings, find_contact
-from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, from_clamp
+from onebend.recording.signals import LATEST, MAD_TO_SD, MOST_FRAMES, check_span, copies_in_motion, from_clamp
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns, read_every_column
 from onebend.records import UNKNOWN_ANGLE_SD, Array, BoolArray, Markers, MeasuredFrequency, Observations, Remark, Source
@@ -170,7 +170,7 @@ class Tracks:
 
 def track_markers(rec: Recording, settings: ContactSettings = ContactSettings()) -> Markers:
     """Every beam marker of the recording's table, relative to the base."""
-    tracks = read_tracks(rec)
+    tracks = _without_copies(read_tracks(rec))
     base = len(rec.tags.on_base)
     shift, turn, moves = base_motion(tracks, base)
     in_base = rotated(tracks.xy[:, base:] - shift[:, None], -turn[:, None])
@@ -242,6 +242,21 @@ def read_tracks(rec: Recording) -> Tracks:
         x_axis=plane.axes @ np.array(entry.x_axis) if entry.x_axis else None,
         remarks=tuple(remarks[0 if strangers else 1 :]) + _gaps(xy, wanted),
     )
+
+
+def _without_copies(tracks: Tracks) -> Tracks:
+    """Without the frames that repeat all places of the frame before while the markers move."""
+    change = np.abs(np.diff(tracks.xy, axis=0))
+    digit = float(np.min(change, where=change > 0.0, initial=np.inf))  # rounded places stay where a marker moves slowly
+    stale = copies_in_motion(tracks.time, tracks.xy, 0.5 * digit, 5.0 * digit)
+    if not stale.any():
+        return tracks
+    text = (
+        f"{stale.sum()} of {len(stale)} frames ({100 * stale.mean():.2g} %) of the tracks only repeat the one before "
+        "while the markers move, as where a recorder drops frames. They are left out."
+    )
+    kept = {name: getattr(tracks, name)[~stale] for name in ("time", "xy", "angle", "sd")}
+    return replace(tracks, remarks=(*tracks.remarks, Remark("warning", text, about="film hung")), **kept)
 
 
 def base_motion(tracks: Tracks, base: int) -> tuple[Array, Array, tuple[Remark, ...]]:

@@ -73,12 +73,12 @@ def test_the_posterior_of_the_error_holds_the_steps(found: Posterior) -> None:
         true = step - zero[rows]  # what is wrong with the log once its zero is taken off
         assert np.all(np.abs(error[rows] - true) < 3.0 * sd[rows])
         assert np.max(np.abs(error[rows] - true)) < 0.5 * np.linalg.norm(step)
-    assert found.optimum.hyperparameters.load * found.recordings[0].error.load > 0.05 * PEAK
+    assert found.optimum.hyperparameters.load * found.recordings[0].error.noise.load > 0.05 * PEAK
 
 
 def test_a_sensor_without_such_an_error_stays_sharp(found: Posterior) -> None:
     clean = fit([seen(stepped(np.zeros((2, 2))))], 0.02, settings=IDEAL)
-    assert clean.optimum.hyperparameters.load * clean.recordings[0].error.load < 0.01 * PEAK
+    assert clean.optimum.hyperparameters.load * clean.recordings[0].error.noise.load < 0.01 * PEAK
     middle = S < 0.6
     wide, sharp = (one.stiffness.log_at(S[middle])[1] for one in (found, clean))
     assert np.mean(sharp) < 0.75 * np.mean(wide)
@@ -125,8 +125,8 @@ def test_the_root_is_that_of_the_parts_added_up() -> None:
     coloured, memory, walk, load = 1.3, 0.7, 2.0, 0.5
     noise, since = error.noise, error.knots - error.knots[0]
     short = error.filtered.covariance(coloured * noise.coloured, memory * noise.tau, error.white)
-    expected = toeplitz(short) + 0.03 * short[0] * np.eye(len(short)) + error.level**2
-    expected += (walk * noise.walk) ** 2 * np.minimum.outer(since, since) + (load * error.load) ** 2 * (
+    expected = toeplitz(short) + 0.03 * short[0] * np.eye(len(short)) + error.noise.level**2
+    expected += (walk * noise.walk) ** 2 * np.minimum.outer(since, since) + (load * error.noise.load) ** 2 * (
         1 + error.stages
     )
     root = error.root(coloured, memory, walk, load)
@@ -137,5 +137,5 @@ def test_the_root_is_that_of_the_parts_added_up() -> None:
 def test_a_declared_size_is_what_is_expected() -> None:
     o = seen(stepped(STEPS))
     largest = float(np.max(np.linalg.norm(o.force[o.loaded], axis=1)))
-    assert force_error(o, o.time[o.loaded]).load == pytest.approx(0.03 * largest)
-    assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).load == 0.07
+    assert force_error(o, o.time[o.loaded]).noise.load == pytest.approx(0.03 * largest)
+    assert force_error(with_stated(o, load_error_sd=0.07), o.time[o.loaded]).noise.load == 0.07

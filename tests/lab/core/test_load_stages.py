@@ -11,7 +11,7 @@ from onebend.beam.model import Beam
 from onebend.beam.stiffness import Uniform
 from onebend.lab.bench import ForceSensor, PushProfile
 from onebend.lab.virtual import VirtualBench, observe_virtual, virtual_recording
-from onebend.recording.force import LoadChange, displacement, load_changes, turning_points
+from onebend.recording.force_noise import LoadChange, displacement, load_changes, turning_points
 
 TIME = np.linspace(0.0, 10.0, 501)
 

@@ -14,15 +14,16 @@ from onebend.recording.clock_likelihood import (
     ForceLogModel,
     Moments,
     MomentsAtRows,
-    covariance,
     film_misfit,
     fit_jumps,
     load_change_share,
+    log_covariance,
     make_moments,
     moments_at,
     moments_of,
     without_jumps,
 )
+from onebend.recording.force_noise import TimeSpans, covariance
 from onebend.records import ForceNoise
 
 PUSH_S = 0.98
@@ -81,12 +82,12 @@ def test_a_jump_is_found_and_no_other() -> None:
     time = np.linspace(0.0, 5.9, 60)
     rng = np.random.default_rng(2)
     noise = ForceNoise(white=0.003, coloured=0.004, tau=0.3, walk=1e-4)
-    root = np.linalg.cholesky(noise.covariance(time))
+    root = np.linalg.cholesky(covariance(noise, TimeSpans.at(time)))
     left = root @ rng.standard_normal((60, 2))
     left[25:] += np.array([0.2, -0.1])
     share = np.where((np.arange(60) >= 20) & (np.arange(60) < 32), 1.0 / 12.0, 0.0)
     nothing = np.zeros((60, 2, 2))
-    rest = covariance(noise, time, nothing, np.zeros(60))
+    rest = log_covariance(noise, TimeSpans.at(time), nothing, np.zeros(60))
     jumps = fit_jumps(left.ravel(), np.zeros((120, 1)), rest, 0.1**2 * share, 0.01**2 * share)
     assert int(np.argmax(jumps)) == 25
     assert np.sqrt(jumps[25]) > 0.08

@@ -67,8 +67,8 @@ def test_a_bias_that_no_rest_shows_is_found_with_its_doubt(made: Observations) -
 def test_an_error_under_load_declared_to_be_none_is_none(made: Observations) -> None:
     one, _ = prepared(with_stated(made, load_error_sd=0.0))
     usual, _ = prepared(made)
-    assert one.error.load == 0.0
-    assert usual.error.load > 0.0
+    assert one.error.noise.load == 0.0
+    assert usual.error.noise.load > 0.0
 
 
 def test_what_trades_off_is_what_is_reported(made: Observations) -> None:

@@ -64,9 +64,9 @@ def test_a_zero_that_ran_between_rests_is_put_back() -> None:
 
 def test_a_tare_may_have_missed_three_times_the_sd_and_no_more_than_the_largest_force() -> None:
     largest = float(np.max(np.linalg.norm(MADE.force, axis=1)))
-    assert force_error(MADE, MADE.time).level == pytest.approx(3.0 * 0.005)
+    assert force_error(MADE, MADE.time).noise.level == pytest.approx(3.0 * 0.005)
     unknown = replace(MADE, force_sd=np.full(2, np.nan))
-    assert force_error(unknown, MADE.time).level == pytest.approx(largest)
+    assert force_error(unknown, MADE.time).noise.level == pytest.approx(largest)
     assert force_error(unknown, MADE.time).noise.coloured == pytest.approx(0.02 * largest)
 
 

@@ -15,13 +15,8 @@ from onebend.live.hyperparameters import OnlineSettings
 from onebend.live.key_frames import (
     CAUSAL_ALLOWANCES,
     TERMS,
-    ForceProcess,
     KeyFrames,
-    TimeSpans,
-    covariance,
     empty,
-    fast_variance,
-    with_one_more,
 )
 from onebend.live.model import (
     REACHED,
@@ -43,7 +38,8 @@ from onebend.live.posterior import (
     with_error_change,
 )
 from onebend.live.replayed import replay
-from onebend.records import DIRECTION_SD, SCALE_SD, TURN_SD, Array, Observations
+from onebend.recording.force_noise import TimeSpans, covariance, fast_variance, with_one_more
+from onebend.records import DIRECTION_SD, SCALE_SD, TURN_SD, Array, ForceNoise, Observations
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.live.streamed_recording import PLAIN, tags_of
 
@@ -95,7 +91,7 @@ def test_every_derivative_matches_differences(shares: tuple[float, float, float]
 
 
 def test_covariance_of_averages_is_that_of_fine_samples() -> None:
-    process = ForceProcess(level=0.02, walk=0.01, coloured=0.03, memory=0.4, white=0.05, load=0.04)
+    process = ForceNoise(level=0.02, walk=0.01, coloured=0.03, tau=0.4, white=0.05, load=0.04)
     begin, end, frames = np.array([1.0, 1.5, 3.0]), np.array([1.4, 2.5, 3.0]), np.array([9.0, 20.0, 1.0])
     own = np.array([0.0, 2.0, 2.5])
     spans = TimeSpans(begin, end, frames, np.zeros(3), own)
@@ -187,7 +183,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     keys, prior = linear_frames(1, layout, 7), LivePrior(layout, np.where(np.arange(layout.size) < 6, 0.3, 0.0), None)
     hyperparameters, process = (
         LiveHyperparameters(1.3, 0.02, 0.03, 0.3, 0.02, 0.0),
-        ForceProcess(0.05, 0.02, 0.03, 0.3, 0.02),
+        ForceNoise(level=0.05, walk=0.02, coloured=0.03, tau=0.3, white=0.02),
     )
     stiffness_prior = prior.stiffness_prior(layout.spline.variances(2.0, 0.2))
     never = nothing_marginalised(layout.size)
@@ -209,7 +205,7 @@ def test_a_linear_model_gives_the_dense_posterior_and_folding_a_frame_changes_no
     np.testing.assert_allclose(solution.e.ravel(), best[layout.size :], rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(solution.covariance(), dense[: layout.size, : layout.size], rtol=1e-6, atol=1e-10)
     # Where the force error is one level, a folded frame says what it said.
-    level = ForceProcess(0.05, 0.0, 1e-9, 0.3, 1e-4)
+    level = ForceNoise(level=0.05, walk=0.0, coloured=1e-9, tau=0.3, white=1e-4)
     whole = solve(gather(keys, never), prior, stiffness_prior, hyperparameters, level)
     never.add(
         likelihood_rows(keys, 0, 1.3, 1e-4), float(keys.end[0]), 0.0, slow=0.0, fast=fast_variance(level, 0.0, 1.0)

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from onebend.learning.force_error import ANEW, RELEASED
 from onebend.learning.normal import Draws, InformationForm, stiffness_mixture
 from onebend.learning.parameters import Spline
 from onebend.live import learner as smoother
 from onebend.live.hyperparameters import OnlineSettings, StiffnessChains
-from onebend.live.key_frames import ForceProcess, LoadStages
+from onebend.live.key_frames import LoadStages
 from onebend.live.learner import OnlineLearner
 from onebend.live.model import Lineariser
 from onebend.live.posterior import KeyFramePosterior, KeyFrameSums, LiveHyperparameters, LivePrior, solve
-from onebend.recording.force import load_changes
-from onebend.records import Array
+from onebend.recording.force_noise import ANEW, RELEASED, load_changes, own_time
+from onebend.records import Array, ForceNoise
 from tests.learning.bench import MARKERS, SOFT, forces, observed
 from tests.live.streamed_recording import NOISE, S, shown
 
@@ -31,7 +30,7 @@ def test_the_loads_own_time_is_the_whole_recordings() -> None:
         stages.add_frame(float(t), np.array([[0.0, d]]), seen, bool(on))
     changes = load_changes(time, size, loaded)
     assert sum(one.release for one in changes) == 1
-    whole = np.sum([(RELEASED if one.release else ANEW) * one.fraction(time) for one in changes], axis=0)
+    whole = own_time(changes, time)
     late = time > 0.5  # the largest displacement was not known from the start
     np.testing.assert_allclose(stages.own(time)[late], whole[late], atol=0.35)
     assert np.mean(np.abs(stages.own(time) - whole)) < 0.05
@@ -104,7 +103,7 @@ def test_no_frame_costs_much_more_than_others(monkeypatch: pytest.MonkeyPatch) -
         prior: LivePrior,
         stiffness_prior: InformationForm,
         hyperparameters: LiveHyperparameters,
-        process: ForceProcess,
+        process: ForceNoise,
     ) -> KeyFramePosterior:
         counts["solved"] += 1
         return solve(sums, prior, stiffness_prior, hyperparameters, process)

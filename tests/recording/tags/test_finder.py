@@ -91,3 +91,19 @@ def test_errors_that_a_family_bears() -> None:
     assert most_errors(codes=587, bits=36) == 2
     assert most_errors(codes=35, bits=25) == 0
     assert most_errors(codes=30, bits=16) == 0
+
+
+def test_a_tag_of_hundreds_of_pixels_is_found_where_it_is(finder: Finder) -> None:
+    """Of square blocks of pixels, as in a film that was enlarged: a search at its own size does not find it."""
+    times, (left, top) = 12, (0, 0)
+    row = poses(3)[0]
+    true = corners_of(row[None], view())[0, 1]
+    left, top = np.floor(true.min(axis=0) - 12.0).astype(int).tolist()
+    part = noisy(picture(row, range(4), view()))[top : top + 60, left : left + 60]
+    large = np.kron(part, np.ones((times, times), dtype=np.uint8))
+    (found,) = finder.look(large, (1,))
+    assert found.tag_id == 1
+    assert side_of(found.corners) > 300.0
+    assert np.abs((found.corners + 0.5) / times - 0.5 + np.array([left, top]) - true).max() < 0.3  # of its 28 px before
+    (near,) = finder.look_around(large, found.corners, 100.0)
+    assert np.abs(near.corners - found.corners).max() < 0.3 * times

@@ -77,6 +77,27 @@ def test_clamp_and_axis_may_be_written(tmp_path: Path) -> None:
     assert np.nanmax(np.abs(found.xy - truth().xy)) < 1e-6
 
 
+def test_frames_that_repeat_the_one_before_are_left_out_where_the_beam_moves(tmp_path: Path) -> None:
+    folder, copies = track_folder(tmp_path), np.arange(7, len(truth().time), 11)
+    rows = (folder / "markers.csv").read_text().splitlines()
+    count = (len(rows) - 1) // len(truth().time)  # markers a frame
+    for t in copies.tolist():
+        for i in range(count):
+            now, before = 1 + t * count + i, 1 + (t - 1) * count + i
+            rows[now] = ",".join([rows[now].split(",")[0], *rows[before].split(",")[1:]])
+    (folder / "markers.csv").write_text("\n".join(rows) + "\n")
+    found = track_markers(read_recording(folder))
+    (remark,) = (one for one in found.remarks if one.about == "film hung")
+    assert f"of {len(truth().time)} frames" in remark.text
+    exact = truth()
+    kept = np.searchsorted(exact.time, found.time - 1e-6)
+    moved = np.linalg.norm(np.diff(exact.xy[:, -1], axis=0), axis=1)
+    fast = copies[moved[copies - 1] > 5e-4]
+    assert len(fast) > 5
+    assert not set(fast.tolist()) & set(kept.tolist())
+    assert len(found.time) >= len(exact.time) - len(copies)
+
+
 def test_gaps_stay_gaps_and_are_told(tmp_path: Path) -> None:
     keep = np.random.default_rng(3).random((len(truth().time), 3)) > [0.0, 0.2, 0.0]
     found = track_markers(read_recording(track_folder(tmp_path, keep=keep)))
