@@ -16,7 +16,7 @@ from scipy.ndimage import binary_closing, map_coordinates, uniform_filter
 from onebend.recording.camera import camera_place, project
 from onebend.recording.entries import Recording
 from onebend.recording.signals import from_clamp
-from onebend.recording.tool_edges import Strip as ToolStrip, contacts
+from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.recording.video import KeptFrames, Picture, pictures_at
 from onebend.records import (
     Array,

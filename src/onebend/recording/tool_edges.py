@@ -33,7 +33,7 @@ ABOUT_SAME = 4.0  # samples, likewise
 
 
 @dataclass(frozen=True)
-class Strip:
+class ToolStrip:
     """Straight axes at the rough place of a tool in one picture, and how it is seen there."""
 
     picture: NDArray[np.float32]
@@ -63,7 +63,7 @@ class Contacts:
     clear: BoolArray  # (P,) in which the tool is as wide as in the others
 
 
-def contacts(strips: Sequence[Strip], background: NDArray[np.float32], length: float, width: float) -> Contacts:
+def contacts(strips: Sequence[ToolStrip], background: NDArray[np.float32], length: float, width: float) -> Contacts:
     """The tool in these strips; `background` is a picture without it, `width` m at most the tool's."""
     ends = project(strips[0].view, np.array([[0.0, 0.0], [length, 0.0]]))
     step = STEP * strips[0].factor * length / float(np.linalg.norm(ends[1] - ends[0]))  # m
@@ -87,10 +87,10 @@ def contacts(strips: Sequence[Strip], background: NDArray[np.float32], length: f
     return Contacts(along / np.array([1.0 - strip.bend * out for strip in strips]), count * step, clear)
 
 
-def _turned(strip: Strip, aside: Array, length: float, step: float) -> tuple[Strip, Array]:
+def _turned(strip: ToolStrip, aside: Array, length: float, step: float) -> tuple[ToolStrip, Array]:
     """The strip in the direction in which its edges are sharpest, and their sizes there (A,), over the largest."""
     out = strip.flank + np.arange(OUTWARD[0] * length, OUTWARD[1] * length, 2.0 * step)
-    best: tuple[float, Strip, Array] | None = None
+    best: tuple[float, ToolStrip, Array] | None = None
     for turn in TURNS:
         tried = replace(strip, slope=strip.slope + float(turn))
         mean = tried.seen(strip.picture, aside[:, None], out[None]).mean(axis=1)
@@ -102,7 +102,7 @@ def _turned(strip: Strip, aside: Array, length: float, step: float) -> tuple[Str
     return best[1], best[2] / max(float(np.mean(np.sort(best[2])[-3:])), 1e-9)
 
 
-def _alike(strip: Strip, background: NDArray[np.float32], aside: Array, length: float, step: float) -> Array:
+def _alike(strip: ToolStrip, background: NDArray[np.float32], aside: Array, length: float, step: float) -> Array:
     """(A,) log ratios of how badly the background in a shadow, and one colour along the tool, explain the picture."""
     out = strip.flank + np.arange(OUTWARD[0] * length, OUTWARD[1] * length, 2.0 * step)
     seen, behind = (strip.seen(one, aside[:, None], out[None]) for one in (strip.picture, background))
@@ -130,7 +130,7 @@ def _edge_near(aside: Array, edge: Array, at: int) -> float:
     return float(np.sum(aside[near] * weight) / max(float(np.sum(weight)), 1e-12))
 
 
-def _end(strip: Strip, middle: float, half: float, length: float, step: float) -> float:
+def _end(strip: ToolStrip, middle: float, half: float, length: float, step: float) -> float:
     """m outward at which the tool with this middle and (less than) half a width ends."""
     out = strip.flank + np.arange(ABOUT[0] * length, ABOUT[1] * length, step)
     across = middle + np.linspace(-half, half, 9)

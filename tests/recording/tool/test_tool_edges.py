@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from onebend.recording.camera import to_plane
-from onebend.recording.tool_edges import Strip, contacts
+from onebend.recording.tool_edges import ToolStrip, contacts
 from onebend.records import Array
 from tests.recording.filmed import HEIGHT, LENGTH, WIDTH, view
 
@@ -37,7 +37,7 @@ def picture(x: float, slope: float, shadow: float) -> Array:
 def test_the_middle_of_the_tool_is_found_and_not_that_of_its_shadow(shadow: float) -> None:
     places, rough = 0.5 * LENGTH + np.array([-1e-3, 0.0, 2e-3]), 0.5 * LENGTH
     strips = [
-        Strip(
+        ToolStrip(
             picture(float(x), 0.25, shadow).astype(np.float32), 1, view(), np.array([rough, 0.0]),
             np.array([1.0, 0.0]), np.array([0.0, -1.0]), FLANK + 1e-3, 0.2, 0.0,
         )
