@@ -46,6 +46,7 @@ class Remark:
     text: str
     doubt: bool = False  # what is learned from the recording is then not to be relied on
     about: str = ""  # of a warning: a key of `errors.SECTIONS`
+    share: float = 0.0  # of the force that may be wrong for it, and so of k(s)
 
     @property
     def docs(self) -> str:

@@ -74,6 +74,8 @@ class SetUp:
     prior_sd: Array  # (n,) before the data
     force_sd: float = 0.0  # N, of each axis: error of a push that no part explains
     discrepancy: float = 0.0  # of a displacement: error of a point that no part explains
+    times: tuple[float, ...] = ()  # s, of each share that relaxes
+    reached: tuple[float, ...] = ()  # part of the curvature that a share of one of each time reaches in the push
 
     def __post_init__(self) -> None:
         n = sum(self.sizes.values())
@@ -254,6 +256,8 @@ class SetUp:
                 prior_sd=prior_sd,
                 force_sd=float(data["force_sd"]),
                 discrepancy=float(data["discrepancy"]),
+                times=tuple(map(float, data.get("times", ()))),
+                reached=tuple(map(float, data.get("reached", ()))),
             )
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             raise MechanicsError(f"describes no set-up ({error})") from error

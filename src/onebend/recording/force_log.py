@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, runs, within_noise
+from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, runs, step, within_noise
 from onebend.records import Array, ForceLog, Remark
 from onebend.text_files import csv_rows, is_number, listed_columns, quoted
 
@@ -100,38 +100,69 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
     return tuple(remarks)
 
 
-def refuse_other_unit(force: Array, mass: float, where: str) -> None:
+UNITS = {  # by where a force comes from: what is asked where it seems too large, and too small
+    "log": ("is the log in millinewtons, grams or counts?", "is the log in kilonewtons, or a force in kilograms?"),
+    "loads": ("is mass_kg of the loads in grams, or weight_N in grams?", "is weight_N in kilograms?"),
+}
+
+
+def refuse_other_unit(force: Array, mass: float, where: str, source: Literal["log", "loads"] = "log") -> None:
     """`ObservationError` with the fitting unit where the forces (N, 2) [N] are a thousand times off what bends a soft
     beam of `mass` [kg; NaN: unknown]."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     weights = largest / (9.81 * mass) if mass > 0 else math.nan
-    times = f", {weights:.3g} times its weight" if mass > 0 else ""
-    if largest > 500.0 or weights > TOO_MANY_WEIGHTS:  # N: what a person could not hold bends no soft beam
-        said, units = "is", "millinewtons, grams or counts"
-    elif 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS:
-        said, units = "is only", "kilonewtons"
-    else:
-        return
-    raise ObservationError(
-        f"{where}: the largest force on the beam {said} {largest:.3g} N{times}. Is the log in {units}? Convert it to "
-        "newtons; else all of k(s) is wrong by the same factor. If it is right, correct mass_kg.",
-        about="force unit",
-    )
+    times = f", {weights:.3g} times the beam's weight" if mass > 0 else ""
+    small = 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS
+    if small or largest > 500.0 or weights > TOO_MANY_WEIGHTS:  # N: what a person could not hold bends no soft beam
+        raise ObservationError(
+            f"{where}: the largest force on the beam is {largest:.3g} N{times}: {UNITS[source][small]} Convert it; "
+            "else all of k(s) is wrong by the same factor. If the force is right, correct mass_kg in [beam].",
+            about="force unit",
+        )
 
 
-def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
+def size_remarks(force: Array, mass: float, source: Literal["log", "loads"] = "log") -> tuple[Remark, ...]:
     """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] seem to be in another unit."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     heavy = largest / (9.81 * mass) if mass > 0 else 0.0
-    if largest > LARGEST or heavy > OF_WEIGHT:
-        times = f", {heavy:.0f} times its weight" if heavy > OF_WEIGHT else ""
-        text = f"The largest force on the beam is {largest:.3g} N{times}"
-    elif 0.0 < largest < SMALLEST:
-        text = f"The largest force on the beam is only {largest:.2g} N"
-    else:
+    small = 0.0 < largest < SMALLEST
+    if not (small or largest > LARGEST or heavy > OF_WEIGHT):
         return ()
-    text += ": is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."
-    return (Remark("warning", text, about="force unit"),)
+    times = f", {heavy:.0f} times the beam's weight" if heavy > OF_WEIGHT else ""
+    text = f"The largest force on the beam is {largest:.3g} N{times}: {UNITS[source][small]}"
+    return (Remark("warning", f"{text} If so, all of k(s) is wrong by the same factor.", about="force unit"),)
+
+
+SENSOR_NOISE = {"franka-estimate": 0.035}  # N RMS at rest, by the maker's data sheet
+OTHER_NOISE = 5.0  # times a sensor's noise, or one over it: sensors of one kind differ by less
+WHITE = 0.5  # of the noise's variance in its differences: what has less was filtered, and is quiet for that
+STILL = 0.5  # s: within such a span at rest a force has no drift
+STILLEST = 0.2  # of these spans that are surely at rest
+
+
+def noise_remarks(log: ForceLog, sensor: str, stated: float) -> tuple[Remark, ...]:
+    """A doubt where the log is far quieter or louder at rest than its sensor, whose noise [N] is `stated` or known by
+    its name: a log in kilograms is 9.8 times quieter, one in grams 102 times louder."""
+    usual = stated if stated > 0.0 else SENSOR_NOISE.get(sensor, math.nan)
+    rows = round(STILL / step(log.time))
+    if not usual > 0.0 or rows < 8 or len(log.time) < 4 * rows:
+        return ()
+    spans = log.force[: len(log.force) // rows * rows].reshape(-1, rows, 2)
+    fast = spans - np.mean(spans, axis=1, keepdims=True)
+    sds = np.sqrt(np.mean(fast**2, axis=(1, 2)))
+    still = sds <= np.quantile(sds, STILLEST)
+    sd = float(np.max(sds[still]))
+    white = 0.5 * np.mean(np.diff(fast[still], axis=1) ** 2) > WHITE * np.mean(fast[still] ** 2)
+    if sd < usual * OTHER_NOISE and (sd > usual / OTHER_NOISE or not white):
+        return ()
+    whose = "white_sd_N" if stated > 0.0 else sensor
+    unit = "kilograms" if sd < usual else "grams or millinewtons"
+    text = (
+        f"At rest the force scatters by {sd:.2g} N, which is {sd / usual:.2g} times what {whose} says "
+        f"({usual:.2g} N): is the log in {unit}? If so, all of k(s) is wrong by the same factor. If it is in newtons, "
+        "correct sensor or white_sd_N in [force]."
+    )
+    return (Remark("warning", text, doubt=True, about="force unit"),)
 
 
 def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
