@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from onebend.beam.model import Beam
+from onebend.beam.setup import SetUp
 from onebend.beam.stiffness import UncertainStiffness
 from onebend.control.loop import Controller, Exposure, ForceSense, LoggedForce
 from onebend.control.loop_simulation import along
@@ -24,8 +25,7 @@ from onebend.lab.virtual import (
     tag_places,
     tag_poses_on,
 )
-from onebend.learning.instruments import Instruments
-from onebend.learning.sensing.sense import LiveForce, OnlineSense
+from onebend.learning.sensing.sense import LiveForce, OnlineSense, SenseSettings
 from onebend.recording.beam_frame import beam_turn, rest_shape, to_beam_frame, turned
 from onebend.recording.observe import LoadsAtFrames, observations_of
 from onebend.records import Array, Markers, Observations, Source
@@ -63,19 +63,19 @@ def felt_by(
     control: Controller,
     *,
     stiffness: UncertainStiffness | None = None,
-    instruments: Instruments | None = None,
+    setup: SetUp | None = None,
     force_off: float = 0.0,
     hidden: bool = False,
     seed: int = 0,
 ) -> Callable[[Beam], ForceSense] | None:
     """For `simulate_range`: nothing; a log off by `force_off` [N] along the model's force; or the shape from tags at
-    the places of `instruments`, without those on the point if it is `hidden`."""
+    the places of the `setup`, put on anew, without those on the point if it is `hidden`."""
     if what == "nothing":
         return None
     if what == "log":
         bias = force_off * along(control)
         return lambda _: LoggedForce(bias, noise=_LOG_NOISE, sd=max(force_off, _LOG_NOISE), seed=seed)
-    places = _USUAL if instruments is None else instruments.tags
+    places = _USUAL if setup is None else setup.tags
     shown = [s for s in places if not (hidden and abs(s - control.point_s) < _AT_POINT)]
     if len(shown) < 2:
         raise ControlError("the shape tells no force: of the tags, fewer than two are seen beside the hidden point")
@@ -85,9 +85,7 @@ def felt_by(
 
     def of(truth: Beam) -> SensedForce:
         model = replace(control.beam, mass_per_length=truth.mass_per_length)
-        return SensedForce(
-            model, truth, seen, push_s=control.push_s, stiffness=stiffness, instruments=instruments, seed=seed
-        )
+        return SensedForce(model, truth, seen, push_s=control.push_s, stiffness=stiffness, setup=setup, seed=seed)
 
     return of
 
@@ -106,7 +104,7 @@ class SensedForce:
         *,
         push_s: float,
         stiffness: UncertainStiffness | None = None,
-        instruments: Instruments | None = None,
+        setup: SetUp | None = None,
         seed: int = 0,
     ) -> None:
         """`truth` moves; `model` is the learned beam with the band `stiffness`. Raises `LearningError`: as `sense`."""
@@ -123,7 +121,8 @@ class SensedForce:
         self._turn = beam_turn(rest_shape(shown, nothing), seen.placement_sd)
         at_rest = _at_rest(shown, self._bench, seen)
         relative = None if stiffness is None else replace(stiffness, gain_sd=0.0)
-        self._live = OnlineSense(model, at_rest, stiffness=relative, instruments=instruments)
+        anew = SenseSettings(tags="anew")
+        self._live = OnlineSense(model, at_rest, stiffness=relative, setup=setup, settings=anew)
 
     def __call__(self, seen: Exposure) -> LiveForce:
         shown = turned(
