@@ -19,6 +19,7 @@ from onebend.beam.stiffness import Powers, UncertainStiffness, Uniform
 from onebend.cli import common, screens, screens as plots, screens as tables
 from onebend.errors import RecordingError
 from onebend.progress import track
+from onebend.records import Remark
 from onebend.report.overview import overview
 from tests import made_up
 
@@ -218,9 +219,14 @@ def test_overview_warns_of_clocks_and_cameras_that_cannot_fit(tmp_path: Path) ->
     found = overview(copy(tmp_path, ("start_s = 310.9", "start_s = 1000.0"), ("width = 1280", "width = 1920")))
     assert any("do not overlap" in text for text in found.faults)
     assert any("Calibrate at the video's size" in text for text in found.faults)
+    assert found.verdict == "`onebend learn` would refuse this recording: 2 errors below"
     sound = overview(EXAMPLE)
     assert not sound.faults
     assert not [remark for remark in sound.remarks if remark.level == "warning"]
+    assert sound.verdict == "`onebend learn` can use this recording; nothing looks wrong"
+    warned = replace(sound, remarks=(Remark("warning", "odd"), Remark("warning", "odder")))
+    assert warned.verdict.endswith("2 warnings below")
+    assert "not to be trusted" in replace(warned, remarks=(Remark("warning", "wrong", doubt=True),)).verdict
 
 
 def test_overview_of_a_broken_video_is_an_error(tmp_path: Path) -> None:

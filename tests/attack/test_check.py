@@ -53,7 +53,7 @@ CASES = [
     Case("a turned tag", edit(TOML, SECOND, SECOND[:-1] + "90"), "tag 2"),
     Case("another picture size", edit(TOML, "width = 1280", "width = 1920"), "is calibrated for pictures of 1920"),
     Case("a start of another day", edit(TOML, "start_s = 255.64", "start_s = 1255.64"), "do not overlap"),
-    Case("millinewtons", forces_times(1000.0), r"is [0-9]+ N, [0-9]+ times its weight"),
+    Case("millinewtons", forces_times(1000.0), r"is [0-9]+ N, [0-9]+ times the beam.s weight"),
     Case("kilonewtons", forces_times(0.001), "Is the log in kilonewtons"),
     Case("milliseconds", edit(TOML, '[force]\nfile', '[force]\ntime_unit = "ms"\nfile'), "do not overlap"),
 ]  # fmt: skip

@@ -210,9 +210,9 @@ def test_true_zeros_stay() -> None:
 @pytest.mark.parametrize(
     ("size", "mass", "words"),
     [
-        (553.0, nan, "is 553 N: is the log in newtons"),
-        (56.4, 0.08, "is 56.4 N, 72 times its weight"),
-        (5e-4, nan, "is only 0.0005 N"),
+        (553.0, nan, "is 553 N: is the log in millinewtons"),
+        (56.4, 0.08, "is 56.4 N, 72 times the beam"),
+        (5e-4, nan, "is 0.0005 N: is the log in kilonewtons"),
         (0.55, 0.08, ""),
         (20.0, nan, ""),
     ],

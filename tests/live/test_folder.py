@@ -14,7 +14,8 @@ from onebend.errors import RecordingError
 from onebend.live.recording_folder import GrowingTable, copy_description, places_for, retimed, state_start, with_values
 from onebend.live.sources import files_of
 from onebend.live.specs import camera_of, force_of
-from onebend.recording.folder import read_recording, template
+from onebend.recording.folder import read_recording
+from onebend.recording.template import template
 from tests.live.streamed import toml
 
 COLUMNS = ("fx_N", "fy_N", "fz_N")
@@ -109,14 +110,14 @@ def test_the_start_is_written_and_all_else_stays(tmp_path: Path) -> None:
 
 
 def test_the_templates_commented_lines_are_filled_in() -> None:
-    changed = with_values(template(), "video", {"start_s": "0.0", "start_uncertainty_s": "0.01"})
+    changed = with_values(template(everything=True), "video", {"start_s": "0.0", "start_uncertainty_s": "0.01"})
     lines = [line for line in changed.splitlines() if line.startswith("start_")]
     assert [line.split("#")[0].split() for line in lines] == [
         ["start_s", "=", "0.0"],
         ["start_uncertainty_s", "=", "0.01"],
     ]
     assert all("force log's clock" in line or "largest error" in line for line in lines)
-    assert len(changed.splitlines()) == len(template().splitlines())
+    assert len(changed.splitlines()) == len(template(everything=True).splitlines())
 
 
 def test_a_table_that_cannot_be_edited_is_left_alone(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def _told(model: Path, stored: StoredModel) -> tuple[tuple[str, str], ...]:
         told.append(("verdict", f"NOT TO BE TRUSTED: {'; '.join(filter(None, words))}"))
     elif summary.is_file():
         verdict = read_json(summary, ExportError).get("verdict", {})
-        rows = (("verdict", "headline"), ("rests on", "rests_on"), ("for use", "use"))
+        rows = (("verdict", "headline"), ("tests", "rests_on"), ("rests on", "given"), ("for use", "use"))
         told += [(name, str(verdict[key])) for name, key in rows if verdict.get(key)]
     return tuple(told)
 

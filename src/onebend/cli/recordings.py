@@ -6,6 +6,9 @@ import dataclasses
 import math
 import os
 import re
+import sys
+import tomllib
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
@@ -15,6 +18,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from onebend.cli import BY, common
 from onebend.errors import ObservationError, RecordingError
@@ -22,7 +26,9 @@ from onebend.files.kept import VARIABLE, users_folder
 from onebend.files.single_file import check_name_free, check_replaceable, write_file
 from onebend.recording.bag_topics import FIELDS, BagContents, TopicRow, bag_contents
 from onebend.recording.calibration import NAMES, Board, BoardKind, Calibration, calibrate as calibrate_camera
-from onebend.recording.folder import Kind, write_template
+from onebend.recording.description import empty_values, key_at
+from onebend.recording.schema import Place, place_name
+from onebend.recording.template import Kind, Told, write_template
 from onebend.report.wording import significant
 from onebend.text_files import to_json
 
@@ -69,11 +75,13 @@ def show_overview(console: Console, overview: Overview) -> None:
     table = Table(title=escape(overview.name), title_justify="left", box=None, show_header=False)
     table.add_column(no_wrap=True, style="dim")
     table.add_column(overflow="fold")
+    table.add_row("verdict", Text(overview.verdict, "bold"))
     for what, understood in overview.rows:
         table.add_row(what, escape(understood))
     console.print(table)
-    console.print()
-    console.print(common.remarks_list([(overview.name, remark) for remark in overview.remarks]))
+    if overview.remarks:
+        console.print()
+        console.print(common.remarks_list([(overview.name, remark) for remark in overview.remarks]))
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")]
@@ -96,11 +104,13 @@ RosKind = Annotated[
 PhotosKind = Annotated[bool, typer.Option("--photos", help="Photos of the tags under known loads.")]
 WeightsKind = Annotated[bool, typer.Option("--weights", help="Points measured by hand under hung weights.")]
 MocapKind = Annotated[bool, typer.Option("--mocap", help="Tracks of motion capture and a force log.")]
+AllKeys = Annotated[bool, typer.Option("--all", help="Write every optional key too, commented out.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing, and leave empty what no file tells.")]
 BESIDE: dict[Kind, str] = {
     "video": "put the video and the force log beside it",
     "ros": "leave the bag where it is",
-    "photos": "put the photos and loads.csv beside it",
-    "weights": "put poses.csv and loads.csv beside it",
+    "photos": "put the photos into photos, list their loads in loads.csv",
+    "weights": "fill in poses.csv and loads.csv",
     "mocap": "put the tracks and the force log beside it",
 }
 # Keys that no bag contains.
@@ -119,6 +129,8 @@ def new(
     photos: PhotosKind = False,
     weights: WeightsKind = False,
     mocap: MocapKind = False,
+    everything: AllKeys = False,
+    yes: Yes = False,
 ) -> None:
     asked: dict[Kind, bool] = {
         "video": video, "ros": ros is not None, "photos": photos, "weights": weights, "mocap": mocap
@@ -129,9 +141,43 @@ def new(
             names = " and ".join(f"--{kind}" for kind in kinds)
             raise RecordingError(f"{names}: a recording is of one kind. Make a folder of each")
         kind: Kind = kinds[0] if kinds else "video"
-        filled = {} if ros is None else bag_values(ros, folder)
-        path = write_template(folder, kind, **filled)
-    common.say(f"Wrote {path}. Fill in what is empty, {BESIDE[kind]}, then: onebend check {folder}")
+        told = Told() if ros is None else Told(bag_values(ros, folder))
+        path = write_template(folder, kind, told, everything=everything)
+        if not yes and sys.stdin is not None and sys.stdin.isatty():
+            text = path.read_text(encoding="utf-8")
+            common.say(f"{path}: Enter leaves a line empty.")
+            write_file(path, answered(text, ask), overwrite=True)
+        left = [str(place[-1]) for place, _, _ in empty_values(path.read_text(encoding="utf-8"))]
+    fill = f"Fill in {', '.join(dict.fromkeys(left))}; " if left else ""
+    common.say(f"Wrote {path}. {fill}{BESIDE[kind]}; then: onebend check {folder}")
+
+
+def answered(text: str, ask: Callable[[Place, str], str]) -> str:
+    """A template with the values that `ask` gives for its empty keys, by place and meaning; an empty one stays."""
+    rows = text.splitlines()
+    for place, line, _ in empty_values(text):
+        entry = key_at(place)
+        if entry is not None and (value := ask(place, f"{entry.says}; such as {entry.example}")):
+            rows[line - 1] = rows[line - 1].replace(f"{entry.name} = ", f"{entry.name} = {value}", 1)
+    return "\n".join(rows) + "\n"
+
+
+def ask(place: Place, says: str) -> str:
+    """A valid value as TOML, asked for at the terminal until it is one; empty for Enter."""
+    entry = key_at(place)
+    assert entry is not None
+    while answer := str(
+        typer.prompt(f"{place_name(place[:-1])} {entry.name} ({says})", default="", show_default=False)
+    ):
+        for value in (answer, to_json(answer)):  # a word without its quotes is a word
+            try:
+                entry.check(tomllib.loads(f"value = {value}")["value"])
+            except (tomllib.TOMLDecodeError, ValueError) as wrong:
+                why = str(wrong)
+            else:
+                return value
+        common.say(f"This must be {why}.")
+    return ""
 
 
 def bag_values(bag: Path, folder: Path) -> dict[str, dict[str, str]]:

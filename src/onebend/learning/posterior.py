@@ -19,6 +19,7 @@ from onebend.learning import optimizer
 from onebend.learning.allowances import BETWEEN, BETWEEN_SD
 from onebend.learning.attribution import Attribution, attributions
 from onebend.learning.condensed import condensed
+from onebend.learning.contradictions import Contradiction, contradictions, doubt_of
 from onebend.learning.criticism import Criticism, criticise
 from onebend.learning.fit_data import FitData, following
 from onebend.learning.frames import check_same_beam, mass_profile
@@ -249,6 +250,7 @@ class Posterior:
     criticism: Criticism  # whether the model holds
     left_out: tuple[BoolArray, ...]  # (T,) of each recording, poses that no stable equilibrium explains
     place: PlaceSearch | None = None  # other places of the push, where they are worth a look
+    contradicted_by: tuple[str, ...] = ()  # names of validations that miss by far more than is likely
 
     @property
     def recordings(self) -> tuple[FitData, ...]:
@@ -304,9 +306,18 @@ class Posterior:
         if worst_off(self.frequencies) > GROSS:
             doubts.append("the frequencies contradict the fit")
         doubts += self.weight_doubts
+        doubts += [f"the validation on {name} misses by far more than is likely" for name in self.contradicted_by]
+        if self.optimum.converged and not self.misses and (doubt := doubt_of(self.contradictions)):
+            doubts.append(doubt)
         for o in (recording.observations for recording in self.recordings):
             doubts += [f"{o.source.name}: {words}" if several else words for words in optimizer.doubts_of(o)]
         return tuple(doubts)
+
+    @cached_property
+    def contradictions(self) -> tuple[Contradiction, ...]:
+        """What recording, description and model disagree on, with its size; the largest first."""
+        known = stiffness_of(self.problem, self.optimum, self.gain_sd)
+        return contradictions(self.problem, self.optimum, self.criticism, known)
 
     @cached_property
     def attributions(self) -> tuple[Attribution, ...]:

@@ -20,6 +20,7 @@ from onebend.recording.entries import (
 )
 from onebend.recording.schema import (
     LONGEST_KEY,
+    Key,
     Mistakes,
     Place,
     keys_of,
@@ -51,6 +52,7 @@ LISTED: dict[str | int, type] = {
     "on_base": entries.TagEntry,
     "on_beam": entries.TagEntry,
     "masses": entries.MassEntry,
+    "points": entries.TagEntry,
 }  # of [[...]]
 RECORDS = {
     "beam": entries.BeamEntry,
@@ -69,11 +71,18 @@ def empty_values(content: str) -> list[tuple[Place, int, str]]:
     found: list[tuple[Place, int, str]] = []
     for place, line in lines_of_keys(content).items():
         if EMPTY.match(rows[line - 1]):
-            record = LISTED.get(place[1] if len(place) > 1 else "", RECORDS.get(str(place[0])))
-            keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
-            says = keys[str(place[-1])].says if place[-1] in keys else "a value, or a # before the line"
+            entry = key_at(place)
+            says = "a value, or a # before the line" if entry is None else entry.says
             found.append((place, line, f"{place_name(place[:-1])} {place[-1]} is empty. Fill it in: {says}."))
     return sorted(found, key=lambda one: one[1:])
+
+
+def key_at(place: Place) -> Key | None:
+    """What is known of the key at a place in the file; None for an unknown one."""
+    known = RECORDS | LISTED
+    record = next((known[part] for part in reversed(place[:-1]) if part in known), None)
+    keys = {} if record is None else {entry.name: entry for entry, _ in keys_of(record).values()}
+    return keys.get(str(place[-1]))
 
 
 def camera_record(data: dict[str, Any]) -> type:
@@ -87,7 +96,7 @@ def camera_record(data: dict[str, Any]) -> type:
 
 def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
     """The tables and keys at the top of the file."""
-    report_unknown(data, ["format", "name", *TABLES, "frequencies"], (), mistakes)
+    report_unknown(data, ["format", "name", *TABLES, "frequencies", "points"], (), mistakes)
     if data.get("format") != FORMAT:
         mistakes.add(("format",), f"format must be {FORMAT}. Write `format = {FORMAT}` at the top.")
     if not isinstance(data.get("name", ""), str) or len(data.get("name", "")) > LONGEST_KEY:
@@ -105,7 +114,7 @@ def check_top(data: dict[str, Any], mistakes: Mistakes) -> None:
         text = f"[camera] camera_info stands for the whole calibration. Remove it, or {', '.join(sorted(more))}."
         mistakes.add(("camera", "camera_info"), text)
     for name, example in (("beam", "length_m = 0.15"), ("tags", "size_m = 0.012")):
-        if name not in data and not (alone and name == "tags"):
+        if name not in data and not (name == "tags" and (alone or "points" in data)):
             mistakes.add((), f"The file lacks the table [{name}]. Add `[{name}]` with `{example}`.")
     for name in ("tags", "force", "push", "camera") if alone else ():
         if name in data:
@@ -146,22 +155,31 @@ def read_frequencies(rows: Any, mistakes: Mistakes) -> tuple[FrequencyEntry, ...
     return tuple(one for one in read if one is not None)
 
 
-def read_tags(table: Any, mistakes: Mistakes, *, pictures: bool, bare: bool = False) -> TagsEntry | None:
+def read_tags(
+    table: Any, mistakes: Mistakes, *, pictures: bool, bare: bool = False, points: Any = None
+) -> TagsEntry | None:
     """[tags] with its two lists; where no camera looks (`pictures`), size and base tags may be missing, and where the
-    body may be `bare` those on it."""
+    body may be `bare` those on it. `points`: the list [[points]] in place of [[tags.on_beam]]."""
     if not isinstance(table, dict):
         mistakes.add(("tags",), f"[tags] must be a table, not {quoted(table)}.")
         return None
     lists: dict[str, tuple[TagEntry, ...]] = {}
+    if points is not None and "on_beam" in table:
+        mistakes.add(("points",), "The file has [[points]] and [[tags.on_beam]]. Write all of them as [[points]].")
     for group, what in (("on_base", "on the clamp, the origin of all measures"), ("on_beam", "along the beam")):
-        rows, place = table.get(group, []), ("tags", group)
+        rows = table.get(group, [])
+        place: Place = ("tags", group)
+        if group == "on_beam" and points is not None:
+            rows, place = points, ("points",)
         may_lack = bare if group == "on_beam" else not pictures
         if not isinstance(rows, list) or not (rows or may_lack):
-            mistakes.add(place, f"[tags] needs at least one [[tags.{group}]] with its id: a tag {what}.")
+            mistakes.add(place, f"[tags] needs at least one [[{'.'.join(map(str, place))}]] with its id: a tag {what}.")
             rows = []
         if len(rows) > MOST_TAGS:
             mistakes.add(place, f"[[tags.{group}]] lists {len(rows)} tags; at most {MOST_TAGS} can be followed.")
             rows = []
+        if group == "on_base":  # on the clamp, where s = 0, unless it is said otherwise
+            rows = [{"s": 0.0} | row if isinstance(row, dict) else row for row in rows]
         lists[group] = read_rows(TagEntry, rows, place, mistakes)
     check_ids(lists, table.get("family", entries.FAMILIES[0]) if pictures else None, mistakes)
     if pictures and "size_m" not in table:
@@ -186,6 +204,8 @@ def check_ids(lists: dict[str, tuple[TagEntry, ...]], family: object, mistakes: 
 
 def check_together(tables: dict[str, Any], data: dict[str, Any], mistakes: Mistakes) -> None:
     """Mistakes between tables, or between keys of one table."""
+    if "points" in data and "poses" not in data:
+        mistakes.add(("points",), "[[points]] go with [poses]: a film, photos or tracks have [[tags.on_beam]].")
     push, gravity = tables["push"], tables["gravity"]
     if push is not None and push.column and tables["force"] is not None and tables["force"].topic:
         mistakes.add(("push", "column"), "[push] column: the force is in a bag, which has no columns. Give at_s.")

@@ -46,7 +46,9 @@ Damaged = Literal["refuse", "keep"]
 class MassEntry:
     """[[beam.masses]]: something small that rides on the beam."""
 
-    s: float = key("s = 0.5", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip")
+    s: float = key(
+        "s = 0.5", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip; of a tag on the base 0 if left out"
+    )
     mass: float = key("mass_kg = 0.004", MASS, "its mass, kg")
 
 
@@ -375,7 +377,9 @@ class TagEntry:
     """One tag: where it sits and how it is turned."""
 
     id: int = key("id = 1", whole(least=0), "the number of the tag")
-    s: float = key("s = 1.0", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip")
+    s: float = key(
+        "s = 1.0", PLACE, "its place along the beam, 0 at the clamp, 1 at the tip; on the base 0 if left out"
+    )
     turn: float = key(
         "turn_deg = 0",
         ANGLE,
@@ -460,7 +464,9 @@ class ForceEntry:
     sensor: str = key('sensor = "franka-estimate"', text, "the sensor's name", "")
     zeroed: bool = key("zeroed = false", flag, "whether it was zeroed just before the push", False)
     gain_sd: float = key("gain_sd = 0.02", SD, "the sensor's scale error (one sd, 0.02 = 2 %); 0: exact", GAIN_SD)
-    white_sd: float = key("white_sd_N = 0.03", SD, "the sensor's noise of one sample (one sd), N", nan)
+    white_sd: float = key(
+        "white_sd_N = 0.03", SD, "the sensor's noise at rest (one sd), N; compared with the log's own", nan
+    )
     bias_sd: float = key(
         "bias_sd_N = 0.2", SD, "the sensor's error under load that no rest shows (one sd), N; 0: none", nan
     )

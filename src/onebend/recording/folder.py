@@ -10,17 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from onebend.errors import LearningError, ObservationError, RecordingError, ResultsError
-from onebend.files.single_file import FILMS, LOGS, write_file
+from onebend.errors import LearningError, ObservationError, RecordingError
 from onebend.recording.bag_topics import CameraInfo, bag_camera, check_bag, picture_size, with_bags
 from onebend.recording.bags import is_bag
 from onebend.recording.camera import equidistant, nearest_lens, rational
 from onebend.recording.description import (
-    FORMAT,
     HOMES,
     SECTIONS,
     camera_record,
@@ -34,11 +32,8 @@ from onebend.recording.description import (
     remarks_on,
 )
 from onebend.recording.entries import (
-    BeamEntry,
     CameraEntry,
     CameraInfoEntry,
-    FrequencyEntry,
-    GravityEntry,
     MarkersEntry,
     Recording,
     TagEntry,
@@ -46,9 +41,9 @@ from onebend.recording.entries import (
     UncalibratedEntry,
     VideoEntry,
 )
-from onebend.recording.schema import Mistakes, Place, keys_of, place_name, read_table
+from onebend.recording.schema import Mistakes, Place, place_name, read_table
 from onebend.records import Array, Remark
-from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, to_json, toml_data
+from onebend.text_files import MOST_TOML, ascii_only, quoted, read_text, read_toml, toml_data
 
 
 def check_same_beam(wanted: Sequence[Recording], *, jointly: bool) -> None:
@@ -265,10 +260,10 @@ def _described(folder: Path, data: dict[str, Any], mistakes: Mistakes, *, filmed
     check_top(data, mistakes)
     swung = read_frequencies(data["frequencies"], mistakes) if "frequencies" in data else ()
     tags: TagsEntry | None = CLAMP_ALONE
-    if "tags" in data:
-        outline = data.get("outline")
+    if "tags" in data or "points" in data:
+        outline, pictures = data.get("outline"), "video" in data or "photos" in data
         bare = "video" in data and not (isinstance(outline, dict) and outline.get("use") is False)
-        tags = read_tags(data["tags"], mistakes, pictures="video" in data or "photos" in data, bare=bare)
+        tags = read_tags(data.get("tags", {}), mistakes, pictures=pictures, bare=bare, points=data.get("points"))
     beam = read_beam(data["beam"], mistakes) if "beam" in data else None
     sections = {
         name: read_table(record, data[name], (name,), mistakes) if name in data else None
@@ -352,114 +347,3 @@ def _no_file(path: Path) -> str:
         return "a link that leads nowhere"
     kinds = {"folder": path.is_dir, "pipe": path.is_fifo, "device": path.is_char_device, "socket": path.is_socket}
     return next((f"a {kind}" for kind, stands in kinds.items() if stands()), "")
-
-
-Kind = Literal["video", "ros", "photos", "weights", "mocap"]
-INTRODUCTION = f"""\
-# {{what}}, for onebend. Fill in what is empty; lines that start with # are optional and show an example.
-# Units are in the names.{{hint}}
-
-format = {FORMAT}
-"""
-WHAT: dict[Kind, tuple[str, str]] = {
-    "video": (
-        "What was filmed",
-        " Film so that all tags face the camera; start and stop with nothing touching the beam.",
-    ),
-    "ros": ("What was filmed and logged in a bag", " Start and stop with nothing touching the beam."),
-    "photos": ("What was photographed", " One picture a pose, one of them with no load."),
-    "weights": ("What was measured by hand", " One pose a load, one of them with no load."),
-    "mocap": ("What was tracked", " Start and stop with nothing touching the beam."),
-}
-TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one that looks right
-TABLES_OF: dict[Kind, tuple[str, ...]] = {
-    "video": ("video", "force", "push"),
-    "ros": ("video", "force", "push"),
-    "photos": ("photos",),
-    "weights": ("poses", "gravity"),
-    "mocap": ("markers", "force", "push"),
-}
-DEFAULTS = {
-    "video": {"file": '"video.mp4"'},
-    "photos": {"folder": '"photos"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
-    "poses": {"file": '"poses.csv"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
-    "gravity": {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN},
-    "markers": {"file": '"markers.csv"'},
-    "force": {"file": '"force.csv"', "acts_on": TO_FILL_IN, "rotation_deg": TO_FILL_IN},
-    "push": {"at_s": TO_FILL_IN},
-}
-CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
-GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
-
-FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for each frequency."
-
-
-def write_template(folder: Path | str, kind: Kind = "video", **filled: Mapping[str, str]) -> Path:
-    """Write a `recording.toml` to fill in into `folder` (made if need be) and return its path.
-
-    Where the folder holds one film, or one table that may be a log, it is named.
-
-    Args:
-        filled: by table, what is known already: keys with their values as TOML.
-
-    Raises:
-        RecordingError: the folder holds one already, or cannot be written.
-    """
-    path = Path(folder) / FILE_NAME
-    if path.exists():
-        raise RecordingError(f"{path} exists already. Edit it, or name another folder.")
-    if kind == "video":
-        filled = {**files_beside(path.parent), **filled}
-    try:
-        write_file(path, template(kind, **filled))
-    except ResultsError as wrong:
-        raise RecordingError(str(wrong)) from None
-    return path
-
-
-def files_beside(folder: Path) -> dict[str, dict[str, str]]:
-    """What the files in a folder tell of [video] and [force]; nothing where there are several that it may be."""
-    found: dict[str, dict[str, str]] = {}
-    for table, endings in (("video", FILMS), ("force", LOGS)):
-        names = [one.name for one in folder.glob("[!.]*") if one.suffix.lower() in endings and one.is_file()]
-        if len(names) == 1 and names[0].isprintable():
-            found[table] = {"file": to_json(names[0])}
-    return found
-
-
-def template(kind: Kind = "video", **filled: Mapping[str, str]) -> str:
-    """The text of the template: it keeps the schema once what is empty is filled in."""
-    what, hint = WHAT[kind]
-    seen_by_camera = kind in ("video", "ros", "photos")
-    tables = {name: {**DEFAULTS.get(name, {}), **filled.get(name, {})} for name in TABLES_OF[kind]}
-    parts = [
-        INTRODUCTION.format(what=what, hint=hint),
-        table("[beam]", BeamEntry, length_m=TO_FILL_IN, **({"mass_kg": TO_FILL_IN} if kind == "weights" else {})),
-        table("[tags]", TagsEntry, **({"size_m": TO_FILL_IN} if seen_by_camera else {})),
-        *([table("[[tags.on_base]]", TagEntry, id=TO_FILL_IN, s="0.0")] if seen_by_camera else []),
-        *(table("[[tags.on_beam]]", TagEntry, id=TO_FILL_IN, s=TO_FILL_IN) for _ in range(3)),
-        *(table(f"[{name}]", SECTIONS[name], **values) for name, values in tables.items()),
-    ]
-    parts += [optional(CAMERA, table("[camera]", CameraEntry))] if seen_by_camera else []
-    parts += [optional(GRAVITY, table("[gravity]", GravityEntry))] if kind != "weights" else []
-    return "\n".join([*parts, optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry))])
-
-
-def table(header: str, record: type, **values: str) -> str:
-    """One table with every key it may have and what each says; those without a value here are commented out."""
-    lines = [header]
-    for entry, _ in keys_of(record).values():
-        value = values.get(entry.name)
-        if value is None:
-            assignment, says = f"# {entry.name} = {entry.example}", entry.says
-        else:
-            says = entry.says if value else f"{entry.says}; such as {entry.example}"
-            assignment = f"{entry.name} = {value}"
-        lines.append(f"{assignment:<40}  # {says}")
-    return "\n".join(lines) + "\n"
-
-
-def optional(why: str, lines: str) -> str:
-    """A whole table commented out."""
-    commented = [line if line.startswith("#") else f"# {line}" for line in lines.splitlines()]
-    return "\n".join([f"# {why}", *commented]) + "\n"

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from onebend.errors import ObservationError, RecordingError
-from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, runs, within_noise
-from onebend.records import Array, ForceLog, Remark
-from onebend.text_files import csv_rows, is_number, listed_columns, quoted
+from onebend.recording.signals import LATEST, check_span, false_zeros, held, missing_remarks, runs, step, within_noise
+from onebend.recording.tables import read_columns
+from onebend.records import Array, ForceLog, IntArray, Remark
+from onebend.text_files import is_number
 
 # libfranka's own log of the last commands (franka::logToCSV): joints and commands, no force.
 JOINTS_ONLY = "state.tau_ext_hat_filtered[0]"
@@ -100,38 +101,69 @@ def at_its_end(force: Array) -> tuple[Remark, ...]:
     return tuple(remarks)
 
 
-def refuse_other_unit(force: Array, mass: float, where: str) -> None:
+UNITS = {  # by where a force comes from: what is asked where it seems too large, and too small
+    "log": ("is the log in millinewtons, grams or counts?", "is the log in kilonewtons, or a force in kilograms?"),
+    "loads": ("is mass_kg of the loads in grams, or weight_N in grams?", "is weight_N in kilograms?"),
+}
+
+
+def refuse_other_unit(force: Array, mass: float, where: str, source: Literal["log", "loads"] = "log") -> None:
     """`ObservationError` with the fitting unit where the forces (N, 2) [N] are a thousand times off what bends a soft
     beam of `mass` [kg; NaN: unknown]."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     weights = largest / (9.81 * mass) if mass > 0 else math.nan
-    times = f", {weights:.3g} times its weight" if mass > 0 else ""
-    if largest > 500.0 or weights > TOO_MANY_WEIGHTS:  # N: what a person could not hold bends no soft beam
-        said, units = "is", "millinewtons, grams or counts"
-    elif 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS:
-        said, units = "is only", "kilonewtons"
-    else:
-        return
-    raise ObservationError(
-        f"{where}: the largest force on the beam {said} {largest:.3g} N{times}. Is the log in {units}? Convert it to "
-        "newtons; else all of k(s) is wrong by the same factor. If it is right, correct mass_kg.",
-        about="force unit",
-    )
+    times = f", {weights:.3g} times the beam's weight" if mass > 0 else ""
+    small = 0.0 < largest < SMALLEST and weights < TOO_FEW_WEIGHTS
+    if small or largest > 500.0 or weights > TOO_MANY_WEIGHTS:  # N: what a person could not hold bends no soft beam
+        raise ObservationError(
+            f"{where}: the largest force on the beam is {largest:.3g} N{times}: {UNITS[source][small]} Convert it; "
+            "else all of k(s) is wrong by the same factor. If the force is right, correct mass_kg in [beam].",
+            about="force unit",
+        )
 
 
-def size_remarks(force: Array, mass: float) -> tuple[Remark, ...]:
+def size_remarks(force: Array, mass: float, source: Literal["log", "loads"] = "log") -> tuple[Remark, ...]:
     """A warning where the forces (N, 2) [N] on a beam of `mass` [kg; NaN: unknown] seem to be in another unit."""
     largest = float(np.max(np.linalg.norm(force, axis=1), initial=0.0))
     heavy = largest / (9.81 * mass) if mass > 0 else 0.0
-    if largest > LARGEST or heavy > OF_WEIGHT:
-        times = f", {heavy:.0f} times its weight" if heavy > OF_WEIGHT else ""
-        text = f"The largest force on the beam is {largest:.3g} N{times}"
-    elif 0.0 < largest < SMALLEST:
-        text = f"The largest force on the beam is only {largest:.2g} N"
-    else:
+    small = 0.0 < largest < SMALLEST
+    if not (small or largest > LARGEST or heavy > OF_WEIGHT):
         return ()
-    text += ": is the log in newtons (not mN, grams)? All of k(s) is wrong by the same factor."
-    return (Remark("warning", text, about="force unit"),)
+    times = f", {heavy:.0f} times the beam's weight" if heavy > OF_WEIGHT else ""
+    text = f"The largest force on the beam is {largest:.3g} N{times}: {UNITS[source][small]}"
+    return (Remark("warning", f"{text} If so, all of k(s) is wrong by the same factor.", about="force unit"),)
+
+
+SENSOR_NOISE = {"franka-estimate": 0.035}  # N RMS at rest, by the maker's data sheet
+OTHER_NOISE = 5.0  # times a sensor's noise, or one over it: sensors of one kind differ by less
+WHITE = 0.5  # of the noise's variance in its differences: what has less was filtered, and is quiet for that
+STILL = 0.5  # s: within such a span at rest a force has no drift
+STILLEST = 0.2  # of these spans that are surely at rest
+
+
+def noise_remarks(log: ForceLog, sensor: str, stated: float) -> tuple[Remark, ...]:
+    """A doubt where the log is far quieter or louder at rest than its sensor, whose noise [N] is `stated` or known by
+    its name: a log in kilograms is 9.8 times quieter, one in grams 102 times louder."""
+    usual = stated if stated > 0.0 else SENSOR_NOISE.get(sensor, math.nan)
+    rows = round(STILL / step(log.time))
+    if not usual > 0.0 or rows < 8 or len(log.time) < 4 * rows:
+        return ()
+    spans = log.force[: len(log.force) // rows * rows].reshape(-1, rows, 2)
+    fast = spans - np.mean(spans, axis=1, keepdims=True)
+    sds = np.sqrt(np.mean(fast**2, axis=(1, 2)))
+    still = sds <= np.quantile(sds, STILLEST)
+    sd = float(np.max(sds[still]))
+    white = 0.5 * np.mean(np.diff(fast[still], axis=1) ** 2) > WHITE * np.mean(fast[still] ** 2)
+    if sd < usual * OTHER_NOISE and (sd > usual / OTHER_NOISE or not white):
+        return ()
+    whose = "white_sd_N" if stated > 0.0 else sensor
+    unit = "kilograms" if sd < usual else "grams or millinewtons"
+    text = (
+        f"At rest the force scatters by {sd:.2g} N, which is {sd / usual:.2g} times what {whose} says "
+        f"({usual:.2g} N): is the log in {unit}? If so, all of k(s) is wrong by the same factor. If it is in newtons, "
+        "correct sensor or white_sd_N in [force]."
+    )
+    return (Remark("warning", text, doubt=True, about="force unit"),)
 
 
 def unit_in_name(columns: Sequence[str], time_unit: str) -> str:
@@ -175,19 +207,19 @@ def read_force_log(
     if unit_advice := unit_in_name(columns, time_unit):
         raise RecordingError(f"{path}: {unit_advice}.")
     wanted = [*columns, *([push_column] if push_column else [])]
-    rows = list(numbers(path, wanted))
-    lines, read = [line for line, _ in rows], np.array([values for _, values in rows]).reshape(-1, len(wanted))
+    table = read_columns(path, wanted, kind="force log", advice=lambda header: _advice(header, wanted), endless=True)
+    lines, read = table.rows, np.stack([table.get(name) for name in wanted], axis=1)
     for name, column in zip(wanted, read.T, strict=True):
-        if len(read) and not np.isfinite(column).any():
+        if not np.isfinite(column).any():
             raise RecordingError(f"{path}: the column {name} holds no number in any row. Is it the right one?")
     read[:, 0] *= TIME_UNITS[time_unit]
     refuse_absurd(path, wanted, read, lines)
     full = np.isfinite(read).all(axis=1)
-    check_times(path, read[full, 0], np.array(lines, dtype=int)[full])
+    check_times(path, read[full, 0], lines[full])
     return whole_log(str(path), read)
 
 
-def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: Sequence[int]) -> None:
+def refuse_absurd(path: Path, wanted: Sequence[str], read: Array, lines: IntArray) -> None:
     """Raise where a number of the rows (N, c) is finite, but neither a time nor a force of this world."""
     for i, (name, most) in enumerate(zip(wanted, (LATEST, STRONGEST, STRONGEST, STRONGEST), strict=False)):
         absurd = np.isfinite(read[:, i]) & (np.abs(read[:, i]) > most)
@@ -230,46 +262,17 @@ def whole_log(where: str, read: Array, remarks: tuple[Remark, ...] = ()) -> Forc
     return ForceLog(time=data[:, 0], force=data[:, 1:3], push_s=push_s, remarks=remarks)
 
 
-def numbers(path: Path, wanted: Sequence[str]) -> Iterator[tuple[int, list[float]]]:
-    """Line number and the wanted numbers of every row that is not empty; NaN for an empty cell."""
-    rows = csv_rows(path, RecordingError)
-    header = [name.strip() for name in next(rows, (1, []))[1]]
-    if not header:
-        raise RecordingError(f"{path} is empty. Record the push again, or correct [force] file in recording.toml.")
-    if twice := [name for name in wanted if header.count(name) > 1]:
-        raise RecordingError(f"{path}, line 1: the column {twice[0]} is there twice. Remove or rename one.")
-    if missing := [name for name in wanted if name not in header]:
-        there = listed_columns(path, header)
-        raise RecordingError(
-            f"{path}, line 1: no column {', '.join(missing)}{there and '; '}{there}.{header_hint(header, wanted)} "
-            f"Name the columns with columns in [force], or column in [push], of recording.toml.{franka_hint(header)}"
-        )
-    places = [header.index(name) for name in wanted]
-    for line, row in rows:
-        values = []
-        for name, index in zip(wanted, places, strict=True):
-            cell = row[index].strip() if index < len(row) else ""
-            try:
-                values.append(float(cell) if cell else math.nan)
-            except ValueError:
-                raise RecordingError(
-                    f"{path}, line {line}: {name} is {quoted(cell)}, not a number. Correct or remove the line."
-                ) from None
-        yield line, values
+def _advice(header: list[str], wanted: Sequence[str]) -> str:
+    """What to do about a header that lacks wanted columns."""
+    advice = f"Name the columns with columns in [force], or column in [push], of recording.toml.{franka_hint(header)}"
+    if header and all(is_number(name) for name in header):
+        return f"The first line holds numbers: write the header {','.join(wanted)} above it. {advice}"
+    if header and header[0].startswith("#"):
+        return f"The header must be the first line: remove the lines above it. {advice}"
+    return advice
 
 
-def header_hint(header: Sequence[str], wanted: Sequence[str]) -> str:
-    """The probable mistake of a header that lacks wanted columns: a sentence after a space, or ""."""
-    if len(header) == 1 and set(header[0]) & set(";\t"):
-        return " Columns must be separated by commas, and decimals written with a point."
-    if all(is_number(name) for name in header if name):
-        return f" The first line holds numbers: write the header {','.join(wanted)} above it."
-    if header[0].startswith("#"):
-        return " The header must be the first line: remove the lines above it."
-    return ""
-
-
-def check_times(path: Path, time: Array, lines: Array) -> None:
+def check_times(path: Path, time: Array, lines: IntArray) -> None:
     """Raise where a time falls."""
     wrong = np.flatnonzero(np.diff(time) < 0)
     if not len(wrong):

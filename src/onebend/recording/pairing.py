@@ -14,7 +14,7 @@ from onebend.recording.beam_frame import BaseLog, RestShape, base_clock, check_o
 from onebend.recording.clock import ClockFit, ClockSettings, displacements, fit_clock, slow_sensor, without_lag
 from onebend.recording.entries import ForceEntry, Recording
 from onebend.recording.force import Contact, ForceSettings, choose_cutoff, clean_force, force_at, gap_limit, to_beam
-from onebend.recording.force_log import FEWEST_ROWS, read_force_log, refuse_other_unit, size_remarks
+from onebend.recording.force_log import FEWEST_ROWS, noise_remarks, read_force_log, refuse_other_unit, size_remarks
 from onebend.recording.signals import at_times, bandwidth, from_clamp, step
 from onebend.records import Array, BoolArray, CleanForce, ClockOffset, ForceLog, Markers, Remark
 
@@ -201,7 +201,8 @@ def read_log(rec: Recording) -> ForceLog | None:
     if rec.force.topic:
         return read_bag_force(rec.force)
     column = rec.push.column if rec.push else ""
-    return read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
+    log = read_force_log(rec.force.file, rec.force.columns, column, time_unit=rec.force.time_unit)
+    return replace(log, remarks=(*log.remarks, *noise_remarks(log, rec.force.sensor, rec.force.white_sd)))
 
 
 def match_clocks(
@@ -361,7 +362,8 @@ def check_direction(
     if refuse and reading.impossible:
         text = f"{text} {_or_the_clocks(rec, markers)}".rstrip()
         raise ObservationError(f"{rec.name}: {text}", about="axes")
-    return (Remark("warning", text, doubt=reading.impossible or reading.exact, about="axes"),)
+    share = math.sqrt(reading.unexplained["as it is"])
+    return (Remark("warning", text, doubt=reading.impossible or reading.exact, about="axes", share=share),)
 
 
 def check_place(
@@ -384,8 +386,7 @@ def check_place(
 def _or_the_clocks(rec: Recording, markers: Markers) -> str:
     """Other mistakes that look like a force that contradicts the bending: a sentence, or nothing."""
     seconds = float(markers.time[-1] - markers.time[0])
-    rate = (len(markers.time) - 1) / seconds
-    of_film = f"the film's frame rate is wrong (with {rate:.3g} a second it lasts {seconds:.3g} s)"
+    of_film = f"the film's frame rate is wrong (by it the film lasts {seconds:.3g} s)"
     table = "video" if rec.video is not None else "markers"
     of_start = f"start_s in [{table}] is farther off than start_uncertainty_s: without it the whole log is searched"
     possible = [of_film] if rec.video is not None else []

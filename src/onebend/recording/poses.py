@@ -17,6 +17,7 @@ from onebend.progress import Progress, Silent, track
 from onebend.recording.beam_frame import MOUNTING_SD, to_beam_frame
 from onebend.recording.camera import measure_markers
 from onebend.recording.entries import Axes, PosesEntry, Recording
+from onebend.recording.force_log import refuse_other_unit, size_remarks
 from onebend.recording.schema import lines_of_keys
 from onebend.recording.stated import stated_in
 from onebend.recording.tables import Columns, read_columns
@@ -354,6 +355,8 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     """Poses and loads as observations; every pose is a frame, also one of the bare beam."""
     check_reach(rec, loads, points)
     _check_held(rec, loads, points)
+    refuse_other_unit(loads.force, rec.beam.mass, rec.name, "loads")
+    units = size_remarks(loads.force, rec.beam.mass, "loads")
     count, m = points.angle.shape
     marker_s = np.array([tag.s for tag in rec.tags.on_beam])
     turns = np.round((points.angle - chord_angles(points.xy, marker_s)) / (2.0 * np.pi))  # read without full turns
@@ -361,7 +364,7 @@ def static(rec: Recording, loads: PoseLoads, points: PosePoints, load_sd: float)
     if nothing or not np.isfinite(points.xy).any():
         raise ObservationError(f"{rec.name}: no pose has both a load and a point. Add them to the two tables.")
     return Observations(
-        source=Source(rec.name, view=points.view, remarks=(*rec.remarks, *points.remarks)),
+        source=Source(rec.name, view=points.view, remarks=(*rec.remarks, *units, *points.remarks)),
         stated=replace(stated_in(rec), clamp_sd=points.clamp_sd),
         length=rec.beam.length,
         time=np.arange(count, dtype=float),

@@ -27,8 +27,8 @@ from onebend.recording.stated import stated_in
 from onebend.recording.tracks import read_tracks
 from onebend.recording.video import opened
 from onebend.records import Array, ForceLog, Markers, Observations, Remark
-from onebend.report.sentences import size_words
-from onebend.report.wording import significant
+from onebend.report.sentences import say, size_words
+from onebend.report.wording import counted, significant
 
 STEP, MOST_OFFSETS = 0.05, 2000  # s between tried clock offsets, and their largest number
 SURE = 0.9  # correlation of force and bending with which film and log show one push
@@ -49,10 +49,22 @@ class Overview:
     observations: Observations | None  # without a film
     log: ForceLog | None
 
+    @property
+    def verdict(self) -> str:
+        """What `learn` would make of it, in one line."""
+        if self.faults:
+            return say("check: refused", errors=counted(len(self.faults), "error"))
+        if any(remark.doubt for remark in self.remarks):
+            return say("check: doubted")
+        warnings = sum(remark.level == "warning" for remark in self.remarks)
+        return say("check: warned", warnings=counted(warnings, "warning")) if warnings else say("check: fine")
+
     def as_dict(self) -> dict[str, Any]:
         """For `--json`."""
         remarks = [remark.as_dict() for remark in self.remarks]
-        return {"recording": self.name, "understood": dict(self.rows), "remarks": remarks}
+        return {
+            "recording": self.name, "verdict": self.verdict, "understood": dict(self.rows), "remarks": remarks
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)

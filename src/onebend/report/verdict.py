@@ -16,13 +16,14 @@ from onebend.learning.outcome import Comparison, another_beam, poor_fit
 from onebend.learning.posterior import Grade, Posterior
 from onebend.learning.run import Run
 from onebend.learning.verdict import cause, fitted_rms, possible
-from onebend.records import Array
+from onebend.records import Array, Observations, Remark
 from onebend.report import confidence
-from onebend.report.sentences import SENTENCES, remedy, say
-from onebend.report.wording import millimetres, only_frequencies, significant, span, tag_words
+from onebend.report.sentences import SENTENCES, all_remarks, remedy, say
+from onebend.report.wording import is_forced, millimetres, only_frequencies, significant, span, tag_words
 
 AS_GOOD = 1.5  # times the force noise: a better beam would not show
 _MOST_NAMED = 4  # allowances, tests
+_OF_UNITS = ("force unit", "no material")  # what warnings of a wrong unit are about
 _NARROW, _MOST = 0.1, 0.9  # half-width, identified share: below, another push is worthwhile
 ErrorOf = Literal["validation", "fit", "as logged"]
 
@@ -34,7 +35,8 @@ class Verdict:
     grade: Grade | Literal["no band"]
     headline: str  # grade, with allowances or doubts
     known: str  # k(s) and its band
-    rests_on: str
+    rests_on: str  # tests of the model
+    given: str  # statements that no test can see to be wrong
     use: str  # error of predictions, and its meaning
     narrower: str  # how to narrow the band; empty if nothing helps much
     next: str  # one action
@@ -51,7 +53,13 @@ class Verdict:
     def rows(self) -> tuple[tuple[str, str], ...]:
         """Labels and sentences below the headline."""
         docs = (("docs", section(self.about)),) if self.about else ()
-        rows = (("k(s)", self.known), ("tests", self.rests_on), ("accuracy", self.use), ("improve", self.narrower))
+        rows = (
+            ("k(s)", self.known),
+            ("tests", self.rests_on),
+            ("rests on", self.given),
+            ("accuracy", self.use),
+            ("improve", self.narrower),
+        )
         return (*(row for row in rows if row[1]), ("next", self.next), *docs)
 
 
@@ -75,6 +83,7 @@ def verdict_of(findings: Run) -> Verdict:
         headline=_headline(posterior),
         known=_known(findings),
         rests_on=_rests_on(posterior),
+        given=_given(findings.recordings),
         use=_use(findings, error),
         narrower="" if posterior is None or posterior.doubts else confidence.narrower_words(posterior),
         next=_next(findings, error),
@@ -142,6 +151,23 @@ def _rests_on(posterior: Posterior | None) -> str:
     return say("rests: tests", tests=count)
 
 
+def _given(recordings: Sequence[Observations]) -> str:
+    """The facts on which the size of k(s) depends, as stated."""
+    first = recordings[0]
+    facts = []
+    if any(map(is_forced, recordings)):
+        size = max(float(np.nanmax(np.linalg.norm(one.force, axis=1), initial=0.0)) for one in recordings)
+        facts.append(say("given: loads" if first.static else "given: force", force=significant(size)))
+    if not first.static and facts:
+        facts.append(say("given: place", place=span(float(np.nanmin(first.push_s)), float(np.nanmax(first.push_s)))))
+    facts.append(say("given: length", length=first.length))
+    if any(np.any(one.gravity) for one in recordings):
+        facts.append(say("given: weight", mass=first.stated.mass) if np.isfinite(first.stated.mass) else "gravity")
+    elif facts and not only_frequencies(recordings):
+        facts.append(say("given: no weight"))
+    return ", ".join(facts)
+
+
 def _stand_out(count: int) -> str:
     return "1 stands out" if count == 1 else f"{count} stand out"
 
@@ -205,7 +231,8 @@ def _next(findings: Run, error: _Error) -> str:
     posterior, first = findings.posterior, findings.recordings[0]
     if posterior is None:
         return say("next: fit")
-    if (correction := _correction(posterior)) != "":
+    warnings = [remark for _, remark in all_remarks(findings) if remark.level == "warning"]
+    if (correction := _correction(posterior, warnings)) != "":
         return correction
     if error.failed:
         return say("next: same beam", recording=error.name)
@@ -218,16 +245,22 @@ def _next(findings: Run, error: _Error) -> str:
     return say("next: more poses" if first.source.clean_force is None else "next: plan")
 
 
-def _correction(posterior: Posterior) -> str:
+def _correction(posterior: Posterior, warnings: Sequence[Remark]) -> str:
+    """What to correct first: the likeliest cause, then what a warning says of the doubts, or of a unit."""
+    largest = posterior.contradictions[0].about if posterior.doubts and posterior.contradictions else ""
+    if said := [one for one in warnings if largest and one.about == largest]:
+        return said[0].text.rstrip(".")
     causes, trusted = possible(posterior).criticism.causes, posterior.criticism.trusted
     if causes and not trusted and not any(one.hopeless for one in posterior.misses):
         likeliest = cause(causes[0], posterior)
         do = remedy(likeliest)
         return say("next: cause", do=f"{do[:1].lower()}{do[1:]}", cause=likeliest)
     data = [one.observations for one in posterior.recordings]
-    for remark in (remark for one in data for remark in one.source.remarks if remark.doubt):
-        return remark.text.rstrip(".")
     static = all(one.static for one in data)
+    seen = [remark for one in data for remark in one.source.remarks if remark.level == "warning"]
+    units = [one for one in (*seen, *warnings) if one.about in _OF_UNITS]
+    if suspects := [*(one for one in seen if one.doubt), *units, *(seen if posterior.doubts else [])]:
+        return suspects[0].text.rstrip(".")
     if posterior.doubts:
         return say("next: poses" if static else "next: force")
     if not trusted:

@@ -149,6 +149,11 @@ def percent(part: float, whole: float) -> str:
     return f"{100.0 * part / whole:.0f} %" if whole > 0.0 else UNKNOWN
 
 
+def counted(count: int, what: str) -> str:
+    """ "1 warning", "2 warnings"."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
 def stage_rows(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
     """Stages above a threshold, and the sum."""
     rows = [(name, value) for name, value in seconds.items() if value >= NOT_WORTH_A_ROW]

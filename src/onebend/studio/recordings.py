@@ -22,8 +22,9 @@ from PIL import Image
 from onebend.errors import RecordingError, ResultsError, StudioError
 from onebend.files.single_file import check_replaceable, replace_file, write_file
 from onebend.recording.entries import FAMILIES, VideoEntry
-from onebend.recording.folder import check_text, write_template
+from onebend.recording.folder import check_text
 from onebend.recording.tag_finder import Finder
+from onebend.recording.template import write_template
 from onebend.recording.video import pictures_at
 from onebend.report.overview import SOFTWARE, overview
 from onebend.studio.jobs import process, tell
@@ -152,7 +153,7 @@ def begun(places: StudioFolder, name: str) -> dict[str, Any]:
     folder = places.path(name)
     if not folder.is_dir():
         raise StudioError(f"there is no folder {name}")
-    write_template(folder)
+    write_template(folder, everything=True)
     return {"name": name}
 
 

@@ -14,7 +14,7 @@ from onebend.records import Array
 
 
 def block(within: tuple[float, float] = ANYTHING, least: float = 1.0, about: float = 0.0) -> Block:
-    return Block("one", -1, "1", np.array([0.3]), ("one",), 0, within, least, about)
+    return Block("one", "bench", "1", ("one",), np.array([0.3]), within=within, least=least, about=about, start=0)
 
 
 def through(site: tuple[Array, Array], measured: float, noise: float) -> tuple[Array, Array]:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from onebend.errors import RecordingError
-from onebend.recording.folder import TextCheck, check_text, read_recording, template
+from onebend.recording.folder import TextCheck, check_text, read_recording
+from onebend.recording.template import template
 
 TRAIN = Path(__file__).parents[3] / "examples" / "linear-beam" / "train"
 TEXT = (TRAIN / "recording.toml").read_text(encoding="utf-8")

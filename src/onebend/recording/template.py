@@ -1,0 +1,245 @@
+"""A `recording.toml` to fill in, with all that the files beside it tell already."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from onebend.errors import OnebendError, RecordingError, ResultsError
+from onebend.files.single_file import FILMS, LOGS, write_file
+from onebend.recording.description import FORMAT, SECTIONS
+from onebend.recording.entries import (
+    FAMILIES,
+    BeamEntry,
+    CameraEntry,
+    FrequencyEntry,
+    GravityEntry,
+    TagEntry,
+    TagsEntry,
+    VideoEntry,
+)
+from onebend.recording.folder import FILE_NAME
+from onebend.recording.force_log import OTHER_TIME, TIMES, likely_forces, unit_in_name
+from onebend.recording.preview import LOOKS, search, spread_frames
+from onebend.recording.schema import keys_of
+from onebend.recording.tag_finder import Sighting
+from onebend.recording.video import FilmFrame, opened
+from onebend.text_files import csv_rows, to_json
+
+Kind = Literal["video", "ros", "photos", "weights", "mocap"]
+WHAT: dict[Kind, str] = {
+    "video": "What was filmed",
+    "ros": "What was filmed and logged in a bag",
+    "photos": "What was photographed: one picture a pose, one of them with no load",
+    "weights": "What was measured by hand: one pose a load, one of them with no load",
+    "mocap": "What was tracked",
+}
+TO_FILL_IN = ""  # what only the experimenter knows: no value is better than one that looks right
+TABLES_OF: dict[Kind, tuple[str, ...]] = {
+    "video": ("video", "force", "push"),
+    "ros": ("video", "force", "push"),
+    "photos": ("photos",),
+    "weights": ("poses", "gravity"),
+    "mocap": ("markers", "force", "push"),
+}
+DEFAULTS = {
+    "video": {"file": '"video.mp4"'},
+    "photos": {"folder": '"photos"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "poses": {"file": '"poses.csv"', "loads": '"loads.csv"', "axes": TO_FILL_IN},
+    "gravity": {"direction_deg": "-90.0", "base_angle_deg": TO_FILL_IN},
+    "markers": {"file": '"markers.csv"'},
+    "force": {"file": '"force.csv"', "rotation_deg": TO_FILL_IN, "acts_on": TO_FILL_IN},
+    "push": {"at_s": TO_FILL_IN},
+}
+CAMERA = "Optional: the camera's calibration. Without it, the tags' known size gives the scale."
+GRAVITY = "Optional: only where the beam's weight acts in the plane it bends in (not for a beam lying on its side)."
+FREQUENCIES = "Optional: how fast it swings, clamped as here; one such table for each frequency."
+PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
+STUBS = {"poses.csv": "pose,id,x_m,y_m\n", "loads.csv": "pose,s,mass_kg\n"}
+TIME_NAME = re.compile(r"^(time|timestamp|stamp|t)([_ \[(/].*)?$", re.IGNORECASE)
+FORCE_NAME = re.compile(r"^(?:force|f)[_ ]?([xy])([_ \[(/].*)?$", re.IGNORECASE)
+FIRST_ROWS = 1000  # of tracks, in which every marker is
+
+
+@dataclass(frozen=True)
+class Told:
+    """What files tell of a recording: keys with their values as TOML by table, ids of tags, and what to know of it."""
+
+    values: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    base: tuple[int, ...] = ()
+    beam: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __add__(self, other: Told) -> Told:
+        values = {name: {**self.values.get(name, {}), **table} for name, table in other.values.items()}
+        ids = self.base or other.base, self.beam or other.beam
+        return Told({**self.values, **values}, *ids, (*self.notes, *other.notes))
+
+
+def write_template(folder: Path | str, kind: Kind = "video", told: Told = Told(), *, everything: bool = False) -> Path:
+    """Write a `recording.toml` to fill in into `folder` (made if need be), and for hand readings and photos tables to
+    fill in; return its path. `everything`: with all optional keys, commented out.
+
+    Raises:
+        RecordingError: the folder holds one already, or cannot be written.
+    """
+    path = Path(folder) / FILE_NAME
+    if path.exists():
+        raise RecordingError(f"{path} exists already. Edit it, or name another folder.")
+    told = told_by_files(path.parent, kind) + told
+    try:
+        write_file(path, template(kind, told, everything=everything))
+        for name, content in _stubs(path.parent, kind).items():
+            if not (path.parent / name).exists():
+                write_file(path.parent / name, content)
+    except ResultsError as wrong:
+        raise RecordingError(str(wrong)) from None
+    return path
+
+
+def _stubs(folder: Path, kind: Kind) -> dict[str, str]:
+    if kind == "weights":
+        return {"poses.csv": f"{STUBS['poses.csv']}bare,1,,\n", "loads.csv": f"{STUBS['loads.csv']}bare,,\n"}
+    if kind != "photos":
+        return {}
+    photos = sorted(one.name for one in folder.glob("photos/*") if one.suffix.lower() in PICTURES)
+    return {"loads.csv": STUBS["loads.csv"] + "".join(f"{name},,\n" for name in photos if "," not in name)}
+
+
+def told_by_files(folder: Path, kind: Kind) -> Told:
+    """What the film, the force log or the tracks in a folder tell; nothing where there are several that it may be."""
+    told = Told()
+    tables = {"video": (("video", FILMS), ("force", LOGS)), "mocap": (("markers", LOGS), ("force", LOGS))}
+    for table, endings in tables.get(kind, ()):
+        names = [one for one in sorted(folder.glob("[!.]*")) if one.suffix.lower() in endings and one.is_file()]
+        if kind == "mocap":
+            names = [one for one in names if one.stem == table]
+        if len(names) != 1 or not names[0].name.isprintable():
+            continue
+        read = {"video": told_by_film, "force": told_by_log, "markers": told_by_tracks}[table]
+        told += Told({table: {"file": to_json(names[0].name)}})
+        try:
+            told += read(names[0])
+        except OnebendError as wrong:
+            told += Told(notes=(str(wrong),))
+    return told
+
+
+def told_by_film(path: Path) -> Told:
+    """Frame rate, date and tags. The tag that moves least is on the base; the others follow by their distance."""
+    frames, _, whole = spread_frames(VideoEntry(file=path), LOOKS)
+    height, width = frames[0].luma.shape
+    with opened(path) as container:
+        made = str(container.metadata.get("creation_time", ""))[:10]
+    date = made or datetime.fromtimestamp(path.stat().st_mtime, UTC).strftime("%Y-%m-%d")
+    rate = frames[-1].index / frames[-1].time if frames[-1].time > 0.0 else float("nan")
+    seconds = f"{'' if whole else 'more than '}{frames[-1].time:.3g} s"
+    note = f"{path.name}: {date}, {seconds}, {rate:.4g} frames a second, {width} x {height}"
+    family, sightings = _tags_in(frames)
+    places: dict[int, list[np.ndarray]] = {}
+    for tag in (tag for seen in sightings for tag in seen):
+        places.setdefault(tag.tag_id, []).append(tag.corners.mean(axis=0))
+    middle = {tag: np.mean(where, axis=0) for tag, where in places.items() if 2 * len(where) >= len(frames)}
+    if not middle:
+        return Told(notes=(f"{note}; no tag in it",))
+    base = min(middle, key=lambda tag: float(np.std(places[tag], axis=0).sum()))
+    beam = sorted(middle.keys() - {base}, key=lambda tag: float(np.linalg.norm(middle[tag] - middle[base])))
+    values = {} if family == FAMILIES[0] else {"tags": {"family": to_json(family)}}
+    known = f"tags {', '.join(map(str, sorted(middle)))}, of which tag {base} moves least"
+    return Told(values, (base,), tuple(beam), (f"{note}; {known}",))
+
+
+def _tags_in(frames: list[FilmFrame]) -> tuple[str, tuple[tuple[Sighting, ...], ...]]:
+    for family in FAMILIES:
+        found = search(frames, family, ())
+        if any(found):
+            return family, found
+    return FAMILIES[0], ()
+
+
+def told_by_log(path: Path) -> Told:
+    """The columns of time and forces and their units, where the header is not the usual one."""
+    header = next(_rows(path), [])
+    forces = likely_forces(header) or _forces_in(header)
+    time = next((name for name in header if name.lower() in TIMES or TIME_NAME.match(name)), None)
+    if forces is None or time is None or (time, *forces) == ("time_s", "fx_N", "fy_N"):
+        return Told()
+    unit = match[1] if (match := OTHER_TIME.search(time)) else TIMES.get(time.lower(), "s") or "s"
+    values = {"columns": to_json([time, *forces])} | ({} if unit == "s" else {"time_unit": to_json(unit)})
+    wrong = unit_in_name((time, *forces), unit)
+    return Told({"force": values}, notes=(f"{path.name}: {wrong}",) if wrong else ())
+
+
+def _forces_in(header: list[str]) -> tuple[str, str] | None:
+    named = {match[1].lower(): name for name in header if (match := FORCE_NAME.match(name))}
+    return (named["x"], named["y"]) if {"x", "y"} <= named.keys() else None
+
+
+def told_by_tracks(path: Path) -> Told:
+    """The markers' ids."""
+    rows = islice(_rows(path), FIRST_ROWS)
+    header = next(rows, [])
+    if "id" not in header:
+        return Told()
+    ids = {row[header.index("id")].strip() for row in rows if len(row) == len(header)}
+    return Told(beam=tuple(sorted(int(one) for one in ids if one.isdigit())))
+
+
+def _rows(path: Path) -> Iterator[list[str]]:
+    if path.suffix.lower() == ".csv":
+        yield from (row for _, row in csv_rows(path, RecordingError))
+
+
+def template(kind: Kind = "video", told: Told = Told(), *, everything: bool = False) -> str:
+    """The text of the template: it keeps the schema once what is empty is filled in."""
+    camera = kind in ("video", "ros", "photos")
+    values = {name: {**DEFAULTS.get(name, {}), **told.values.get(name, {})} for name in TABLES_OF[kind]}
+    beam = {"length_m": TO_FILL_IN} | ({"mass_kg": TO_FILL_IN} if kind == "weights" else {})
+    tags = {**({"size_m": TO_FILL_IN} if camera else {}), **told.values.get("tags", {})}
+    places = [{"id": str(one), "s": TO_FILL_IN} for one in told.beam or ((1, 2, 3) if kind == "weights" else ())]
+    listed = "[[points]]" if kind == "weights" else "[[tags.on_beam]]"
+
+    def table(header: str, record: type, values: Mapping[str, str]) -> str:
+        return table_of(header, record, values, everything=everything)
+
+    parts = [
+        f"# {WHAT[kind]}, for onebend. Fill in what is empty. Units are in the names.",
+        *(f"# {note}" for note in told.notes),
+        f"\nformat = {FORMAT}\n",
+        table("[beam]", BeamEntry, beam),
+        *([table("[tags]", TagsEntry, tags)] if everything or camera else []),
+        *([table("[[tags.on_base]]", TagEntry, {"id": str(*told.base)})] if camera else []),
+        *(table(listed, TagEntry, one) for one in places or [{"id": TO_FILL_IN, "s": TO_FILL_IN}] * 3),
+        *(table(f"[{name}]", SECTIONS[name], keys) for name, keys in values.items()),
+    ]
+    if everything:
+        parts += [optional(CAMERA, table("[camera]", CameraEntry, {}))] if camera else []
+        parts += [optional(GRAVITY, table("[gravity]", GravityEntry, {}))] if kind != "weights" else []
+        parts += [optional(FREQUENCIES, table("[[frequencies]]", FrequencyEntry, {}))]
+    return "\n".join(parts)
+
+
+def table_of(header: str, record: type, values: Mapping[str, str], *, everything: bool) -> str:
+    """One table with its values and what each key says; with `everything` its other keys are commented out."""
+    lines = [header]
+    for entry, _ in keys_of(record).values():
+        value = values.get(entry.name)
+        if value is not None:
+            says = entry.says if value else f"{entry.says}; such as {entry.example}"
+            lines.append(f"{f'{entry.name} = {value}':<40}  # {says}")
+        elif everything:
+            lines.append(f"{f'# {entry.name} = {entry.example}':<40}  # {entry.says}")
+    return "\n".join(lines) + "\n"
+
+
+def optional(why: str, lines: str) -> str:
+    """A whole table commented out."""
+    commented = [line if line.startswith("#") else f"# {line}" for line in lines.splitlines()]
+    return "\n".join([f"# {why}", *commented]) + "\n"
