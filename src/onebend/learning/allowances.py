@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
@@ -383,12 +383,12 @@ def between_recordings(nodes: Array) -> Allowance:
 # factor enters by its expected profile, and two more functions are how the profile of another width differs from it. At
 # a distance d from a tag's middle log k has the variance `PATCH_SD^2` times the probability that the patch reaches d.
 
-PATCH_SD = 0.6  # of the log of the factor on k under a tag: paper to stiff plastic
+PATCH_SD = 0.4  # of the log of the factor on k under a tag: paper to stiff plastic
 SHARES = np.array([0.25, 0.5, 0.25])  # of the widths below
 WIDTHS = np.array([1.05, 1.25, 1.6])  # of a patch over the tag's black square: a printed tag has a rim of one cell
 # (3, 3) of patches of these widths: the expected one, and principal parts of the others: `SHARES - SHARES SHARES'`
 _BY_WIDTH = np.column_stack([SHARES, 0.5**1.5 * np.array([1.0, 0.0, -1.0]), 0.25 * np.array([1.0, -2.0, 1.0])])
-_THIN = 0.03  # of `PATCH_SD`: a smaller factor hardly counts
+_THIN = 0.01  # of `PATCH_SD`: a smaller factor hardly counts
 USUAL_SIZE = 0.08  # of the length: a tag's black square where nobody says its size
 _USUAL_WIDTHS = np.array([0.8, 1.25, 1.9])  # over `USUAL_SIZE`
 _SOFT = 0.04  # of half a width: its edge in s
@@ -647,7 +647,7 @@ def shift_of_lags(shares: Array, every: Array, q: Array, reached: Array) -> tupl
 USUAL_THICKNESS = 0.08  # of the length, in the direction of bending
 NO_THICKNESS = -1.0  # of the relative change of its square: a beam that neither stretches nor shears
 UNKNOWN_SD, KNOWN_SD = 1.2, 0.2  # of the square of the thickness, over the usual or the stated one
-_THINNEST = 0.1  # of `UNKNOWN_SD`: a thinner rod is as good as one without thickness
+_THINNEST = 0.05  # of `UNKNOWN_SD`: a thinner rod is as good as one without thickness
 _NEAR_NONE = 1e-9  # of it: as good as none, where nothing may be divided by
 
 

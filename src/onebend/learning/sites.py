@@ -52,13 +52,13 @@ def first_site(block: Block, size: float = 1.0) -> tuple[Array, Array]:
 def _matched(block: Block, size: float, mean: Array, variance: Array) -> tuple[Array, Array]:
     """Means and sds (n,) of the prior times normal densities of this mean and variance (n,)."""
     sizes = size * block.prior_sd[:, None] * _sizes(block)
-    within = np.subtract(block.within, block.about)
+    lower, upper = (end - block.about for end in block.within)
     mean, given = mean[:, None] - block.about, np.isfinite(variance)[:, None]
     variance = np.where(given, variance[:, None], 1.0)
     both = np.where(given, 1.0 / (1.0 / sizes**2 + 1.0 / variance), sizes**2)
     middle = np.where(given, both * mean / variance, 0.0)
-    before, _, _ = moments(*within, np.zeros_like(sizes), sizes**2)
-    after, found, spread = moments(*within, middle, both)
+    before, _, _ = moments(lower, upper, np.zeros_like(sizes), sizes**2)
+    after, found, spread = moments(lower, upper, middle, both)
     total = sizes**2 + variance
     logs = after - before - np.where(given, 0.5 * np.log(total) + 0.5 * mean**2 / total, 0.0)
     weights = np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
