@@ -52,7 +52,7 @@ def full() -> Observations:
         clean_force=replace(
             clean,
             push_s=np.linspace(0.5, 1.0, len(clean.time)),
-            noise=ForceNoise(0.03, 0.01, 0.2, 0.004, spacing=0.001),
+            noise=ForceNoise(0.03, 0.01, 0.2, 0.004, spacing=0.001, level=0.02, load=0.05),
             zero_time=np.array([1.0]),
             zero=np.array([[0.1, 1 / 3]]),
             remarks=(Remark("note", "the log drifts"),),
