@@ -181,7 +181,7 @@ def test_a_field_that_has_no_way_to_json_and_back_is_an_error() -> None:
         to_data(Odd(1j))
     with pytest.raises(TypeError, match="no way from JSON"):
         fields_from(Holder, {"values": {"a": 1.0}})
-    with pytest.raises(ValueError, match=r"Remark has other fields: \['about', 'doubt'\]"):
+    with pytest.raises(ValueError, match=r"Remark has other fields: .*'about', 'doubt'"):
         fields_from(Remark, {"level": "note", "text": "a"})
 
 
