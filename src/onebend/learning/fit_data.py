@@ -98,7 +98,7 @@ def _rest_states(o: Observations, known: BoolArray, bent_sd: float) -> Array:
         apart = np.concatenate([(measured - positions(at, theta[None])[0]).ravel(), turned])
         return np.concatenate([apart / sd, theta / bent_sd])
 
-    return least_squares(away, np.zeros(n)).x
+    return np.asarray(least_squares(away, np.zeros(n)).x)
 
 
 # The beam's own weight with a stated spread of the mass: then one number is learned. For one material, `k ~ w^3` and
