@@ -273,7 +273,8 @@ def _part(file: Path, data: dict[str, Any], name: str, read: Callable[[Any], Par
 def _origin(data: Any) -> Origin:
     if set(data) != {field.name for field in fields(Origin)}:
         raise ValueError("it has other entries")
-    return Origin(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
+    return Origin(**values)
 
 
 def _bench(data: Any) -> Instruments:

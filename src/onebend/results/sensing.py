@@ -190,7 +190,7 @@ def force_bag(time: Array, force: Array, covariance: Array) -> bytes:
 def _wrench(seconds: float, force: Array) -> dict[str, Any]:
     return {
         "header": header(seconds, FRAME),
-        "wrench": {"force": vector(*force, 0.0), "torque": vector(0.0, 0.0, 0.0)},
+        "wrench": {"force": vector(force[0], force[1], 0.0), "torque": vector(0.0, 0.0, 0.0)},
     }
 
 
