@@ -99,7 +99,7 @@ def test_a_band_widens_steadily_with_the_probability_of_a_mistake() -> None:
         wider = with_places(one.problem, one.optimum, replace(search, mistaken=mistaken), sd)
         widths.append(float(np.mean(stiffness_of(one.problem, wider, 0.0).half_width(SHAPE_PLACES, 0.95))))
     assert widths[1] == pytest.approx(widths[0], rel=0.2)
-    assert np.all(np.diff(widths) >= 0.0)
+    assert np.all(np.diff(widths) >= -1e-12)
 
 
 def test_the_band_holds_k_with_the_push_at_every_likely_place() -> None:
@@ -218,9 +218,9 @@ def test_places_are_compared_under_one_noise() -> None:
 def test_the_evidence_of_a_mistake_is_averaged_over_the_places_it_may_have_led_to(before: float) -> None:
     s = np.linspace(INNERMOST, 0.99, 70)
     gain = np.where(np.abs(s - 0.6) < 0.0501, 12.0, -30.0)  # at a seventh of the places
-    for near, expected in ((0.0, 12.0 - np.log(7.0)), (0.5, -30.0 + np.log(2.0 / 7.0))):  # so near is no mistake
-        mistaken = place_posterior(s, gain, 1.0, before, near)[2]
-        assert gain_of_mistake(mistaken, before) == pytest.approx(expected, abs=0.1)
+    _, weight, mistaken = place_posterior(s, gain, 1.0, before)
+    assert gain_of_mistake(weight, mistaken, before) == pytest.approx(12.0 - np.log(7.0), abs=0.1)
+    assert gain_of_mistake(weight[:1], mistaken, before) < -20.0
 
 
 def test_a_place_is_accused_where_other_tests_would_speak() -> None:

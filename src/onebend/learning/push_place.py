@@ -50,7 +50,7 @@ from onebend.records import PLACE_SD, Array, BoolArray
 # frame, so a recording counts as _FRAMES frames (coarsening; Miller and Dunson 2019).
 
 _FRAMES = 50.0  # that a recording counts as, at most
-_FITTED = 24  # frames that are fitted
+_FITTED = 30  # frames that are fitted
 _NOISE = OptimizerSettings(most_steps=20, coarse_rounds=0, rounds=4, on_the_way=0.3, tolerance=0.3)
 _ROUNDS = 3  # of a fit, each but the last with a new prior of log k after it
 _FAR_BELOW = 50.0  # of the log evidence, below the best place: another prior of log k seldom adds more than a few
@@ -168,7 +168,7 @@ LIKELIER = 1.0 - LEFT_OUT  # and beyond which a warning says so
 _BEYOND_DOUBT = 2.0 * ACCUSED  # gain of log evidence at one place, with which the written one is accused in any case
 _HELD = 0.95  # probability of the places that are named
 _REASON = -1.0  # log10 p of the test of the place from which on the evidence is asked
-_STEPS = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
+_STEPS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])  # of the length, away from the written place
 _WORSE = -2.0  # gain of log evidence at the first of them: below it on both sides a mistake is unlikely
 _FINE = 0.005  # of the length, between places that are told apart
 _HOPELESS = 12.0  # of the log evidence, below the best place: places beyond are worse still
@@ -255,9 +255,9 @@ def search_place(
     gain = np.array([one.log_evidence for one in found]) - here.log_evidence
     away = np.stack([_away(problem, here, one, length) for one in found])
     before = MEASURED if block.prior_sd[0] < 0.999 * PLACE_SD else BY_HAND
-    near = min(_TOLERANCES * float(block.prior_sd[0]) / length, float(_STEPS[0]))
-    everywhere, weight, mistaken = place_posterior(s, gain, written, before, near)
-    accused = gain_of_mistake(mistaken, before) > ACCUSED
+    everywhere, weight, mistaken = place_posterior(s, gain, written, before)
+    far = np.abs(everywhere - written) * length > _TOLERANCES * block.prior_sd[0]
+    accused = gain_of_mistake(weight[far], mistaken, before) > ACCUSED
     return PlaceSearch(written, s, gain, away, everywhere, weight, mistaken, accused)
 
 
@@ -331,13 +331,10 @@ def _outwards(here: AtPlace, side: float, settings: FitSettings) -> Iterator[AtP
         last = tried
 
 
-def place_posterior(
-    s: Array, gain: Array, written: float, before: float = BY_HAND, near: float = 0.0
-) -> tuple[Array, Array, float]:
+def place_posterior(s: Array, gain: Array, written: float, before: float = BY_HAND) -> tuple[Array, Array, float]:
     """Places (f,), their probabilities (f,) if the written one is wrong, and the probability that it is.
 
-    `gain` (n,) of log evidence at places s (n,); `before`: prior probability of a mistake; places nearer than `near` to
-    the written one are no mistake, for the fit moves the push by as much.
+    `gain` (n,) of log evidence at places s (n,); `before`: prior probability of a mistake.
     """
     known, order = np.append(s, written), np.argsort(np.append(s, written))
     inner, outer = float(np.min(known)), float(np.max(known))
@@ -348,7 +345,6 @@ def place_posterior(
     if written < 1.0 - 0.5 * _STEPS[0]:
         share *= 1.0 - AT_TIP
         share[-1] += AT_TIP * (outer > 1.0 - 1e-9)
-    share *= np.abs(places - written) >= near
     most = max(float(np.max(gains)), 0.0)
     evidence = share * np.exp(gains - most)
     of_mistake = float(np.sum(evidence))
@@ -356,9 +352,11 @@ def place_posterior(
 
 
 @np.errstate(divide="ignore")  # a probability may be 1
-def gain_of_mistake(mistaken: float, before: float = BY_HAND) -> float:
-    """Gain of log evidence of a mistake, by its probability and the prior one."""
-    return float(np.log(mistaken * (1.0 - before) / np.float64((1.0 - mistaken) * before)))
+def gain_of_mistake(weight: Array, mistaken: float, before: float = BY_HAND) -> float:
+    """Gain of log evidence of a mistake that led to one of some places: `weight` (f,) of them, the probability of a
+    mistake, and the prior one."""
+    odds = mistaken * (1.0 - before) / np.float64((1.0 - mistaken) * before)
+    return float(np.log(odds * np.sum(weight)))
 
 
 def _away(problem: FitProblem, here: AtPlace, there: AtPlace, length: float) -> Array:
