@@ -409,7 +409,7 @@ class TagsEntry:
 
 @dataclass(frozen=True)
 class OutlineEntry:
-    """[outline]: the body's own edges in the film, beside its tags or without any (then the table may be missing)."""
+    """[outline]: the body's own edges in the film, beside its tags or without any; the table may be missing."""
 
     use: bool = key("use = true", flag, "whether the edges are looked for", True)
     width: float = key(
@@ -539,9 +539,7 @@ class Recording:
     @property
     def traces_outline(self) -> bool:
         """Whether the body's outline is to be read from the film."""
-        if self.video is None:
-            return False
-        return not self.tags.on_beam if self.outline is None else self.outline.use
+        return self.video is not None and (self.outline is None or self.outline.use)
 
     @property
     def start(self) -> tuple[float, float]:
