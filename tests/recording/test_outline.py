@@ -215,3 +215,15 @@ def test_beside_tags_a_body_that_is_not_found_is_left_out_with_one_sentence(monk
     bare = replace(rec, tags=replace(rec.tags, on_beam=()))
     with pytest.raises(ObservationError, match="no body is seen"):
         outline.with_outline(bare, tags, seen, number)
+
+
+def test_between_the_frames_that_are_read_the_curve_is_not_seen() -> None:
+    rng, kept = np.random.default_rng(0), np.array([0, 3, 6])
+    of_kept = OutlineTrack(
+        np.array([0.2, 0.8]), rng.random((3, 2, 2)), rng.random((3, 2, 2)), np.ones((3, 2)), np.ones(2)
+    )
+    spread = outline.spread_over(of_kept, kept, 8)
+    np.testing.assert_allclose(spread.px[kept], of_kept.px)
+    np.testing.assert_allclose(spread.px[4], (2.0 * of_kept.px[1] + of_kept.px[2]) / 3.0)
+    np.testing.assert_allclose(spread.ahead[7], of_kept.ahead[2])
+    assert np.array_equal(np.flatnonzero(np.isfinite(spread.sd[:, 0])), kept)

@@ -539,7 +539,9 @@ class Recording:
     @property
     def traces_outline(self) -> bool:
         """Whether the body's outline is to be read from the film."""
-        return self.video is not None and (self.outline is None or self.outline.use)
+        if self.video is None:
+            return False
+        return not self.tags.on_beam if self.outline is None else self.outline.use
 
     @property
     def start(self) -> tuple[float, float]:

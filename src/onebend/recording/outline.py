@@ -586,6 +586,7 @@ def outline_track(
 # Beside tags the outline is used only where it agrees with them. A tag may sit beside the middle of the body, by its
 # placement; as the body bends, it stays there.
 
+EVERY = 0.1  # s: so often is the outline read beside tags, which are read in every frame
 BESIDE = 3e-4  # m: one sd of where a tag's middle seems to lie, besides its placement
 MOVED = 5e-3  # of the length: a line that moves more against a tag is not the body's
 
@@ -608,7 +609,12 @@ def with_outline(
     assert markers.view is not None
     base = detections.corners[:, : len(rec.tags.on_base)]
     try:
-        outline = outline_track(rec, markers.view, base, number, apart=apart, progress=progress)
+        every = (
+            max(1, round(EVERY / float(np.median(np.diff(detections.time))))) if rec.tags.on_beam and not apart else 1
+        )
+        kept = np.arange(0, len(number), every)
+        outline = outline_track(rec, markers.view, base[kept], number[kept], apart=apart, progress=progress)
+        outline = spread_over(outline, kept, len(number))
         hung: BoolArray = ~np.asarray(np.isfinite(detections.corners).any(axis=(1, 2, 3)))
         outline = replace(outline, sd=np.where(hung[:, None], np.nan, outline.sd))
         both = measure_markers(detections, rec, outline)
@@ -618,6 +624,18 @@ def with_outline(
             raise
         doubt = str(wrong).split(". ")[0].removeprefix(f"{rec.name}: ")
     return replace(markers, remarks=(*markers.remarks, left_out(doubt))) if doubt else both
+
+
+def spread_over(outline: OutlineTrack, kept: IntArray, count: int) -> OutlineTrack:
+    """The outline of the frames `kept` among `count`: not seen in the others, where its curve runs between those."""
+    every = np.arange(count)
+    after = np.clip(np.searchsorted(kept, every), 1, len(kept) - 1) if len(kept) > 1 else np.zeros(count, dtype=int)
+    before = np.maximum(after - 1, 0)
+    share = np.clip((every - kept[before]) / np.maximum(kept[after] - kept[before], 1), 0.0, 1.0)[:, None, None]
+    px, ahead = ((1.0 - share) * one[before] + share * one[after] for one in (outline.px, outline.ahead))
+    sd = np.full((count, outline.sd.shape[1]), np.nan)
+    sd[kept] = outline.sd
+    return replace(outline, px=px, ahead=ahead, sd=sd)
 
 
 def left_out(why: str) -> Remark:
