@@ -211,8 +211,6 @@ def check(filming: Filming, folder: Path) -> None:
         )
     if not 0.0 <= filming.lost < 0.5:
         raise RecordingError(f"a camera loses a share of its frames in [0, 0.5), got {filming.lost}")
-    if np.isfinite(bench.axial_stiffness):
-        raise RecordingError("axial_stiffness is not filmed: leave it infinite, and give a thickness in `effects`")
     if filming.swings and (bench.effects.moves_otherwise or bench.effects.posture_bias):
         raise RecordingError("a beam that swings is filmed without effects on its motion: take a slow push")
     for given in (bench.effects.tag_heights, bench.effects.tag_tilts):

@@ -13,6 +13,7 @@ from onebend.learning.allowances import (
     BETWEEN,
     BETWEEN_SD,
     POSTURE_SD,
+    TIMES,
     USUAL_THICKNESS,
     course_of,
     powers,
@@ -326,6 +327,7 @@ def setup_of(posterior: Posterior) -> SetUp | None:
             covariance = np.pad(covariance, (0, len(before)))
             slope = np.pad(slope, ((0, len(before)), (0, 0)))
     stated = o.stated.thickness
+    left_over = _discrepancy(posterior.recordings, posterior.optimum.hyperparameters)
     return SetUp(
         push_s=float(data.push_s[largest]),
         force=(float(data.force[largest, 0]), float(data.force[largest, 1])),
@@ -338,7 +340,10 @@ def setup_of(posterior: Posterior) -> SetUp | None:
         covariance=0.5 * (covariance + covariance.T),
         prior_sd=np.concatenate(prior_sd),
         force_sd=float(np.hypot(left, posterior.optimum.hyperparameters.noise[number].force)),
-        discrepancy=_discrepancy(posterior.recordings, posterior.optimum.hyperparameters)[0],
+        discrepancy=left_over[0],
+        angle_discrepancy=left_over[1],
+        times=tuple(TIMES.tolist()) if "relaxation" in sizes else (),
+        reached=posterior.optimum.predictions[number].reached,
     )
 
 

@@ -29,6 +29,7 @@ from onebend.learning.allowances import (
     SLIDE_SD,
     Allowance,
     Entry,
+    lags,
     memory,
     reached_part,
     remembered,
@@ -576,6 +577,15 @@ class Prediction(State):
     def bending(self) -> Array:
         """(F, Q) rad of the curvature over that at rest of a beam that has not relaxed."""
         return self.solved.q - self.rest
+
+    @property
+    def reached(self) -> tuple[float, ...]:
+        """The part of the bending that a relaxing share of one reaches over the push, for each time; () without any."""
+        if self.relaxation is None:
+            return ()
+        _, time = self.relaxation
+        bent, weights = self.bending[: len(time)], self.solved.problem.weights
+        return tuple(reached_part(lag @ bent, bent, weights) for lag in lags(time))
 
     @property
     def slopes(self) -> Slopes:
