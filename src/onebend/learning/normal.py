@@ -382,8 +382,8 @@ def target_of(spline: Spline, forms: Sequence[InformationForm], level: float, ea
         rows.append(root[:, None] * u.T)
         seen.append((u.T @ form.vector) / root - rows[-1] @ np.full(spline.count, level))
     kept = max(int(np.max(np.sum([np.linalg.eigvalsh(t.matrix) > _LEAST_INFORMATION for t in forms], axis=1))), 1)
-    both = (np.repeat(np.stack(one)[:, -kept:], each, axis=0) for one in (rows, seen))
-    return Target(spline, *both, np.repeat([t.weight for t in forms], each) / each)
+    on_log_k, shown = (np.repeat(np.stack(one)[:, -kept:], each, axis=0) for one in (rows, seen))
+    return Target(spline, on_log_k, shown, np.repeat([t.weight for t in forms], each) / each)
 
 
 def _each(solver: Callable[..., Any], roots: Array, right: Array) -> Array:
