@@ -25,7 +25,7 @@ from onebend.learning.verdict import fitted_rms
 from onebend.records import Array, BoolArray, Observations
 from onebend.report import confidence, wording
 from onebend.report.sentences import all_remarks, pair_remarks, say, worded
-from onebend.report.verdict import hopeless, verdict_of
+from onebend.report.verdict import hopeless, validation_verdict, verdict_of
 from onebend.report.wording import millimetres, significant
 from onebend.results.model import StoredModel
 
@@ -489,17 +489,14 @@ def say_path(console: Console, what: str, path: Path) -> None:
 
 
 def show_validation(console: Console, pairs: Sequence[tuple[Comparison, Observations]], out: Path | None) -> None:
-    console.print(comparison_table([comparison for comparison, _ in pairs], "Validation"))
-    console.print()
-    console.print(
-        remarks_list(
-            [
-                (comparison.name, remark)
-                for comparison, recording in pairs
-                for remark in pair_remarks(comparison, recording)
-            ]
-        )
-    )
+    comparisons = [comparison for comparison, _ in pairs]
+    if verdict := validation_verdict(comparisons):
+        console.print(Text.assemble(("verdict   ", "dim"), (verdict, "bold")))
+    console.print(comparison_table(comparisons, "Validation"))
+    remarks = [(one.name, remark) for one, recording in pairs for remark in pair_remarks(one, recording)]
+    if remarks:
+        console.print()
+        console.print(remarks_list(remarks, title=None))
     if out is not None:
         say_path(console, "\ntables and figures", out)
 

@@ -255,7 +255,7 @@ def resolved(candidate: ReachCandidate, goal: Array, settings: ReachSettings) ->
 __all__ = ["Reach", "ReachSettings", "reach"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reach:
     """A force for a goal, or the reason why there is none, with the nearest point found."""
 
@@ -269,6 +269,10 @@ class Reach:
     iterations: int
     nearest: NearestPoint | None  # to an unreachable goal
     known: bool = False  # one step from a precomputed equilibrium
+
+    def __repr__(self) -> str:
+        found = f"force={self.force.tolist()} N" if self.converged else f"no force: {self.reason}"
+        return f"Reach(goal={self.goal.tolist()} m, {found})"
 
     @property
     def beam(self) -> Beam:

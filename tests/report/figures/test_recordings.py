@@ -109,6 +109,15 @@ def test_no_plane_is_drawn_where_one_coordinate_alone_was_read() -> None:
     assert "distance" in over_time.get_ylabel()
 
 
+def test_the_poses_of_a_check_are_lines_with_names() -> None:
+    axes = recordings._drawn(overview(HUNG)).axes[0]
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names[:6] == ["bare", "20 g tip", "50 g tip", "80 g tip", "50 g middle", "100 g middle"]
+    first = np.array(axes.lines[3].get_data(), dtype=float)
+    assert first[:, 0].tolist() == [0.0, 0.0]  # each from the clamp
+    assert first.shape == (2, 6)
+
+
 def test_stiffness_curve_is_the_beams() -> None:
     axes = curves.stiffness(made_up.BEAM).axes[0]
     s, k = np.array(axes.lines[0].get_data(), dtype=float)
