@@ -215,7 +215,7 @@ def test_validations_have_one_line_and_know_the_data_that_was_learned_from() -> 
     found = made_up.findings(2)
     assert validation_verdict(found.validations).startswith("validation on ")
     own = replace(found.validations[0], remarks=(Notice("no validation", {"recording": "rec"}),))
-    assert validation_verdict([own, found.validations[1]]) == "no validation: the beam was learned from rec"
+    assert validation_verdict([own, found.validations[1]]) == f"no validation: the beam was learned from {own.name}"
     unseen = replace(own, remarks=(), rms=np.full(3, np.nan))
     assert validation_verdict([unseen]) == ""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -18,10 +19,12 @@ from onebend.learning.validation import validate
 from onebend.learning.verdict import explained
 from onebend.report import figures as curves, figures as recordings, style
 from onebend.report.figures import centreline, largest_push, push_to_show, spread_of_pushes
+from onebend.report.overview import overview
 from onebend.report.style import BLUE, hue_of, named, png_of
 from tests import made_up
 from tests.made_up import with_source
 
+HUNG = Path(__file__).parents[3] / "examples" / "hung-weights"
 ONE = made_up.comparison()
 SEEN = made_up.observations(one=ONE)
 FIT = made_up.posterior()
